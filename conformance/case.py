@@ -1,4 +1,4 @@
-"""Cases: small functions, each with a number, a statement of behaviour and its requirements."""
+"""Conformance cases: small functions, each with a number, a statement of behaviour and requirements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conformance.errors import NoSuchCase
 
 @dataclass(frozen=True)
 class Need:
-    """A requirement of a case on the device under test, and the reason for skipping without it."""
+    """Requirement of a case on the device under test, with the reason for skipping without it."""
 
     name: str
     reason: str
@@ -31,7 +31,7 @@ HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
-    """Outcome of a case."""
+    """Outcome of a conformance case."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -39,11 +39,11 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Sign that a case cannot be decided here, such as without a stray in view; gives the reason."""
+    """A case cannot be decided here, such as without a stray in view; gives the reason."""
 
 
 class Nonconformity(AssertionError):
-    """Sign that the device behaves differently from a case's statement."""
+    """The device behaves differently from a case's statement."""
 
 
 Run = Callable[[DeviceUnderTest], object]
@@ -60,7 +60,7 @@ class CaseOf(Protocol[S]):
 
 @dataclass(frozen=True)
 class Case:
-    """A behaviour under a stable number.
+    """Required behaviour under a stable number.
 
     T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
@@ -72,7 +72,7 @@ class Case:
 
 
 class CaseList:
-    """Cases in the order in which they are defined."""
+    """Cases in order of definition."""
 
     def __init__(self, cases: Iterable[Case] = ()) -> None:
         self.cases = list(cases)
@@ -89,7 +89,7 @@ class CaseList:
         return add
 
     def with_each(self, subjects: Callable[[DeviceUnderTest], Iterable[S]]) -> CaseOf[S]:
-        """Return a variant of `case` whose function checks one subject, such as a camera, each in turn."""
+        """Return a variant of `case` whose function checks one subject, such as a camera, at a time."""
 
         def check_each(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
             for subject in subjects(dut):
@@ -100,7 +100,7 @@ class CaseList:
     def within(
         self, context: Callable[[DeviceUnderTest], AbstractContextManager[S]], *needs: Need
     ) -> CaseOf[S]:
-        """Return a variant of `case` whose function runs within a context that has needs of its own."""
+        """Return a variant of `case` whose function runs inside a context with additional needs."""
 
         def check_within(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
             with context(dut) as subject:
@@ -144,7 +144,7 @@ class Suite(CaseList):
         return [case.number for case in self.cases if MOTION in case.needs]
 
     def only(self, prefixes: Sequence[str]) -> Suite:
-        """Select the cases whose number starts with one of `prefixes`, all without any; raises CNF-003."""
+        """Select the cases whose number starts with one of `prefixes`, by default all; raises CNF-003."""
         if not prefixes:
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
@@ -179,7 +179,7 @@ def read_as(expected: str) -> Iterator[None]:
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """Return the error raised by `call`; raises Nonconformity if there is none, or one of another class."""
+    """Return the error raised by `call`; raises Nonconformity without one, or for another class."""
     try:
         call()
     except kind as error:

@@ -86,7 +86,7 @@ def conformance(
 def _require_confirmation(
     motions: str, moving_cases: list[str], dut: DeviceUnderTest, given: str | None
 ) -> str:
-    """Return the name of the person who confirms motion; raises CNF-005 without one."""
+    """Return the name of the person who confirms motion; raises CNF-005 without a name."""
     from conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
@@ -115,7 +115,7 @@ def _print_report(report: Report) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Run the console script."""
     run(app)
 
 

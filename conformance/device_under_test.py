@@ -1,4 +1,4 @@
-"""The device under test: creates drivers for the cases; cases that only read share one connection."""
+"""Device under test: creates drivers for the cases; read-only cases share one connection."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STATE_ORDER = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURE
 
 
 class DeviceUnderTest:
-    """A driver with one configuration. `offers` names the needs of cases that it meets.
+    """Driver with one configuration. `offers` names the needs of cases that it meets.
 
     `clock_known` is False if the host's clock is merely assumed.
     """
@@ -31,20 +31,20 @@ class DeviceUnderTest:
         self._made: list[Device] = []
 
     def make(self, **changes: Any) -> Any:
-        """Make an unconnected driver with a changed configuration; closes every other connection first."""
+        """Create an unconnected driver with a changed configuration, after closing every other connection."""
         self.release()
         device: Device = self.make_beside(**changes)
         self._made.append(device)
         return device
 
     def make_beside(self, **changes: Any) -> Any:
-        """Make a driver with a changed configuration, in addition to any other; the caller closes it."""
+        """Create an additional driver with a changed configuration; the caller closes it."""
         if "endpoint" in changes:
             changes["endpoints"] = {}
         return make_device(self.name, self.config.model_copy(update=changes), self.clock)
 
     def at(self, state: Lifecycle) -> Any:
-        """Bring the shared device to CONNECTED, CONFIGURED or ACTIVE; makes a new one after a failure."""
+        """Bring the shared device to CONNECTED, CONFIGURED or ACTIVE, replacing it after a failure."""
         device = self._shared
         if device is None or device.state not in _STATE_ORDER:
             device = self._shared = self.make()
@@ -55,14 +55,14 @@ class DeviceUnderTest:
         return self.bring_to(state, device)
 
     def bring_to(self, state: Lifecycle, device: Any) -> Any:
-        """Bring a device from `make` from its present state to `state`."""
+        """Bring a device from `make` from its current state to `state`."""
         steps = (device.connect, device.configure, device.activate)
         for step in steps[_STATE_ORDER.index(device.state) : _STATE_ORDER.index(state)]:
             step()
         return device
 
     def release(self) -> None:
-        """Close every connection, so that the endpoint is free."""
+        """Close every connection to free the endpoint."""
         for device in self._made:
             device.close()
         self._made.clear()
@@ -70,17 +70,17 @@ class DeviceUnderTest:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The only endpoint, for cases whose needs imply that there is one."""
+        """Single endpoint, for cases whose needs imply that there is only one."""
         assert self.config.endpoint is not None, "the case needs a single endpoint"
         return parse_endpoint(self.config.endpoint)
 
     def disturbed_line(self) -> DisturbedLine:
-        """Make a line between driver and device that can misbehave; pass its endpoint to `make`."""
+        """Create a disturbable line between driver and device; pass its endpoint to `make`."""
         self.release()
         return DisturbedLine(self.endpoint)
 
     def is_disturbable(self) -> bool:
-        """Test whether a line that can misbehave fits between this driver and this endpoint."""
+        """Return whether a disturbable line fits between this driver and this endpoint."""
         if self.config.endpoint is None:
             return False
         if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "serial"):

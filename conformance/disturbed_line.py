@@ -1,4 +1,4 @@
-"""A TCP line between a driver and its device that can misbehave.
+"""Disturbable TCP line between a driver and its device.
 
 It changes only what the device sends, never what the driver sends, so it is safe to use with hardware.
 """
@@ -31,7 +31,7 @@ class _End(Protocol):
 
 
 class LineThread(ABC):
-    """Thread that runs `_serve` within a `with` block; `_ended` tells it to return."""
+    """Thread that runs `_serve` within a `with` block; setting `_ended` makes it return."""
 
     def __init__(self, name: str) -> None:
         self._ended = False
@@ -50,15 +50,15 @@ class LineThread(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Pass bytes on until `_ended`."""
+        """Forward bytes until `_ended` is set."""
 
     @abstractmethod
     def _close(self) -> None:
-        """Close the sockets, after the thread has ended."""
+        """Close the sockets after the thread has ended."""
 
 
 class DisturbedLine(LineThread):
-    """Line for one client at a time, as a context manager; the driver connects to `endpoint`."""
+    """Disturbable line for one client at a time, as a context manager; the driver connects to `endpoint`."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__("disturbed line")
@@ -71,7 +71,7 @@ class DisturbedLine(LineThread):
 
     @property
     def endpoint(self) -> str:
-        """Endpoint for the driver."""
+        """Endpoint to which the driver connects."""
         return f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def flip_next(self) -> None:
@@ -79,11 +79,11 @@ class DisturbedLine(LineThread):
         self._next = lambda data: [(0.0, data[:-1] + bytes([data[-1] ^ 0x01]))]
 
     def lose_next_byte(self) -> None:
-        """Drop the last byte of the next chunk."""
+        """Drop the last byte of the next chunk that the device sends."""
         self._next = lambda data: [(0.0, data[:-1])]
 
     def delay_next(self, delay_s: float) -> None:
-        """Delay the next chunk and everything after it."""
+        """Delay the next chunk from the device and everything after it."""
         self._next = lambda data: [(delay_s, data)]
 
     def inject(self, data: bytes) -> None:
@@ -91,7 +91,7 @@ class DisturbedLine(LineThread):
         self._injected.append(data)
 
     def silence(self, silent: bool = True) -> None:
-        """Swallow everything that the device sends, until switched off."""
+        """Discard everything that the device sends, until switched off."""
         self._silent = silent
 
     def cut(self) -> None:
@@ -141,7 +141,7 @@ class DisturbedLine(LineThread):
                     client.sendall(held.pop(0)[1])
 
     def _note_command(self, data: bytes) -> None:
-        """Hook for subclasses: data from the driver, passed on unchanged."""
+        """Inspect data from the driver, which is passed on unchanged (hook for subclasses)."""
 
     def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         disturbance, self._next = self._next, None

@@ -1,4 +1,4 @@
-"""Reasons why a conformance run does not start."""
+"""Errors that prevent a conformance run from starting."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class DeviceNotInFile(ConfigurationError):
 
 
 class NoSuchCase(ConfigurationError):
-    """No case of the suite has a number that starts with the text given to --only."""
+    """No case number starts with the text given to --only."""
 
     code = "CNF-003"
     action = "Run the suite without --only to see the numbers of its cases."
 
 
 class NotConfirmed(RefusedError):
-    """The suite would move a device that is not our simulator, and this was not confirmed."""
+    """The suite would move a device that is not our simulator, without confirmation."""
 
     code = "CNF-005"
     action = (

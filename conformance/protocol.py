@@ -1,4 +1,4 @@
-"""Cases for a wire protocol, found by name among the entry points.
+"""Protocol cases, found by name among the entry points.
 
 A package with a driver for its own protocol can also provide cases for it::
 
@@ -24,7 +24,7 @@ from ronna_hw.registry import load_driver
 
 @dataclass(frozen=True)
 class Checklist:
-    """The numbered checklist of a wire protocol, its lines numbered from 1.
+    """Numbered checklist of a wire protocol, with lines numbered from 1.
 
     A case's number assigns it to a line: one of `letters`, the line, and a lower-case letter if a line has
     several cases. `also` names generic cases that also check a line. `elsewhere` says where a line without a
@@ -42,7 +42,7 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """Return the line checked by a case; None for a generic case."""
+        """Return the checklist line of a case; None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 
@@ -56,7 +56,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Note where a line is tested, or what its cases leave out; empty without a remark."""
+        """Return a remark on where a line is tested, or what its cases omit; an empty text if none."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
@@ -78,7 +78,7 @@ class ProtocolCases:
 
 
 def load_protocol(wire_protocol: str) -> ProtocolCases:
-    """Load the cases that the installed packages provide for a wire protocol; empty if none do."""
+    """Load the cases that installed packages provide for a wire protocol, if any."""
     for point in entry_points(group=GROUP, name=wire_protocol):
         found: ProtocolCases = point.load()
         return found
@@ -91,7 +91,7 @@ def load_driver_protocol(driver: str) -> ProtocolCases:
 
 
 def compose_suite(suite: Suite, protocol: ProtocolCases) -> Suite:
-    """Append the cases of a protocol to those of a suite; raises ValueError on a repeated number."""
+    """Append the cases of a protocol to those of a suite; raises ValueError for a repeated number."""
     cases = (*suite.cases, *protocol.cases)
     counts = Counter(case.number for case in cases)
     if repeated := [number for number, count in counts.items() if count > 1]:

@@ -1,4 +1,4 @@
-"""Run the cases of a suite on a device under test and report the outcome of each."""
+"""Execution of a suite on a device under test, and report of the outcomes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Report:
-    """A run of a suite: the device, the time, and every case in order."""
+    """Report on a run of a suite: device, time, and all cases in order."""
 
     suite: str
     driver: str
@@ -53,7 +53,7 @@ class Report:
         return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
-        """Return the report as plain data, with a hash over everything else in it."""
+        """Return the report as plain data, including a hash of everything else in it."""
         document: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "suite": self.suite,
@@ -76,7 +76,7 @@ def run_suite(
     *,
     confirmed_by: str = "",
 ) -> Report:
-    """Run every case that the device under test allows.
+    """Run every case that the device under test permits.
 
     The device is connected once first; raises ConnectError and the like if that fails, because no case
     would be meaningful.

@@ -63,7 +63,7 @@ SUITE = Suite(
 
 
 def turn_last_axis(joints_rad: JointVector, by_rad: float) -> JointVector:
-    """Turn the last axis of a pose towards the middle of its range."""
+    """Turn the last axis of a joint vector towards the middle of its range."""
     a, b, c, d, e, last = joints_rad
     return (a, b, c, d, e, last - math.copysign(by_rad, last))
 
@@ -75,7 +75,7 @@ def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
 
 
 def axis_distance_rad(a: JointVector, b: JointVector) -> float:
-    """Return the largest difference of any axis."""
+    """Return the largest difference of any axis, rad."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
@@ -366,7 +366,7 @@ def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
 
 
 def _stop_midway(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind) -> list[RonnaError]:
-    """Stop a motion on its way; returns the errors that the motion raised."""
+    """Stop a motion midway; returns the errors that the motion raised."""
     mover, ends = start_moving(dut, arm, start)
     try:
         arm.stop(kind)
@@ -378,7 +378,7 @@ def _stop_midway(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopK
 def start_moving(
     dut: DeviceUnderTest, arm: Any, start: JointVector
 ) -> tuple[threading.Thread, list[RonnaError]]:
-    """Start a thread that turns the last axis; returns once the arm has visibly left its start.
+    """Start a thread that turns the last axis; returns once the arm has visibly moved.
 
     The list receives the errors that the motion raises.
     """

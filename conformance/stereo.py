@@ -34,7 +34,7 @@ SUITE = Suite("stereo", driver="basler_stereo")
 
 
 def grab_pairs(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
-    """Take readings on the shared connection, one trigger each."""
+    """Take readings on the shared connection, with one trigger each."""
     pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 
@@ -197,7 +197,7 @@ SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).bui
 
 
 def _middle_part(area: AreaOfInterest) -> AreaOfInterest:
-    """Return the middle part of an area, in steps that cameras allow."""
+    """Return the middle part of an area, in steps that cameras permit."""
 
     def step(value: int) -> int:
         return value // AREA_STEP_PX * AREA_STEP_PX

@@ -1,4 +1,4 @@
-"""The device to test: named on the command line, resolved before anything starts, then opened."""
+"""Device to test: named on the command line, resolved before anything starts, then opened."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
 
 @dataclass(frozen=True)
 class Choice:
-    """The command line: exactly one of `sim`, `config` and `endpoints`, with its options."""
+    """Choice on the command line: exactly one of `sim`, `config` and `endpoints`, with its options."""
 
     sim: bool = False
     config: Path | None = None  # a theatre file
@@ -55,7 +55,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Target:
-    """The device to test. `config` is None for our own simulator, which has no endpoint until it runs."""
+    """Device to test. `config` is None for our own simulator, which has no endpoint until it runs."""
 
     suite: Suite  # the generic cases, then those of the driver's wire protocol
     protocol: ProtocolCases
@@ -69,11 +69,11 @@ class Target:
 
 @runtime_checkable
 class HasConformanceOptions(Protocol):
-    """A driver class that can be tested without a theatre file."""
+    """Driver class that can be tested without a theatre file."""
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Options to test it with."""
+        """Return the options for a conformance run."""
         ...
 
 
@@ -114,7 +114,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
 
 
 def config_for_suite(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
-    """Configure a driver at these endpoints (None for a single unnamed one), with its conformance options."""
+    """Configure a driver for these endpoints (key None for a single one), with its conformance options."""
     factory = load_driver(driver)
     options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
     for address in addresses.values():
@@ -137,7 +137,7 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
 
 
 def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
-    """Raise CNF-001 if the driver needs endpoints with other names, with an example."""
+    """Raise CNF-001, with an example, if the driver needs endpoints with other names."""
     finder = load_finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):
@@ -178,7 +178,7 @@ def build_device_under_test(
     protocol: ProtocolCases | None = None,
     clock_known: bool = True,
 ) -> DeviceUnderTest:
-    """Build a device under test that offers the allowed needs and every other need that it meets."""
+    """Build a device under test that offers the permitted needs and all others that it meets."""
     dut = DeviceUnderTest(name, config, clock, clock_known=clock_known)
     dut.offers |= allowed
     if clock.paced:
@@ -192,7 +192,7 @@ def build_device_under_test(
 
 @contextmanager
 def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
-    """Open the device under test; its simulator, if any, ends with the block. Raises PRC-001."""
+    """Open the device under test for a block; its simulator, if any, ends with it. Raises PRC-001."""
     with ExitStack() as stack:
         config = target.config
         if config is None:

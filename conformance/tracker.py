@@ -62,7 +62,7 @@ def read_tools(dut: DeviceUnderTest) -> list[ToolReading]:
 
 @contextlib.contextmanager
 def disturbed_tracker(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
-    """A line that can misbehave, and an active tracker on it; closes every connection afterwards."""
+    """Yield a disturbable line and an active tracker on it; closes every connection afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.bring_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()

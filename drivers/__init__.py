@@ -1,1 +1,1 @@
-"""One folder per device. Each speaks the device's real protocol to an endpoint."""
+"""Device drivers, one package each. Every driver speaks the device's real protocol to an endpoint."""

@@ -1,4 +1,4 @@
-"""Reader of a driver's options in the theatre file."""
+"""Parsing of a driver's options in the theatre file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contracts and foundations that drivers, simulators and procedures share. Imports none of them.
+"""Contracts and foundations shared by drivers, simulators and procedures. Imports none of these.
 
 The front door is exported here and imported on first use: device processes do not need it.
 """

@@ -1,4 +1,4 @@
-"""External input, checked against bounds before use: size, depth, count, expansion.
+"""Bounds on external input, checked before use: size, depth, count, expansion.
 
 A file, a reply or a datagram may be damaged or malicious; a few bytes must not cost gigabytes or minutes.
 Everything here raises INP-001, also a ValueError: the reader of a format can refuse with its own code.
@@ -35,7 +35,7 @@ from ronna_hw.host.files import open_regular
 
 
 class InputRefused(DataError):
-    """A file or a message from outside is larger, deeper or denser than anything legitimate."""
+    """External input exceeds the bounds of anything legitimate: too large, too deep or too dense."""
 
     code = "INP-001"
     action = "Find out where it comes from; files written by these programs are far below the limit."
@@ -47,7 +47,7 @@ FILE_ADVICE = "Give a file: pipes, sockets and devices are not read."
 def read_bounded(
     path: Path, limit_bytes: int, *, follow_links: bool = True, start_bytes: int | None = None
 ) -> bytes:
-    """Read a complete file, or its first `start_bytes`. Raises INP-001 for more than `limit_bytes`, OSError.
+    """Read a file, or only its first `start_bytes`. Raises INP-001 above `limit_bytes`, and OSError.
 
     Never blocks: a pipe, socket or device in its place is refused, and without `follow_links` also a link
     (OSError).
@@ -80,7 +80,7 @@ _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 
 
 def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
-    """Parse a JSON text. Raises INP-001, and ValueError for invalid JSON."""
+    """Parse JSON text. Raises INP-001, and ValueError for invalid JSON."""
     content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
     if b"\0" in content:  # as in every other encoding, whose depth is not seen
         raise ValueError("JSON that is not UTF-8")
@@ -97,7 +97,7 @@ def read_json_bytes(
     *,
     follow_links: bool = True,
 ) -> bytes:
-    """Read a JSON file as bytes for a model to validate; `follow_links` as in `read_bounded`.
+    """Read a JSON file as bytes for validation by a model; `follow_links` as in `read_bounded`.
 
     Raises INP-001, OSError.
     """
@@ -105,7 +105,7 @@ def read_json_bytes(
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow_links: bool = True) -> bytes:
-    """Read JSON lines, the last of which may be torn; `follow_links` as in `read_bounded`.
+    """Read JSON lines, of which the last may be torn; `follow_links` as in `read_bounded`.
 
     Raises INP-001, OSError.
     """
@@ -115,7 +115,7 @@ def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow
 def check_json(
     content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
 ) -> bytes:
-    """Return the bytes if they are within limits, else raise INP-001. Numbers in them may be anything."""
+    """Return the bytes if within limits, else raise INP-001. Numeric values are not limited."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
     _check_count(content, most_values)
@@ -131,12 +131,12 @@ def _check_count(content: bytes, most_values: int) -> bytes:
 
 
 def count_values(content: bytes) -> int:
-    """Upper bound for the number of values in a JSON text."""
+    """Return an upper bound for the number of values in a JSON text."""
     return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
 
 
 def _is_too_deep(content: bytes) -> bool:
-    """Whether brackets remain after removing the innermost ones once per level."""
+    """Return whether brackets remain after removing the innermost ones once per allowed level."""
     brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
     for _ in range(DEEPEST):
         if not brackets:
@@ -152,7 +152,7 @@ def _parse_whole(digits: str) -> int:
 
 
 def _finite(number: str) -> float:
-    """Parse a fraction; refuse NaN and Infinity, which are not JSON."""
+    """Parse a fractional number; refuse NaN and Infinity, which are not JSON."""
     value = float(number)
     if not math.isfinite(value):
         raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])
@@ -175,7 +175,7 @@ _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
 
 
 def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """Read a TOML file; raises `refusal` with the reason if it is not TOML within limits, OSError."""
+    """Read a TOML file; raises OSError, and `refusal` with the reason for invalid or oversized TOML."""
     try:
         content = read_bounded(path, LARGEST_TOML_BYTES)
     except InputRefused as error:
@@ -184,7 +184,7 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
 
 
 def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """Parse the bytes of a file with this name; raises `refusal` like `read_toml`."""
+    """Parse the bytes of a TOML file with this name; raises `refusal` like `read_toml`."""
     try:
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:
@@ -196,7 +196,7 @@ def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaEr
 
 
 def _describe_line(error: ValueError, content: bytes) -> str:
-    """Quote the line that failed to parse, with a hint if it looks like a date or a decimal."""
+    """Quote the line that failed to parse, with a hint if it resembles a date or a decimal."""
     found = _LINE_NUMBER.search(str(error))
     lines = content.decode("utf-8-sig").splitlines()
     if found is None or not 0 < int(found[1]) <= len(lines):
@@ -208,7 +208,7 @@ def _describe_line(error: ValueError, content: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse a TOML text. Raises INP-001, and ValueError for invalid TOML."""
+    """Parse TOML text. Raises INP-001, and ValueError for invalid TOML."""
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
     if sum(map(text.count, "[{,=")) > MOST_TOML_VALUES:  # a model may find several mistakes in each
@@ -239,7 +239,7 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # only these can be unpac
 
 
 def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
-    """Unpack the zlib format, or raw deflate with `raw`. Raises INP-001, also for damaged data."""
+    """Inflate zlib data, or raw deflate data with `raw`. Raises INP-001, also for damaged data."""
     unpacker = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
     try:
         content = unpacker.decompress(packed, limit_bytes + 1)
@@ -253,7 +253,7 @@ def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
 
 
 def unzip(packed: bytes, limit_bytes: int) -> bytes:
-    """Unpack the first member of a ZIP file, stored or deflated. Raises INP-001, also for a damaged file."""
+    """Unpack the first member of a ZIP file (stored or deflated). Raises INP-001, also for a damaged file."""
     if len(packed) > LARGEST_ZIP_BYTES:
         raise InputRefused("a ZIP file is too large", limit=f"{LARGEST_ZIP_BYTES} bytes")
     try:

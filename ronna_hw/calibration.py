@@ -123,7 +123,7 @@ MountPose = Annotated[PoseRecord, AfterValidator(_require_on_mount)]
 
 
 class CameraCalibration(Strict):
-    """A camera of the stereo head: pinhole with radial and tangential distortion.
+    """Calibration of one camera of the stereo head: pinhole with radial and tangential distortion.
 
     Pixel (0, 0) is the centre of the sensor's top-left pixel. `camera_from_tool` maps tool coordinates to the
     camera frame (z along the optical axis, x along columns, y down the rows).
@@ -144,7 +144,7 @@ class CameraCalibration(Strict):
 
     @model_validator(mode="after")
     def _fits_sensor(self) -> Self:
-        """Check principal point (swapped columns and rows) and focal length (in other pixels)."""
+        """Check principal point and focal length against the sensor size (swapped axes, other pixels)."""
         for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
             if not 0.25 * count < at_px < 0.75 * count:
                 raise ValueError(
@@ -180,7 +180,7 @@ class Dated(Strict):
         return self
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 if the record has expired at `moment`, or is dated after it.
+        """Raise CAL-001 if the record has expired at `moment`, or is dated later.
 
         With a clock that was set back, an expired record would appear valid.
         """
@@ -200,18 +200,18 @@ class Dated(Strict):
 
     @property
     def _renewing(self) -> str | None:
-        """Action when the record has expired, if it differs from that of a calibration."""
+        """Advice for an expired record, if it differs from that for a calibration."""
         return None
 
 
 class DatedRecord(Dated):
-    """Fields of all calibration records."""
+    """Fields common to all calibration records."""
 
     stated_error_mm: StatedError = Field(description="Stated error, one standard deviation.")
 
 
 class StereoHeadCalibration(DatedRecord):
-    """Both cameras, and the nominal tool centre point of the head on the flange."""
+    """Calibration of both cameras, and the nominal tool centre point of the head on the flange."""
 
     stated_error_mm: StatedError = Field(
         description="Stated error of a point measured in the tool frame, one standard deviation; not that of "
@@ -229,7 +229,7 @@ def _require_guide_number(number: int) -> int:
 
 
 class ToolTipCalibration(DatedRecord):
-    """A surgical guide: nominal pose of its tip on the flange, z along the guide's axis."""
+    """Calibration of a surgical guide: nominal pose of its tip on the flange, z along the guide."""
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
     tool_number: Annotated[int, Field(ge=1, le=16), AfterValidator(_require_guide_number)] = Field(
@@ -244,7 +244,7 @@ class ToolTipCalibration(DatedRecord):
 
 
 class TrackerFrameCalibration(DatedRecord):
-    """The reference frame M on the tool mount: the tool name of its definition file, and its pose."""
+    """Calibration of the reference frame M on the tool mount: its pose, and its name as a tracked tool."""
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
     tool: Words = Field(description="Name of the tool definition in the tracker's options.")
@@ -271,7 +271,7 @@ Rows = Annotated[
 
 
 class ArmCalibration(DatedRecord):
-    """Deviations of an arm from its nominal kinematics; joints are listed from the base outwards."""
+    """Calibrated deviations of an arm from its nominal kinematics. Joints count from the base outwards."""
 
     arm: ArmName = Field(description="Name of the kinematic model to correct.")
     serial: Words | None = Field(
@@ -330,7 +330,10 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """Check shape and row sizes; a triangle cannot be asymmetric or indefinite."""
+        """Check the shape and row sizes of the remaining errors.
+
+        A triangle cannot be asymmetric or indefinite.
+        """
         if self.remaining is None:
             return self
         joints = len(self.joint_offset_rad)

@@ -1,4 +1,4 @@
-"""Theatre time, from the clock named by an endpoint.
+"""Theatre time, read from the clock that an endpoint names.
 
 Dwell, age, averaging and guards use this clock. I/O time limits use the host's monotonic clock. With `host:`
 both are the same. With `shm://` the time is that of the simulated theatre. It stands still unless a device
@@ -25,7 +25,7 @@ WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another proc
 
 
 class ClockUnavailable(ConnectError):
-    """The shared clock named by the theatre file cannot be opened."""
+    """The shared clock in the theatre file cannot be opened."""
 
     code = "CLK-001"
     action = (
@@ -35,11 +35,11 @@ class ClockUnavailable(ConnectError):
 
 
 class Clock(Protocol):
-    """Theatre time in seconds since the theatre began."""
+    """Source of theatre time, in seconds since the theatre started."""
 
     @property
     def paced(self) -> bool:
-        """Whether theatre time follows the host's clock, so that durations on the host are meaningful."""
+        """Whether theatre time follows the host's clock, which makes host durations meaningful."""
         ...
 
     def now_s(self) -> float:
@@ -52,7 +52,7 @@ class Clock(Protocol):
 
 
 class HostClock:
-    """The host's monotonic clock, counted from the moment it was opened."""
+    """Monotonic clock of the host, counted from the moment of opening."""
 
     def __init__(self) -> None:
         self._epoch_ns = time.monotonic_ns()
@@ -84,7 +84,7 @@ STREAM_SILENCE_NS = 2_500_000_000
 
 
 class SharedClock:
-    """A clock shared by several processes, at the beginning of a `shm://` block.
+    """Clock shared by several processes, at the start of a `shm://` block.
 
     While a cyclic device streams (the correction stream of the robot), only its cycles advance the time and
     everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
@@ -138,7 +138,7 @@ class SharedClock:
         self.wait_until_ns(self.now_ns() + round(max(0.0, duration_s) * 1e9))
 
     def wait_until_ns(self, moment_ns: int) -> None:
-        """Return once theatre time has reached `moment_ns`; advance it unless a device streams."""
+        """Return once theatre time reaches `moment_ns`, advancing it unless a device streams."""
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
@@ -165,7 +165,7 @@ class SharedClock:
         return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
-        """Add one cycle of the cyclic device and return the new time. No effect when paced."""
+        """Advance by one cycle of the cyclic device and return the new time. No effect when paced."""
         if self._paced:
             return self.now_ns()
         with self.hold_lock():
@@ -175,7 +175,7 @@ class SharedClock:
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """Note the due time of the next measurement of a device that is read one by one; 0 ends it."""
+        """Set the due time of the next measurement of a device read one by one; 0 clears it."""
         UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
@@ -186,13 +186,13 @@ class SharedClock:
         return TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
-        """Release the pace of time at the end of a cyclic stream."""
+        """Stop controlling the pace of time at the end of a cyclic stream."""
         with self.hold_lock():
             STREAM_HOST_NS.write(self._memory, 0)
 
     @contextmanager
     def hold_lock(self) -> Iterator[None]:
-        """Hold the clock's lock, which excludes other processes and other threads of this one."""
+        """Hold the clock's lock, excluding other processes and other threads of this process."""
         with self._thread_lock:
             fcntl.flock(self._file, fcntl.LOCK_EX)
             try:

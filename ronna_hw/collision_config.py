@@ -1,4 +1,4 @@
-"""Table `[cell]` of the theatre file: collision bodies on the arm, around the patient and in the room.
+"""Table `[cell]` of the theatre file: collision bodies of the arm, patient and room.
 
 Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin at the tool
 centre point, z along the tool), the patient's surroundings in the head frame (origin at the centre of the
@@ -44,14 +44,14 @@ HEAD, FIDUCIAL = "head", "fiducial"
 
 
 class BodyFrame(StrEnum):
-    """Frame in which a body of the surroundings is described."""
+    """Frame in which a collision body is described."""
 
     HEAD = "head"
     ROBOT = "robot"
 
 
 class BodyConfig(Strict):
-    """A capsule: the two ends of its axis, and its radius."""
+    """Capsule given by the two ends of its axis, and its radius."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
     start_mm: Place = Field(description="Start of the axis.")
@@ -60,18 +60,18 @@ class BodyConfig(Strict):
 
     @property
     def capsule(self) -> Capsule:
-        """The body as plain numbers."""
+        """Capsule as plain numbers."""
         return Capsule(self.start_mm, self.end_mm, self.radius_mm)
 
 
 class ToolBody(BodyConfig):
-    """A body of a tool, in the tool frame. Only parts meant to enter the head may set `enters_head`."""
+    """Body of a tool, in the tool frame. Only parts meant to enter the head may set `enters_head`."""
 
     enters_head: bool = Field(default=False, description="True if the body is meant to enter the head.")
 
 
 class RoomBody(BodyConfig):
-    """A body around the arm, in the head frame or in the robot's."""
+    """Body near the arm, in the head frame or the robot frame."""
 
     frame: Annotated[BodyFrame, Field(strict=False)] = Field(
         default=BodyFrame.HEAD, description="Reference frame of the coordinates."
@@ -79,7 +79,7 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Radii of the arm's bodies about their axes: conservative estimates."""
+    """Conservative radii of the arm's bodies about their axes."""
 
     column_mm: Millimetres = Field(default=150.0, description="Radius from the base to A2.")
     upper_arm_mm: Millimetres = Field(default=85.0, description="Radius from A2 to A3.")
@@ -89,7 +89,7 @@ class ArmThickness(Strict):
 
 
 class HeadZone(Strict):
-    """Speed limit of all moving parts by their distance to the head, linear between two points."""
+    """Speed limit of all moving parts, linear in the distance to the head between two points."""
 
     near_mm: NotNegative = Field(default=20.0, description="Up to this distance, near_speed_mm_s applies.")
     near_speed_mm_s: Annotated[float, Field(gt=0, le=FASTEST_NEAR_HEAD_MM_S)] = Field(
@@ -155,7 +155,7 @@ AROUND_THE_PATIENT = (
 
 
 class CollisionConfig(Strict):
-    """Bodies and clearances with which every path is checked before the arm moves."""
+    """Collision bodies and clearances for checking every path before the arm moves."""
 
     margin_mm: Millimetres = Field(default=10.0, description="Smallest clearance along a planned path.")
     live_margin_mm: NotNegative = Field(
@@ -187,7 +187,7 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Surroundings in the frames that the arm needs.
+        """Build the surroundings in the frames that the arm uses.
 
         `fiducials_mm` are in $ROBROOT, as localized so far.
         """
@@ -217,7 +217,7 @@ class CollisionConfig(Strict):
 
 
 def _build_post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """A sphere on its post, which points to the centre of the head."""
+    """Build the capsule of a sphere on its post, which points to the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

@@ -1,4 +1,4 @@
-"""The theatre file: devices, their endpoints and their calibrations.
+"""Theatre file: devices with their endpoints, and calibrations.
 
 Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 """
@@ -57,7 +57,7 @@ def require_expiry(theatre: TheatreFile) -> None:
 
 
 def require_outside_hand(theatre: TheatreFile) -> None:
-    """Raise ValueError if a tool or the guide's axis is inside the arm's hand: it is in centimetres."""
+    """Raise ValueError if a tool or the axis of the guide lies inside the arm's hand: the unit is wrong."""
     if theatre.calibration is None:
         return
     hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
@@ -75,7 +75,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
 
 
 def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
-    """Distance of the flange's centre from a tip, or from the axis of a guide between tip and upper end."""
+    """Return the distance of the flange centre from a tip, or from a guide's axis up to its upper end, mm."""
     w, x, y, z = flange_from_tool.quaternion_wxyz
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     tip_mm = flange_from_tool.translation_mm
@@ -93,7 +93,7 @@ LARGEST_COARSE_FINE_MM = 5.75
 
 
 class BadTheatreFile(ConfigurationError):
-    """The theatre file is missing, not TOML, or has mistakes; all of them are listed."""
+    """The theatre file is missing, is not TOML, or has mistakes, which are all listed."""
 
     code = "CFG-001"
     action = "Correct the file; docs/reference/theatre-file.md lists every key."
@@ -115,7 +115,7 @@ class ClockConfig(Strict):
 
 
 class DeviceConfig(Strict):
-    """A device: its driver by name, its endpoint or endpoints, and the driver's own options."""
+    """Configuration of a device: driver name, endpoint or endpoints, and driver-specific options."""
 
     driver: str = Field(description="Name of the driver, as registered by its package.")
     endpoint: str | None = Field(default=None, description="Address of a device with one endpoint.")
@@ -131,11 +131,11 @@ class DeviceConfig(Strict):
 
     @property
     def folder(self) -> Path | None:
-        """Folder of the theatre file, to which paths in `options` are relative; None without a file."""
+        """Folder of the theatre file, the base of relative paths in `options`; None without a file."""
         return self._folder
 
     def with_folder(self, folder: Path) -> Self:
-        """Copy with paths in its options relative to `folder`."""
+        """Return a copy whose options resolve relative paths in `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -156,7 +156,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """Parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
+        """Return the parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -164,7 +164,7 @@ class DeviceConfig(Strict):
 
 
 class Calibrations(Strict):
-    """The calibration records that the procedure uses."""
+    """Calibration records used by the procedure."""
 
     stereo_head: StereoHeadCalibration = Field(description="Cameras and tool centre of the stereo head.")
     tool_tip: ToolTipCalibration = Field(description="Tip of the surgical guide.")
@@ -199,7 +199,7 @@ HeadTurn = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
 class WatchPatient(StrEnum):
-    """During which motions the tracker monitors the patient's spheres."""
+    """Motions during which the tracker monitors the patient's spheres."""
 
     INSTRUMENT = "instrument"  # with the guide mounted, including the hold at the target
     ALWAYS = "always"  # also with the stereo head
@@ -207,7 +207,7 @@ class WatchPatient(StrEnum):
 
 
 class ProcedureSettings(Strict):
-    """Assumptions and settings of the procedure in this theatre."""
+    """Settings and assumptions of the procedure in this theatre."""
 
     arm_error_mm: ArmError = Field(
         default=0.15,
@@ -262,7 +262,7 @@ class ProcedureSettings(Strict):
 
 
 class TheatreFile(Strict):
-    """A theatre with any number of named robots."""
+    """Content of a theatre file, with any number of named robots."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of the file format."
@@ -318,7 +318,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """Bodies around the arm, including those in the records of the tools."""
+        """Bodies around the arm, including those in the tool records."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()
@@ -328,7 +328,7 @@ class TheatreFile(Strict):
 
     @property
     def addresses(self) -> dict[str, tuple[str, ...]]:
-        """The addresses of each device, by its name."""
+        """Addresses of each device by its name."""
         return {
             name: (*one.endpoints.values(), *([one.endpoint] if one.endpoint else []))
             for name, one in self.devices.items()
@@ -336,12 +336,12 @@ class TheatreFile(Strict):
 
     @property
     def clock_address(self) -> str:
-        """The address of the clock."""
+        """Address of the clock."""
         return self.clock.endpoint
 
     @property
     def devices(self) -> dict[str, DeviceConfig]:
-        """All devices by the name of their table: `robot.master`, `tracker`, `stereo`, `device.force`."""
+        """All devices by table name: `robot.master`, `tracker`, `stereo`, `device.force`."""
         tables = {
             **{f"robot.{name}": config for name, config in self.robot.items()},
             "tracker": self.tracker,
@@ -352,7 +352,7 @@ class TheatreFile(Strict):
 
 
 def read_theatre_file(path: Path) -> TheatreFile:
-    """Read and check a theatre file; raises CFG-001 with every mistake in it."""
+    """Read and validate a theatre file; raises CFG-001 listing every mistake."""
     try:
         content = read_toml(path, BadTheatreFile)
     except OSError as error:
@@ -374,7 +374,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
 
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
-    """Check the content of a theatre file; raises CFG-001 with every mistake in it."""
+    """Validate the content of a theatre file; raises CFG-001 listing every mistake."""
     if "trajectories" in content and "theatre" not in content:
         raise BadTheatreFile(
             f"{name} is a plan, not a theatre file", action="Give the path of a theatre file."

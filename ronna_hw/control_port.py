@@ -26,14 +26,14 @@ _TOKEN_MARK = f"?{TOKEN_KEY}="
 
 
 class ControlPortSilent(ConnectError):
-    """No theatre or simulated device answers at the control port."""
+    """No theatre or simulated device replies at the control port."""
 
     code = "CTL-001"
     action = "Copy the control endpoint from the READY line; if that program has ended, start it again."
 
 
 class ControlRequestRefused(ConfigurationError):
-    """A running theatre or simulated device refused a request at its control port."""
+    """A simulated theatre or device refused a request at its control port."""
 
     code = "CTL-002"
     action = "Correct what is named; a token is copied with the whole endpoint, from the READY line."
@@ -41,14 +41,14 @@ class ControlRequestRefused(ConfigurationError):
 
 @dataclass(frozen=True)
 class ControlAddress:
-    """Address of a control port with its token: `tcp://127.0.0.1:PORT?token=...`."""
+    """Address of a control port, including its token: `tcp://127.0.0.1:PORT?token=...`."""
 
     endpoint: Endpoint
     token: str = field(repr=False)
 
     @classmethod
     def parse(cls, text: str) -> ControlAddress:
-        """Parse an address; raises CFG-002 for any other form, without quoting the token."""
+        """Parse an address; raises CFG-002 for invalid ones, without quoting the token."""
         location, _, token = text.partition(_TOKEN_MARK)
         endpoint = parse_endpoint(location).require("tcp")
         if not token:
@@ -60,12 +60,12 @@ class ControlAddress:
         return cls(endpoint, token)
 
     def text(self) -> str:
-        """The complete address, including the secret, for the READY line."""
+        """Complete address with its secret token, for the READY line."""
         return f"{self.endpoint}{_TOKEN_MARK}{self.token}"
 
 
 class ControlPortClient:
-    """A connection, which the port closes after a while without requests.
+    """Connection to a control port. The server closes it after a while without requests.
 
     Raises CTL-001 when nothing answers, CTL-002 for a wrong token, CFG-002 for another form of address.
     """
@@ -86,11 +86,11 @@ class ControlPortClient:
             raise
 
     def ask(self, action: str, **arguments: Any) -> dict[str, Any]:
-        """Send a request; raises CTL-001 without an answer, CTL-002 with the reason for a refusal."""
+        """Send a request and return the answer; raises CTL-001 without one, CTL-002 for a refusal."""
         return self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
-        """Hang up; never raises."""
+        """Close the connection; never raises."""
         with contextlib.suppress(OSError):
             self._socket.close()
 
@@ -120,7 +120,7 @@ class ControlPortClient:
         return answer
 
     def _receive_answer(self) -> bytes:
-        """Receive one line within the limit for all of it; less if the port hangs up."""
+        """Receive one line within a total time limit; less if the server hangs up."""
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
@@ -141,6 +141,6 @@ class ControlPortClient:
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
-    """Send a single request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
+    """Send a single request on its own connection; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
         return port.ask(action, **arguments)

@@ -1,4 +1,4 @@
-"""Device addresses. A simulated device differs from a real one only in its endpoint.
+"""Device endpoints. A simulated device differs from a real one only in its endpoint.
 
 udp://127.0.0.1:59152      where the robot's telegrams arrive
 tcp://192.168.1.10:54602   a TCP peer
@@ -22,7 +22,7 @@ SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
 
 
 class BadEndpoint(ConfigurationError, ValueError):
-    """The text is not an endpoint, or its scheme cannot be used here."""
+    """Text is not an endpoint, or its scheme is not allowed here."""
 
     code = "CFG-002"
     action = "Write it as scheme://address, for example serial:///dev/ttyUSB0 or tcp://127.0.0.1:8765."
@@ -30,7 +30,7 @@ class BadEndpoint(ConfigurationError, ValueError):
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A parsed address: `host` and `port` for networks, `path` for devices and shared memory."""
+    """Parsed endpoint: `host` and `port` for networks, `path` for devices and shared memory."""
 
     scheme: str
     host: str = ""
@@ -46,7 +46,7 @@ class Endpoint:
         return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
 
     def resolve_names(self) -> Endpoint:
-        """Follow links and names to the place itself; an unknown name stays."""
+        """Resolve links and host names; unknown names stay unchanged."""
         if self.path:
             return replace(self, path=os.path.realpath(self.path))
         name = self.host.removesuffix(".")
@@ -57,7 +57,7 @@ class Endpoint:
         return replace(self, host=min((str(entry[4][0]) for entry in found), default=name))
 
     def require(self, *schemes: str) -> Endpoint:
-        """Return itself, or raise CFG-002 if its scheme is not one of `schemes`."""
+        """Return the endpoint, or raise CFG-002 if its scheme is not one of `schemes`."""
         if self.scheme not in schemes:
             raise BadEndpoint(f"{self} cannot be used here", expected=" or ".join(f"{s}:" for s in schemes))
         return self

@@ -1,4 +1,4 @@
-"""The tree of errors of the whole project.
+"""Error hierarchy of the whole project.
 
     RonnaError
     +-- ConfigurationError   a file or an option is wrong; no device has been touched
@@ -38,7 +38,7 @@ LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one 
 
 
 class RonnaError(Exception):
-    """Base class of all our errors: what happened, what was expected, the limit, and what to do.
+    """Base of all project errors: what happened, what was expected, the limit, and what to do.
 
     `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
     and, if helpful, `expected`, `limit`, `got` and what to do instead of the class's `action`. `wire` keeps
@@ -71,7 +71,7 @@ class RonnaError(Exception):
 
     @property
     def summary(self) -> str:
-        """Describe what happened, with its values, such as `no reply; expected OKAY, got ERROR01`.
+        """Description of the error with its values, such as `no reply; expected OKAY, got ERROR01`.
 
         Without code and advice.
         """
@@ -85,7 +85,7 @@ class RonnaError(Exception):
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the error as it is: recreated from its one-line form it would say everything twice."""
+        """Pickle by fields, since recreating the error from its one-line form would repeat everything."""
         return _restore_error, (type(self), self.args, vars(self))
 
     def _one_line(self) -> str:
@@ -109,54 +109,54 @@ class ConfigurationError(RonnaError):
 
 
 class DataError(RonnaError, ValueError):
-    """An input is wrong: a series, a plan, a set of points."""
+    """An input is invalid: a series, a plan, a set of points."""
 
 
 class ConnectError(RonnaError):
-    """The device is not there, or it is not the requested one."""
+    """The device is absent, or is not the requested one."""
 
     exit_code = EXIT_NOT_FOUND
 
 
 class ProtocolError(RonnaError):
-    """Bytes on the wire break the protocol."""
+    """Bytes on the wire violate the protocol."""
 
     exit_code = EXIT_LINK_LOST
 
 
 class LinkTimeout(RonnaError, TimeoutError):
-    """An answer did not come within its time limit."""
+    """A reply did not arrive within its time limit."""
 
     exit_code = EXIT_LINK_LOST
 
 
 class DeviceError(RonnaError):
-    """The device itself reports a fault."""
+    """The device reports a fault."""
 
 
 class LimitError(RonnaError):
-    """A limit of range, speed, reach or safety was reached."""
+    """A limit of range, speed, reach or safety was exceeded."""
 
     exit_code = EXIT_SAFETY_STOP
 
 
 class StateError(RonnaError):
-    """The call is not allowed in the current lifecycle state."""
+    """A call is not allowed in the current lifecycle state."""
 
 
 class RefusedError(RonnaError):
-    """A guard refused the action."""
+    """A guard refused an action."""
 
     exit_code = EXIT_REFUSED
 
 
 def summary_of(problem: Exception) -> str:
-    """Summarise an error of ours, or one of Python with the name of its class."""
+    """Summarise a project error, or a Python error with its class name."""
     return problem.summary if isinstance(problem, RonnaError) else f"{type(problem).__name__}: {problem}"
 
 
 def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
-    """Every error class with a code imported so far, in order of definition."""
+    """Return every imported error class with a code, in order of definition."""
     for child in root.__subclasses__():
         if child.code and "code" in vars(child):
             yield child

@@ -1,4 +1,4 @@
-"""Named frames, and transforms that cannot be composed across the wrong one.
+"""Named frames, and transforms that refuse composition across different frames.
 
 Lengths are millimetres, angles radians. `CT` is the patient frame of the series, DICOM LPS.
 A `Transform(target, source, ...)` maps coordinates in `source` to coordinates in `target`.
@@ -23,7 +23,7 @@ ROUNDING = 1e-6  # tolerance for being a rotation up to rounding
 
 
 class Frame(StrEnum):
-    """The frames of the theatre."""
+    """Coordinate frames of the theatre."""
 
     CT = "ct"  # patient coordinates of the series, LPS
     ROBOT = "robot"  # $ROBROOT of the arm, z up, x forward
@@ -36,14 +36,16 @@ class Frame(StrEnum):
 
 
 class FrameMismatch(DataError):
-    """Two transforms were composed, or points mapped, across frames that do not match."""
+    """Frames of composed transforms, or of a transform and its points, do not match."""
 
     code = "FRM-001"
     action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
 
 
 def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
-    """Translate by (3,) mm after a rotation; other shapes raise ValueError, non-finite numbers FRM-001.
+    """Build a rotation followed by a translation (3,) mm.
+
+    Raises ValueError for other shapes, FRM-001 for non-finite numbers.
 
     `RigidTransform.from_components` multiplies two transforms and checks the product, which takes several
     times as long; planning builds tens of thousands.
@@ -59,7 +61,7 @@ def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
 
 @dataclass(frozen=True)
 class Transform:
-    """A rigid transform `target <- source` over SciPy's `RigidTransform`."""
+    """Rigid transform `target <- source`, based on SciPy's `RigidTransform`."""
 
     target: Frame
     source: Frame
@@ -118,7 +120,7 @@ class Transform:
         return Transform(self.target, self.source, build_rigid(place_mm, self.rigid.rotation))
 
     def inverse(self) -> Transform:
-        """The transform source <- target."""
+        """Return the transform source <- target."""
         return Transform(self.source, self.target, self.rigid.inv())
 
     def __matmul__(self, other: Transform) -> Transform:

@@ -1,4 +1,4 @@
-"""Log output: lines on a stream, or `log.jsonl` in a run folder, rotated and limited in size.
+"""Log output: lines on a stream, or a rotated, size-limited `log.jsonl` in a run folder.
 
 Messages from library loggers take the same path, without their values.
 """
@@ -45,7 +45,7 @@ def show_log(stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
-    """Keep the log in `folder/log.jsonl` during the block: rotated, limited, closed at the end.
+    """Write the log to `folder/log.jsonl` during the block: rotated, limited, closed at the end.
 
     It begins with versions and platform; `facts` are added to that line. A full disk loses log
     lines and stops nothing.
@@ -67,7 +67,7 @@ def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
 
 
 def describe_computer() -> dict[str, Any]:
-    """Versions, platform and the command line, redacted: what a support request needs first."""
+    """Describe versions, platform and the redacted command line, as needed first for support."""
     from importlib import metadata
 
     versions = {}
@@ -84,18 +84,18 @@ def describe_computer() -> dict[str, Any]:
 
 
 class _TolerantHandler(logging.Handler):
-    """Loses lines that a full disk or a closed pipe refuses: a run needs its journal, not its log."""
+    """Log handler that drops lines refused by a full disk or a closed pipe. A run needs only its journal."""
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Lose the line."""
+        """Drop the line."""
 
 
 class _StreamOutput(_TolerantHandler, logging.StreamHandler[TextIO]):
-    """Standard error."""
+    """Handler for standard error."""
 
 
 class _BoundedFile(_TolerantHandler, logging.handlers.RotatingFileHandler):
-    """A file that rotates."""
+    """Handler for a rotated file of limited size."""
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -103,7 +103,7 @@ class _BoundedFile(_TolerantHandler, logging.handlers.RotatingFileHandler):
 
 
 def _attach(handler: logging.Handler, renderer: Any) -> logging.Handler:
-    """Attach a handler to the root logger, which receives the lines of libraries as well as ours."""
+    """Attach a handler to the root logger, which also receives lines from libraries."""
     import structlog
 
     handler.setFormatter(
@@ -128,7 +128,7 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """Redact the line of a library.
+    """Redact a log line of a library.
 
     Warnings keep their location; libraries that read patient files keep no text.
     """

@@ -1,4 +1,4 @@
-"""Logs: one JSON line per event, with the name of the device, engine or command that logs it.
+"""Logging of one JSON line per event, with the name of its device, engine or command.
 
 A part gets its logger once and logs events of interest to a lab: state changes, identities, retries, faults.
 Nothing appears anywhere until a command shows the log (`--verbose`) or a run keeps it
@@ -24,26 +24,26 @@ logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets u
 
 
 class Logger:
-    """A structlog logger with names bound. structlog is imported with the first event that is logged."""
+    """Logger of structlog with bound names. structlog is imported at the first logged event."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
         self._channel_name = logging.getLogger(_channel_name(".".join((ALL, *names.values()))))
 
     def debug(self, event: str, **facts: Any) -> None:
-        """Log details for debugging."""
+        """Log debugging details."""
         self._log(logging.DEBUG, event, facts)
 
     def info(self, event: str, **facts: Any) -> None:
-        """Log a change of state, an identity, a configuration."""
+        """Log a change of state, an identity or a configuration."""
         self._log(logging.INFO, event, facts)
 
     def warning(self, event: str, **facts: Any) -> None:
-        """Log something lost, retried or recovered, after which work continues."""
+        """Log a loss, retry or recovery after which work continues."""
         self._log(logging.WARNING, event, facts)
 
     def error(self, event: str, **facts: Any) -> None:
-        """Log a fault that stopped the work."""
+        """Log a fault that ended the work."""
         self._log(logging.ERROR, event, facts)
 
     def _log(self, level: int, event: str, facts: dict[str, Any]) -> None:
@@ -69,7 +69,7 @@ class Logger:
 
 
 def logger(**names: str) -> Logger:
-    """Logger of one part: `logger(device="tracker")`, `logger(part="engine", step="registration")`.
+    """Return a logger with bound names: `logger(device="tracker")`, `logger(part="engine")`.
 
     The names are in each of its lines; levels are set for their values, joined by dots: `engine` covers
     `engine.registration`, and `ronna-sim` the process `ronna-sim polaris`.
@@ -78,12 +78,12 @@ def logger(**names: str) -> Logger:
 
 
 def list_loggers() -> tuple[str, ...]:
-    """First parts that a logger's name may have."""
+    """List the first parts allowed in logger names."""
     return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
 
 
 def is_known_logger(name: str) -> bool:
-    """Whether loggers with that name, or below it, can exist."""
+    """Return whether loggers with this name, or below it, can exist."""
     if len(name) > LONGEST_NAME:  # each part of it would get a logger of its own
         return False
     first = name.split(".")[0]
@@ -96,7 +96,7 @@ def _channel_name(name: str) -> str:
 
 
 def set_level(level: str, name: str = "") -> None:
-    """Log only this level (`debug`, `info`, `warning`, `error`) and above, for one logger or for all.
+    """Set the lowest level to log (`debug`, `info`, `warning`, `error`), for one logger or all.
 
     Raises ValueError for any other word.
     """

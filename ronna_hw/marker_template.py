@@ -1,4 +1,4 @@
-"""A template for three or four markers: their positions on a head, with distances that identify them.
+"""Template of three or four markers on a head, identified by their distances.
 
 The surgeon's jig is made from it; plan and simulated scene use the same file.
 """
@@ -28,14 +28,14 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class BadTemplate(ConfigurationError):
-    """The file of a marker template is missing, not TOML, or has mistakes; all of them are listed."""
+    """The file of a marker template is missing, is not TOML, or has mistakes, which are all listed."""
 
     code = "TPL-001"
     action = "Make one with `ronna-plan template`, or correct the lines named here."
 
 
 class TemplateMarker(Strict):
-    """A sphere: its centre, and the direction of its post."""
+    """Marker sphere: its centre, and the direction of its post."""
 
     centre_mm: Point = Field(
         description="Centre of the sphere, LPS of the CT on which the template was made."
@@ -50,7 +50,7 @@ class TemplateMarker(Strict):
 
 
 class MarkerTemplate(Strict):
-    """Three or four markers."""
+    """Template of three or four markers."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of this file format."
@@ -61,17 +61,17 @@ class MarkerTemplate(Strict):
 
     @property
     def centres_mm(self) -> tuple[Point, ...]:
-        """Centres of the spheres."""
+        """Centres of the spheres, mm."""
         return tuple(marker.centre_mm for marker in self.markers)
 
     @property
     def distances_mm(self) -> tuple[float, ...]:
-        """Distances between all pairs of markers, ascending."""
+        """Distances between all pairs of markers, mm, ascending."""
         return tuple(sorted(math.dist(first, other) for first, other in combinations(self.centres_mm, 2)))
 
     @property
     def least_difference_mm(self) -> float:
-        """Difference between the two most similar distances."""
+        """Smallest difference between two marker distances, mm."""
         return min(longer - shorter for shorter, longer in pairwise(self.distances_mm))
 
     @model_validator(mode="after")
@@ -84,7 +84,7 @@ class MarkerTemplate(Strict):
 
 
 def read_marker_template(path: Path) -> MarkerTemplate:
-    """Read and check a template; raises TPL-001 with every mistake in it."""
+    """Read and validate a template; raises TPL-001 listing every mistake."""
     try:
         content = read_toml(path, BadTemplate)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Mistakes that pydantic finds in a file, worded for the person who edits it."""
+"""Wording of pydantic validation errors for the person who edits the file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
 def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """Describe each mistake in one line: place, expectation, finding; then how many more there are.
+    """Describe each mistake in one line (place, expectation, finding), then the number of others.
 
     With the validated model, an unknown key is reported with the known ones at its place.
     """
@@ -48,7 +48,7 @@ def count_mistakes(error: ValidationError, model: type[BaseModel] | None = None)
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
-    """Every mistake, except lists that are only too short because of the mistakes in their items."""
+    """Return all mistakes, except lists that are too short only because their items have mistakes."""
     return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
 
 
@@ -62,7 +62,7 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
 
 
 def _format_place(parts: tuple[int | str, ...]) -> str:
-    """Word the place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1."""
+    """Format the place of a mistake, such as `trajectories 1.entry_mm`; list items count from 1."""
     text = ""
     for part in parts:
         text += f" {part + 1}" if isinstance(part, int) else f".{part}"
@@ -70,7 +70,7 @@ def _format_place(parts: tuple[int | str, ...]) -> str:
 
 
 def list_known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """Keys of a model, or of the model nested at that place; none if there is no model."""
+    """Return the keys of a model, or of the model nested at a place; an empty tuple without a model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
@@ -84,7 +84,7 @@ def _fields(model: Any) -> dict[str, FieldInfo]:
 
 
 def _find_model(annotation: Any) -> Any:
-    """The model in the annotation of a field: itself, optional, or as values of a table or a list."""
+    """Find the model in a field annotation: plain, optional, or as the values of a table or list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next(
@@ -93,14 +93,14 @@ def _find_model(annotation: Any) -> Any:
 
 
 def _suggest_keys(key: str, known: Sequence[str]) -> str:
-    """The most similar known key as a question, or else all known keys."""
+    """Suggest the most similar known key as a question, or else list all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""
 
 
 def describe_mistake(item: ErrorDetails) -> str:
-    """Word one mistake, without its place and its finding."""
+    """Describe one mistake without its place and its finding."""
     context = item.get("ctx", {})
     match item["type"]:
         case "missing":

@@ -1,4 +1,4 @@
-"""A motion before it is driven: planned, slowed near the head, predicted for people and records.
+"""Preview of a motion before execution: planned, slowed near the head, predicted for people and records.
 
 Where the arm must slow down, near the head and in some operating modes, the path parameter gets a few steps
 of speed. The generator follows them; the monitor does not know them and measures independently.
@@ -50,7 +50,7 @@ def plan_motion(
 
 
 def _tool_in_flange(flange_from_tool: Transform) -> Transform:
-    """Return the transform; raises FRM-001 unless it is FLANGE <- TOOL."""
+    """Return the transform; raises FRM-001 if it is not FLANGE <- TOOL."""
     if (flange_from_tool.target, flange_from_tool.source) != (Frame.FLANGE, Frame.TOOL):
         raise FrameMismatch(
             "a tool needs flange <- tool", got=f"{flange_from_tool.target} <- {flange_from_tool.source}"
@@ -65,7 +65,7 @@ def preview_motion(
     surroundings: Surroundings,
     limits: MotionLimits,
 ) -> PathPreview:
-    """Plan a motion from `start_rad` within the arm's limits and preview it; raises like `plan_motion`."""
+    """Plan and preview a motion from `start_rad` within the arm's limits; raises like `plan_motion`."""
     plan = plan_motion(kinematics, start_rad, motion, limits)
     return preview(kinematics, plan, surroundings, limits.slowed(motion.speed_fraction))
 
@@ -73,7 +73,7 @@ def preview_motion(
 def preview(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, limits: MotionLimits
 ) -> PathPreview:
-    """Evaluate a planned path as the arm would drive it in these surroundings.
+    """Evaluate a planned path as the arm would execute it in these surroundings.
 
     Raises ARM-001 to ARM-003 if the path has no solution; one that is not clear is reported, not raised.
     """
@@ -103,7 +103,7 @@ def preview(
 
 
 def _interval_speeds(path: SweptPath, states: Sequence[State]) -> Array:
-    """Largest speed of the path parameter in each interval, as driven: a short path stays slow."""
+    """Return the peak path-parameter speed per interval as executed; short paths stay below the limit."""
     positions = np.array([0.0, *(state.position[0] for state in states)])
     velocities = np.array([0.0, *(state.velocity[0] for state in states)])
     at_ends = np.interp(path.fractions, positions, velocities)
@@ -114,7 +114,7 @@ def _interval_speeds(path: SweptPath, states: Sequence[State]) -> Array:
 
 
 def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) -> MotionPlan:
-    """Add speed steps to a plan, so that nothing that moves exceeds the cap at its position.
+    """Add speed steps to a plan so that no moving body exceeds its speed cap.
 
     `body_speed_mm_s` is the limit of the operating mode, everywhere.
     """
@@ -133,7 +133,7 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) 
 
 
 def allowed_speed(path: SweptPath, body_speed_mm_s: float) -> Array:
-    """Largest speed of the path parameter in each interval of a swept path, (n - 1), per s."""
+    """Return the maximum path-parameter speed in each interval of a swept path, (n - 1), per s."""
     moved = motion_mm(path.swept).max(axis=1)
     rates = moved / np.diff(path.fractions)
     # Within an interval the rate may exceed its average; the neighbours show by how much.

@@ -1,4 +1,4 @@
-"""Results with ancestors: every result is an immutable record with an identifier and its parents.
+"""Immutable result records, each with an identifier and its parents.
 
 If one changes, everything after it is invalid. A record's hash covers all of it: its content and parents, the
 run, series and trajectory it belongs to, its own identifier and its date. So no record can stand in for
@@ -24,21 +24,21 @@ PARTIAL = ".partial"  # suffix of a file's name while it is written
 
 
 class BadRecord(DataError):
-    """A stored record is missing or incomplete, or its hash does not match its content."""
+    """A stored record is missing, incomplete, or does not match its hash."""
 
     code = "REC-001"
     action = "Do not use this result; repeat the step that made it."
 
 
 class RecordExists(DataError):
-    """A record with that identifier already exists; identifiers are never used twice."""
+    """A record with this identifier already exists; identifiers are never reused."""
 
     code = "REC-002"
     action = "Keep the folder as it is, and start a new run."
 
 
 class OtherVersion(DataError):
-    """A record was written by a program version whose fields have a different meaning."""
+    """A program version with different field meanings wrote a record."""
 
     code = "REC-003"
     action = "Read it with the version that wrote it, or repeat the step."
@@ -46,7 +46,7 @@ class OtherVersion(DataError):
 
 @dataclass(frozen=True)
 class Record:
-    """A result: `kind` is its type, `parents` maps the identifiers of its parents to their hashes.
+    """Result record: `kind` is its type, `parents` maps parent identifiers to hashes.
 
     `series` is the DICOM UID of the CT that the case is based on.
     """
@@ -63,7 +63,7 @@ class Record:
 
     @property
     def sha256(self) -> str:
-        """Hash of everything in it."""
+        """Hash of the entire record."""
         return hashlib.sha256(canonical_json(vars(self))).hexdigest()
 
 
@@ -71,12 +71,12 @@ FILE_FIELDS = frozenset(record_field.name for record_field in fields(Record)) | 
 
 
 def canonical_json(content: Any) -> bytes:
-    """Encode content in its only byte form: sorted keys, no blanks, no NaN."""
+    """Encode content in canonical form: sorted keys, no blanks, no NaN."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write `<identifier>.json` atomically; raises REC-002 rather than write a record twice."""
+    """Write `<identifier>.json` atomically; raises REC-002 if the record exists."""
     path = folder / f"{record.identifier}.json"
     try:
         write_atomically(path, _encode_record(record), exclusive=True)
@@ -86,12 +86,12 @@ def write_record(record: Record, folder: Path) -> Path:
 
 
 def file_sha256(record: Record) -> str:
-    """Hash of the file that `write_record` writes."""
+    """Return the hash of the file that `write_record` writes."""
     return hashlib.sha256(_encode_record(record)).hexdigest()
 
 
 def is_stored(path: Path, sha256: str) -> bool:
-    """Whether a record's file exists with exactly these bytes; cheaper than reading it back."""
+    """Return whether the file of a record exists with exactly these bytes; cheaper than reading it back."""
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
     except (OSError, ValueError):
@@ -104,7 +104,7 @@ def _encode_record(record: Record) -> bytes:
 
 
 def _iterate_encoded(record: Record) -> Iterator[str]:
-    """The only form of a record's file, in parts."""
+    """Yield the canonical content of a record's file in parts."""
     content = {
         **vars(record),
         "parents": list(record.parents),
@@ -114,7 +114,7 @@ def _iterate_encoded(record: Record) -> Iterator[str]:
 
 
 def write_atomically(path: Path, content: bytes, *, exclusive: bool = False, flushed: bool = True) -> None:
-    """Write a file so that it is never seen half written, not even after a crash.
+    """Write a file atomically, so that it is never seen half written, even after a crash.
 
     With `exclusive` an existing file is never replaced: raises FileExistsError. A file that is worthless
     without others need not be `flushed` to the disk. A system error names the file, or its missing folder.
@@ -143,7 +143,7 @@ def write_atomically(path: Path, content: bytes, *, exclusive: bool = False, flu
 
 
 def read_record(path: Path) -> Record:
-    """Read a record back and check its hash and its form, to the byte; raises REC-001."""
+    """Read a record and check its hash and its exact byte form; raises REC-001."""
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
         content = parse_json(found)
@@ -166,7 +166,7 @@ def read_record(path: Path) -> Record:
 
 
 def _has_canonical_form(found: bytes, record: Record) -> bool:
-    """Compare part by part, up to the first difference: the form of deep content is ten times as long."""
+    """Return whether a record's file has canonical form, compared part by part up to the first difference."""
     at = 0
     for part in _iterate_encoded(record):
         if not found.startswith(part.encode(), at):

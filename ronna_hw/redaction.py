@@ -1,4 +1,4 @@
-"""Redaction of log lines: no patient data, no secrets, no path that could identify a person.
+"""Redaction of log lines: no patient data, secrets or identifying paths.
 
 Redaction prefers removing too much. Text is kept only if it cannot come from a patient's files: an error
 about a CT, a plan or a file is logged by its code alone, and so is every library exception.
@@ -61,12 +61,12 @@ _FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b"
 
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Remove everything personal or secret from an event; a structlog processor."""
+    """Remove everything personal or secret from an event, as a structlog processor."""
     return {key: redact_value(key, value) for key, value in event.items()}
 
 
 def redact_value(key: str, value: Any) -> Any:
-    """Make a value fit for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
+    """Redact a value for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
     if _PATIENT_KEY.search(key):
         return REDACTED
     if isinstance(value, float):
@@ -106,7 +106,7 @@ def scrub_text(text: str) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """Text of an error about a device, a limit or the theatre; of any other, its code or type."""
+    """Return the text of an error about a device, a limit or the theatre; otherwise only its code or type."""
     code = error.code if isinstance(error, RonnaError) else ""
     if isinstance(error, _LOGGED_IN_FULL) and not code.startswith(_CODES_WITH_TRAJECTORIES):
         return scrub_text(str(error))
@@ -114,7 +114,7 @@ def error_text(error: BaseException) -> str:
 
 
 def redact_arguments(arguments: Sequence[str]) -> list[str]:
-    """Keep subcommand, options, numbers and endpoints of a command line, and remove all else."""
+    """Redact a command line except for subcommand, options, numbers and endpoints."""
     if arguments and re.fullmatch(r"[a-z-]+", arguments[0]):
         return [arguments[0], *map(_argument, arguments[1:])]
     return [_argument(item) for item in arguments]

@@ -1,4 +1,4 @@
-"""Drivers and probes by name, found by entry point: installing a package is enough to add one.
+"""Registry of drivers and probes by entry point: installing a package is enough to add one.
 
 A driver's package declares, for example::
 
@@ -34,18 +34,18 @@ PROBE_GROUP = "ronna_hw.probes"
 
 
 class DriverFactory(Protocol):
-    """Target of an entry point of the group: a class or function with these three arguments."""
+    """Class or function with these three arguments, as the target of a driver entry point."""
 
     def __call__(self, name: str, config: DeviceConfig, clock: Clock) -> Device: ...
 
 
 def list_driver_names() -> tuple[str, ...]:
-    """Names of all installed drivers."""
+    """List the names of all installed drivers."""
     return tuple(sorted(point.name for point in entry_points(group=GROUP)))
 
 
 def load_driver(name: str) -> Any:
-    """Load the driver class with that name; raises DEV-002 with the existing names."""
+    """Load a driver class by name; raises DEV-002 listing the known names."""
     for point in entry_points(group=GROUP):
         if point.name == name:
             return point.load()
@@ -55,13 +55,13 @@ def load_driver(name: str) -> Any:
 
 
 def make_device(name: str, config: DeviceConfig, clock: Clock) -> Device:
-    """Create the driver object of one device of the theatre file; opens nothing."""
+    """Create the driver object for a device of the theatre file; opens nothing."""
     factory: DriverFactory = load_driver(config.driver)
     return factory(name, config, clock)
 
 
 def load_probe(driver: str) -> Probe:
-    """Load the probe of a driver. A driver without one is connected, identified and closed again."""
+    """Load the probe of a driver, by default one that connects, identifies and closes."""
     for point in entry_points(group=PROBE_GROUP):
         if point.name == driver:
             probe: Probe = point.load()
@@ -70,17 +70,17 @@ def load_probe(driver: str) -> Probe:
 
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
-    """Probes that can check bare endpoints, by driver."""
+    """Return probes that can check bare endpoints, by driver."""
     return {driver: probe for driver, probe in _load_probes() if isinstance(probe, EndpointProbe)}
 
 
 def load_finders() -> dict[str, Finder]:
-    """Probes that can search lines and networks for their devices, by driver."""
+    """Load probes that can search lines and networks for their devices, by driver."""
     return {driver: probe for driver, probe in _load_probes() if isinstance(probe, Finder)}
 
 
 def _load_probes() -> list[tuple[str, Any]]:
-    """Every installed probe with its driver."""
+    """Load every installed probe, by driver."""
     return sorted((point.name, point.load()) for point in entry_points(group=PROBE_GROUP))
 
 

@@ -1,4 +1,4 @@
-"""Size and weights of residuals when some of them are outliers."""
+"""Robust standard deviation and weights of residuals with outliers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CAUCHY = 2.385  # 95 % efficiency on normal noise
 
 
 def robust_sigma(residuals: NDArray[np.float64]) -> float:
-    """Standard deviation of residuals about zero, from the median of their absolute values, in their unit.
+    """Estimate the standard deviation of residuals about zero from the median of their absolute values.
 
     Half of them may be outliers.
     """
@@ -18,5 +18,5 @@ def robust_sigma(residuals: NDArray[np.float64]) -> float:
 
 
 def cauchy_weights(residuals: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Weights (n,) from 1 down to almost zero for outliers, for noise of this standard deviation."""
+    """Return weights (n,), from 1 down to almost 0 for outliers, for noise of this standard deviation."""
     return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * sigma)) ** 2))

@@ -1,4 +1,4 @@
-"""Identity of this software: version, commit of a checkout, and the lock of its packages.
+"""Identity of this software: version, commit of a checkout, and package lock.
 
 A result can only be recomputed with the packages that computed it, so each run records the hash of the lock
 file and the names of packages installed in other versions.
@@ -23,7 +23,7 @@ _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.M
 
 @dataclass(frozen=True)
 class Software:
-    """The software that computed a result.
+    """Software that computed a result.
 
     `commit` and `lock_sha256` are None if it does not run from a checkout.
     """
@@ -34,7 +34,7 @@ class Software:
     otherwise: tuple[str, ...] = ()  # installed in another version than locked: "numpy 2.1, locked 2.0"
 
     def as_plain(self) -> dict[str, str | list[str] | None]:
-        """Plain values for a journal or a log."""
+        """Return plain values for a journal or a log."""
         return asdict(self) | {"otherwise": list(self.otherwise)}
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ class Software:
 
 
 def identify_software(checkout: Path = CHECKOUT) -> Software:
-    """The running software, as installed and as checked out in a folder."""
+    """Identify the running software, as installed and as checked out in a folder."""
     try:
         version = metadata.version(PACKAGE)
     except metadata.PackageNotFoundError:  # on the path without being installed
@@ -66,7 +66,7 @@ def identify_software(checkout: Path = CHECKOUT) -> Software:
 
 
 def _read_commit(checkout: Path) -> str | None:
-    """Commit according to git; None without git or if the folder is not its own checkout."""
+    """Read the git commit; None without git or if the folder is not its own checkout."""
     if not (checkout / ".git").exists():
         return None
     try:
@@ -84,7 +84,7 @@ def _read_commit(checkout: Path) -> str | None:
 
 
 def _find_differing_packages(lock: str) -> list[str]:
-    """Find packages of the lock installed in another version. A missing one is not needed here."""
+    """List locked packages installed in another version. Missing packages are not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):
         locked.setdefault(match["name"], set()).add(match["version"])

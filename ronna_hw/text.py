@@ -1,4 +1,4 @@
-"""Text for people: names made safe to display, counts, figures next to their limits, typed numbers.
+"""Text for display: safe names, counts, values next to limits, and typed numbers.
 
 Names of files, series, patients and devices must neither steer nor flood a terminal.
 """
@@ -16,7 +16,7 @@ _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def printable(text: str) -> str:
-    """Return text as one line without control characters, its words and numbers limited in length.
+    """Return text as one line without control characters, limiting the length of words and numbers.
 
     Anything too long is shortened in the middle: a path is recognised by its beginning and end.
     """
@@ -32,7 +32,7 @@ def printable_lines(text: str) -> str:
 
 
 def escape_controls(text: str) -> str:
-    """Show white space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
+    """Replace white space by blanks, and escapes, direction marks and the like by `\x1b`, `\u202e`."""
     if text.isprintable():
         return text
     return "".join(map(_escape_character, text))
@@ -62,7 +62,7 @@ def format_count(number: int, one: str, several: str | None = None) -> str:
 
 
 def format_names(names: Sequence[str]) -> str:
-    """List the first names, and how many more there are: `a, b and 4 more`."""
+    """List the first names and the number of others: `a, b and 4 more`."""
     listed = ", ".join(names[:MOST_SHOWN])
     return listed if len(names) <= MOST_SHOWN else f"{listed} and {len(names) - MOST_SHOWN} more"
 
@@ -71,7 +71,7 @@ MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals
 
 
 def format_against_limit(value: float, limit: float, decimals: int) -> str:
-    """Format a value next to a limit shown in full: with as many decimals as show on which side it is.
+    """Format a value with enough decimals to show which side of a fully shown limit it is on.
 
     `format_against_limit(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """
@@ -83,7 +83,7 @@ def format_against_limit(value: float, limit: float, decimals: int) -> str:
 
 
 def format_distinct(value: float, limit: float, decimals: int) -> tuple[str, str]:
-    """Format a value and a computed limit with as many decimals as distinguish them."""
+    """Format a value and a computed limit with enough decimals to distinguish them."""
     for extra_decimals in range(MOST_MORE):
         shown, refused_from = (f"{one:.{decimals + extra_decimals}f}" for one in (value, limit))
         if shown != refused_from:
@@ -95,7 +95,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
 def parse_typed_number(typed: str, unit: str = "") -> float:
-    """Parse a finite number with a decimal point or comma; raises ValueError with the text typed.
+    """Parse a finite number with a decimal point or comma; raises ValueError quoting the text.
 
     The `unit` may follow it, with or without a space; another unit may not.
     """
@@ -107,6 +107,6 @@ def parse_typed_number(typed: str, unit: str = "") -> float:
 
 
 def strip_unit(typed: str, unit: str) -> str:
-    """Strip surrounding space and a trailing unit from what was typed."""
+    """Strip surrounding space and a trailing unit from typed text."""
     words = typed.strip()
     return words[: -len(unit)].rstrip() if unit and words.casefold().endswith(unit.casefold()) else words

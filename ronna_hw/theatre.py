@@ -1,4 +1,4 @@
-"""The front door: all devices of a theatre file, for the length of a block.
+"""Main entry point: all devices of a theatre file, opened for a block.
 
     with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracker:
         frame = tracker.read_frame()
@@ -40,7 +40,7 @@ STOP_LIMIT_S = 5.0  # host time, for all arms together
 
 @contextmanager
 def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
-    """Connect and configure all devices of a theatre file for the length of a block.
+    """Connect and configure all devices of a theatre file for the duration of a block.
 
     On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
     time. Raises CFG-001 for a missing or invalid file, and the driver's error if a device is not there.
@@ -51,13 +51,13 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
 
 
 class Theatre:
-    """The devices of one theatre file. Each is created on first access; `connect` creates all.
+    """Devices of one theatre file. Each is created on first access; `connect` creates all.
 
     As a context manager it closes everything on leaving.
     """
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
-        """Opens nothing. `make` creates the driver objects, for callers who want to substitute others."""
+        """Open nothing. `make` creates the driver objects, so callers can substitute others."""
         self.file = file
         self._clock = clock
         self._make = make
@@ -101,18 +101,18 @@ class Theatre:
 
     @property
     def devices(self) -> dict[str, Device]:
-        """All devices, by their tables in the file, such as `robot.master`."""
+        """All devices by table name, such as `robot.master`."""
         return {name: self._get_device(name) for name in self.file.devices}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Device of the table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
+        """Return the device of table `[device.NAME]` as `interface`: a runtime-checkable protocol or a class.
 
         Raises DEV-007 if the file has no such table, DEV-008 if the device is of another kind.
         """
         return self._get_device_as(f"device.{name}", interface)
 
     def require(self, *names: str) -> None:
-        """Raise DEV-007 naming every one of these tables missing from the file, such as `robot.master`."""
+        """Raise DEV-007 listing all of these tables, such as `robot.master`, that the file lacks."""
         known = self.file.devices
         if missing := [name for name in names if name not in known]:
             raise NotInTheatre(
@@ -121,13 +121,13 @@ class Theatre:
             )
 
     def record_bytes(self, sink: ByteSink) -> None:
-        """Record the traffic on all links whose drivers support it; call before anything is connected."""
+        """Record the traffic of all links whose drivers support it. Call before connecting anything."""
         self._byte_sink = sink
         for device in self._devices.values():
             _record_bytes(device, sink)
 
     def connect(self, timeout_s: float = 10.0) -> None:
-        """Connect and configure every device that is not yet, with `timeout_s` for each call.
+        """Connect and configure every device not yet configured, with `timeout_s` per call.
 
         Raises the driver's error of the first that fails; earlier ones stay connected.
         """
@@ -139,7 +139,7 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> list[str]:
-        """Bring all arms to rest at once, as far as their links still permit; never raises.
+        """Stop all arms simultaneously, as far as their links still permit; never raises.
 
         Returns what went wrong, for each arm that may not be at rest.
         """
@@ -156,7 +156,7 @@ class Theatre:
         return failures
 
     def close(self) -> None:
-        """Stop the arms, then end all connections, the arms' first. Bounded in time; never raises.
+        """Stop the arms, then close all connections, the arms' first. Bounded in time; never raises.
 
         An interruption in the meantime takes effect afterwards.
         """
@@ -207,7 +207,7 @@ class Theatre:
 
 
 class _Arms(Mapping[str, RobotArm]):
-    """Arms by name; a missing name raises DEV-007."""
+    """Arms by name. A missing name raises DEV-007."""
 
     def __init__(self, theatre: Theatre) -> None:
         self._theatre = theatre
@@ -243,12 +243,12 @@ _INTERFACES: dict[str, Callable[..., Device]] = {
 
 
 def required_interface(table: str) -> Callable[..., Device]:
-    """Interface for the device of a table such as `robot.master`; any device will do for `[device.NAME]`."""
+    """Return the interface for a table such as `robot.master`; any device is allowed for `[device.NAME]`."""
     return _INTERFACES.get(table.partition(".")[0], Device)
 
 
 def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
-    """Return the device of a table as `interface`, a runtime-checkable protocol or a class.
+    """Return a table's device as `interface`, a runtime-checkable protocol or a class.
 
     Raises DEV-008 naming what the driver lacks.
     """
@@ -271,7 +271,7 @@ CONTROLLER_SAYS = "pendant at "  # prefix of a message on the simulated controll
 def simulated_theatre(
     scene: str = "mini", *, seed: int = 0, timeout_s: float = 10.0
 ) -> Iterator[SimulatedTheatre]:
-    """Start a simulated theatre, connect and configure its devices, and end all of it with the block.
+    """Run a simulated theatre for a block, with its devices connected and configured.
 
     `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
     message when there is no such scene, and the errors of `open_theatre`.
@@ -288,25 +288,25 @@ def simulated_theatre(
 
 
 class SimulatedTheatre(Theatre):
-    """A theatre whose devices are simulated."""
+    """Theatre of simulated devices."""
 
     control: str = ""  # endpoint for `ronna-sim mount` and `ronna-sim fault`
 
     @classmethod
     def of(cls, process: TheatreProcess) -> Self:
-        """Open the theatre of a ready process."""
+        """Open the theatre of a process that is ready."""
         theatre = cls.from_file(process.file)
         theatre.control = process.control
         return theatre
 
 
 class TheatreProcess:
-    """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
+    """Process of a starting `ronna-sim theatre`. Call `await_ready`, and finally `end`."""
 
     def __init__(
         self, *arguments: str, on_controller_message: Callable[[str], None] = lambda _line: None
     ) -> None:
-        """`on_controller_message` is called with each message on the simulated controller's pendant."""
+        """Start the process. `on_controller_message` receives messages on the simulated pendant."""
 
         def on_message(line: str) -> None:
             if line.startswith(CONTROLLER_SAYS):
@@ -317,12 +317,12 @@ class TheatreProcess:
         )
 
     def await_ready(self) -> None:
-        """Return once every device is ready; raises PRC-001 with the command's own message."""
+        """Wait until every device is ready; raises PRC-001 with the message of the command."""
         self.child.await_ready()
 
     @property
     def file(self) -> Path:
-        """The theatre file that was written."""
+        """Theatre file written by the process."""
         return Path(self.child.ready["file"])
 
     @property
@@ -331,6 +331,6 @@ class TheatreProcess:
         return str(self.child.ready["endpoints"]["control"])
 
     def end(self) -> None:
-        """End the process in bounded time; never raises. An interruption takes effect afterwards."""
+        """End the process in bounded time; never raises. Interruptions take effect afterwards."""
         with defer_interruption():
             self.child.stop()

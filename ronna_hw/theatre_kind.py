@@ -1,4 +1,4 @@
-"""Kind of a theatre: simulated or real. A simulated one declares it.
+"""Distinction of simulated and real theatres. A simulated theatre must declare itself.
 
 The address decides. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
 in shared memory; a real one is at a serial port or a network address. The clock of a simulated theatre
@@ -18,7 +18,7 @@ PSEUDO_TERMINALS = "/dev/pts/"
 
 
 class Addresses(Protocol):
-    """Addresses and banner that tell a real theatre from a simulated one."""
+    """Addresses and banner that distinguish a real theatre from a simulated one."""
 
     @property
     def addresses(self) -> Mapping[str, tuple[str, ...]]: ...
@@ -36,7 +36,7 @@ class MixedTheatre(RefusedError):
 
 
 def is_on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Whether only a program on this computer can be at an address; None if the address does not tell.
+    """Return whether an address is local to this computer; None if it does not tell.
 
     Links and names count as what they lead to.
     """
@@ -55,13 +55,13 @@ def is_on_this_computer(endpoint: Endpoint) -> bool | None:
 
 
 def is_simulated(theatre: Addresses) -> bool:
-    """Whether everything in it is simulated, as far as addresses tell."""
+    """Return whether all devices are simulated, as far as their addresses tell."""
     simulated, real = _sort_by_kind(theatre)
     return bool(simulated) and not real
 
 
 def require_one_kind(theatre: Addresses) -> None:
-    """Raise CFG-004 for mixed simulated and real devices, and for a simulated theatre without a banner."""
+    """Raise CFG-004 for mixed real and simulated devices, or a simulated theatre without a banner."""
     simulated, real = _sort_by_kind(theatre)
     if simulated and real:
         raise MixedTheatre(
@@ -77,7 +77,7 @@ def require_one_kind(theatre: Addresses) -> None:
 
 
 def _sort_by_kind(theatre: Addresses) -> tuple[list[str], list[str]]:
-    """Simulated and real devices, each with its address."""
+    """Separate simulated and real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
     for name, addresses in theatre.addresses.items():

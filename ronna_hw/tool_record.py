@@ -1,4 +1,4 @@
-"""Records of the tools that can be mounted on the arm: table `[tools.NAME]` of the theatre file.
+"""Tool records for the arm: table `[tools.NAME]` of the theatre file.
 
 A record states identity, purpose and clearance bodies of a tool. Its tip position is in a separate
 calibration record that it refers to.
@@ -57,7 +57,7 @@ GAUGE_MOUNTINGS, GAUGE_APPROACHES = 3, 12
 
 
 class GuideBore(Strict):
-    """The bore of a guide, along the axis of its tip frame.
+    """Bore of a guide, along the axis of its tip frame.
 
     The tip frame is that of the mandrel with which the tip was calibrated: its end, beyond the guide's.
     """
@@ -74,7 +74,7 @@ class GuideBore(Strict):
 
 
 class Gauge(Strict):
-    """The pose in which the tool is checked, and the readings of the table gauge when it was measured."""
+    """Reference pose for checking a tool, and the table gauge readings when it was measured."""
 
     joints_deg: Angles6 = Field(description="Joint angles of the arm with the mandrel in the gauge.")
     reading_mm: tuple[DialReading, DialReading, DialReading] = Field(
@@ -108,27 +108,27 @@ class Gauge(Strict):
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
-        """Range that a dial can show at all."""
+        """Range of readings that a dial can show, mm."""
         recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
         return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 
 
 class ToolFrame(Strict):
-    """A frame of spheres on the tool itself, by which the tracker identifies it."""
+    """Frame of spheres on the tool itself, for identification by the tracker."""
 
     tool: Words = Field(description="Name of the frame among the tracker's tools.")
     mount_from_frame: MountPose = Field(description="Pose of the frame in that on the arm's mount.")
 
 
 class TipInHead(Strict):
-    """Pose of a tool's tip in the frame of the stereo head; calibrations of head and arm do not change it."""
+    """Tool tip pose in the stereo head frame, unaffected by calibrations of head and arm."""
 
     translation_mm: Numbers3 = Field(description="Position of the tip.")
     quaternion_wxyz: Numbers4 = Field(description="Rotation as a unit quaternion, scalar first.")
 
     @classmethod
     def of(cls, flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Self:
-        """Compute it from both records of the theatre file."""
+        """Compute the pose from both records of the theatre file."""
         from ronna_hw.arm.pose import Pose  # a theatre computes this as it starts: SciPy would double that
 
         head, tip = (
@@ -139,7 +139,7 @@ class TipInHead(Strict):
         return cls(translation_mm=here.position_mm, quaternion_wxyz=here.quaternion())
 
     def off(self, other: TipInHead) -> tuple[float, float]:
-        """Distance of another pose from this one, mm and rad."""
+        """Return the deviation of another pose from this one, mm and rad."""
         ours, theirs = self.quaternion_wxyz, other.quaternion_wxyz  # q and -q are one rotation
         chord = min(math.dist(ours, theirs), math.dist(ours, [-number for number in theirs]))
         turned_rad = 4.0 * math.asin(min(1.0, chord / 2.0))
@@ -147,7 +147,7 @@ class TipInHead(Strict):
 
 
 class ToolRecord(Dated):
-    """A tool: identity, purpose, mass, clearance bodies, and its tip or bore."""
+    """Tool record: identity, purpose, mass, clearance bodies, and tip or bore."""
 
     what: ClassVar[str] = "tool record"
 

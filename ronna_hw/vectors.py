@@ -1,4 +1,4 @@
-"""Plain tuples of numbers that readings, motions and the arm's mathematics share."""
+"""Plain tuples of numbers shared by readings, motions and arm kinematics."""
 
 from collections.abc import Iterable
 
@@ -8,6 +8,6 @@ JointVector = tuple[float, float, float, float, float, float]  # from the base o
 
 
 def joint_vector(values: Iterable[float]) -> JointVector:
-    """Pack six numbers, from the base outwards; raises ValueError for another count."""
+    """Convert to a tuple of six numbers, from the base outwards; raises ValueError for another count."""
     a, b, c, d, e, f = values
     return (a, b, c, d, e, f)

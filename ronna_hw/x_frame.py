@@ -1,4 +1,4 @@
-"""The x-shaped frames: four spheres at the ends of two crossed bars, screwed to the skull as one piece.
+"""X-shaped frame: four spheres at the ends of two crossed bars, screwed to the skull as one piece.
 
 Ours is a template that gives four fiducials unique distances: each of the six differs by more than 8 mm from
 every other, and by more than 5 mm from every distance of the robot's reference frame M, so that neither can
@@ -38,7 +38,7 @@ OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are visible from this sid
 
 
 class Body(NamedTuple):
-    """A rod of the frame, mm in its own frame."""
+    """Rod of the frame, mm in the frame's own coordinates."""
 
     name: str
     start_mm: Point
@@ -47,7 +47,7 @@ class Body(NamedTuple):
 
 
 def bodies() -> tuple[Body, ...]:
-    """Both bars and the foot, down to the skin."""
+    """Return both bars and the foot, down to the skin."""
     bars = (
         Body(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
         for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)

@@ -1,1 +1,1 @@
-"""Cases for GigE Vision cameras on the wire (G)."""
+"""Protocol cases for GigE Vision cameras (G)."""

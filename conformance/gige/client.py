@@ -1,4 +1,4 @@
-"""A plain GVCP client of a camera: its registers, and its features by name. It bypasses every driver.
+"""Plain GVCP client for a camera's registers and named features, bypassing every driver.
 
 It decodes answers independently, following the protocol reference, so that a driver's misreading cannot hide.
 Features need a description that maps them to one fixed register: nodes with formulas are not supported.
@@ -38,7 +38,7 @@ SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 @dataclass(frozen=True)
 class Reply:
-    """An acknowledge as received."""
+    """Acknowledge as received."""
 
     status: int
     code: int
@@ -47,7 +47,7 @@ class Reply:
 
 
 class GigeLink:
-    """A socket to a camera; every command gets a new request id."""
+    """Socket to a camera; every command gets a new request id."""
 
     def __init__(self, address: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -63,7 +63,7 @@ class GigeLink:
         self._socket.close()
 
     def exchange(self, command: int, payload: bytes = b"") -> Reply:
-        """Send a command and return its answer, whatever its status; raises Nonconformity without one."""
+        """Send a command and return its reply, whatever the status; raises Nonconformity without one."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
         self._last = datagram
@@ -74,7 +74,7 @@ class GigeLink:
         raise Nonconformity(f"expected an answer from {self.address} to command 0x{command:04X}, got none")
 
     def is_silent_after(self, datagram: bytes) -> bool:
-        """Send a datagram and test whether nothing comes back."""
+        """Send a datagram and return whether there is no reply."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -84,7 +84,7 @@ class GigeLink:
         return False
 
     def memory(self, address: int, count: int) -> bytes:
-        """Read `count` bytes of memory; at most 536."""
+        """Read `count` bytes of memory, at most 536."""
         answer = self.exchange(GvcpCommand.READMEM, struct.pack(">IHH", address, 0, count))
         self.expect(answer, GevStatus.SUCCESS, f"reading memory at 0x{address:X}")
         check(len(answer.payload) == 4 + count, f"{4 + count} bytes of answer", len(answer.payload))
@@ -92,22 +92,22 @@ class GigeLink:
         return answer.payload[4:]
 
     def read_registers(self, *addresses: int) -> list[int]:
-        """Read registers in one command."""
+        """Read several registers in one command."""
         answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
         self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
         check(len(answer.payload) == 4 * len(addresses), f"{len(addresses)} values", len(answer.payload))
         return list(struct.unpack(f">{len(addresses)}I", answer.payload))
 
     def write(self, address: int, value: int) -> int:
-        """Write a register; returns the status."""
+        """Write a register and return the status."""
         return self.exchange(GvcpCommand.WRITEREG, struct.pack(">II", address, value)).status
 
     def write_memory(self, address: int, data: bytes) -> int:
-        """Write bytes; returns the status."""
+        """Write bytes to memory and return the status."""
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
-        """Send the last command again, like a client after a lost answer; returns whether it is answered."""
+        """Send the last command again, as after a lost reply; returns whether it is answered."""
         self._socket.send(self._last)
         return self._receive_reply(self._request_id) is not None
 
@@ -119,12 +119,12 @@ class GigeLink:
 
     @property
     def local_address(self) -> str:
-        """The host's own address on the route to the camera."""
+        """Local address on the route to the camera."""
         return str(self._socket.getsockname()[0])
 
     @staticmethod
     def expect(answer: Reply, status: GevStatus, what: str) -> None:
-        """Raise Nonconformity unless the answer has this status."""
+        """Raise Nonconformity unless the reply has this status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
     def _receive_reply(self, request_id: int) -> Reply | None:
@@ -144,7 +144,7 @@ class GigeLink:
 
 
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
-    """Yield a link to each camera in turn; closes every connection of the driver first."""
+    """Yield a link to each camera, closing every driver connection first."""
     dut.release()
     for text in dut.config.endpoints.values():
         with GigeLink(parse_endpoint(text).require("gev").host) as link:
@@ -153,7 +153,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 @contextmanager
 def camera_control(link: GigeLink) -> Iterator[GigeLink]:
-    """Take control of a camera; released after the block."""
+    """Take control of a camera for the block."""
     GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link
@@ -175,7 +175,7 @@ class GigeFeatures:
     @cached_property
     @read_as("XML at the address that its URL says")
     def description(self) -> Element:
-        """The camera's description, plain or zipped XML; raises Nonconformity if it is neither."""
+        """Description of the camera, plain or zipped XML; raises Nonconformity if it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace")
         if not url.startswith(URL_LOCAL):
@@ -193,7 +193,7 @@ class GigeFeatures:
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
-        """Nodes by name."""
+        """Nodes of the description by name."""
         return {
             name: node
             for node in self.description.iter()
@@ -201,12 +201,12 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """Test whether the description has a node of that name."""
+        """Return whether the description has a node of this name."""
         return name in self.nodes
 
     @read_as("an entry with an integer value")
     def entry(self, name: str, entry: str) -> int:
-        """Return the value of an enumeration's entry."""
+        """Return the value of an enumeration entry."""
         for child in self._find_node(name):
             if _kind(child) == "EnumEntry" and child.get("Name") == entry:
                 return int(_text(child, "Value") or "0", 0)
@@ -227,7 +227,7 @@ class GigeFeatures:
 
     @read_as("an integer limit")
     def limit(self, name: str, which: str) -> int:
-        """Read the present `Min`, `Max` or `Inc` of a feature."""
+        """Read the current `Min`, `Max` or `Inc` of a feature."""
         node = self._find_node(name)
         if (own := _text(node, which)) is not None:
             return int(float(own))
@@ -238,7 +238,7 @@ class GigeFeatures:
 
     @read_as("a register that has room for the value")
     def write(self, name: str, value: int | float) -> int:
-        """Set a feature; returns the status."""
+        """Set a feature and return the status."""
         register = self._find_register(name)
         length = self._register_length(register)
         if _kind(register) == "FloatReg":
@@ -248,20 +248,20 @@ class GigeFeatures:
         return self._link.write_memory(self._register_address(register), data)
 
     def set(self, name: str, value: int | float | str) -> None:
-        """Set a feature, an enumeration by its entry; raises Nonconformity when the camera refuses."""
+        """Set a feature, an enumeration by its entry; raises Nonconformity if the camera refuses."""
         number = self.entry(name, value) if isinstance(value, str) else value
         status = self.write(name, number)
         check(status == GevStatus.SUCCESS, f"{name} = {value} accepted", f"status 0x{status:04X}")
 
     @read_as("the register of a command")
     def execute(self, name: str) -> None:
-        """Execute a command; raises Nonconformity when the camera refuses."""
+        """Execute a command feature; raises Nonconformity if the camera refuses."""
         status = self._link.write(*self.command(name))
         check(status == GevStatus.SUCCESS, f"{name} executed", f"status 0x{status:04X}")
 
     @read_as("a register and an integer command value")
     def command(self, name: str) -> tuple[int, int]:
-        """Return the register and value that execute a command."""
+        """Return the register and value that execute a command feature."""
         value = int(_text(self._find_node(name), "CommandValue") or "1", 0)
         return self._register_address(self._find_register(name)), value
 

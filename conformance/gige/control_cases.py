@@ -1,4 +1,4 @@
-"""Cases for the registers and the control channel of a GigE Vision camera, bypassing the driver.
+"""Cases for the registers and control channel of a GigE Vision camera, bypassing the driver.
 
 The number of a case is G and a line of the protocol's checklist. Every case runs on each camera and leaves it
 uncontrolled.
@@ -44,11 +44,11 @@ on_camera = CASES.with_each(cameras)
 
 @runtime_checkable
 class ReportsBlockIds(StereoPair, Protocol):
-    """A pair that reports the block ids of its last images."""
+    """Camera pair that reports the block ids of its last images."""
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Left and right; None for a missing image."""
+        """Block ids of the left and right image; None for a missing image."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""GigE Vision in the suite: its numbered checklist, its cases, and the simulator that speaks it.
+"""GigE Vision protocol suite: numbered checklist, cases, and simulator.
 
 All lines are about the camera, on the wire; a case's number is G and its line.
 """

@@ -1,4 +1,4 @@
-"""A camera's stream, packet by packet, without resends."""
+"""Camera stream, received packet by packet without resends."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEADER, TRAILER, PAYLOAD = 1, 2, 3
 
 @dataclass(frozen=True)
 class Packet:
-    """A stream packet; `raw` is everything after the status."""
+    """Stream packet; `raw` is everything after the status."""
 
     status: int
     block_id: int
@@ -35,7 +35,7 @@ class Packet:
 
 @dataclass(frozen=True)
 class Leader:
-    """Content of a leader."""
+    """Content of a stream leader."""
 
     payload_type: int
     ticks: int
@@ -47,7 +47,7 @@ class Leader:
 
 
 class GigeStream:
-    """A socket that receives a camera's stream."""
+    """Receiving socket for a camera's stream."""
 
     def __init__(self, link: GigeLink) -> None:
         self.link = link
@@ -63,7 +63,7 @@ class GigeStream:
         self.close()
 
     def latch_ticks(self) -> int:
-        """Read the camera's present tick count."""
+        """Read the camera's current tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.read_registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
@@ -74,18 +74,18 @@ class GigeStream:
         return int(self._socket.getsockname()[1])
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the receiving socket."""
         self._socket.close()
 
     def open_channel(self, destination: str | None = None) -> None:
-        """Set the camera's destination; the host's own address by default."""
+        """Set the camera's stream destination, by default the local address."""
         address = socket.inet_aton(destination or self.link.local_address)
         self.link.write(Bootstrap.SCDA, int.from_bytes(address, "big"))
         self.link.write(Bootstrap.SCP, self.port)
         self.link.write(Bootstrap.SCPS, PACKET_BYTES)
 
     def configure_small_frames(self, **choices: int | str) -> None:
-        """Apply known settings: power-on values, a small area, software triggers, then `choices`."""
+        """Configure small frames: power-on values, a small area, software triggers, then `choices`."""
         features = self.features
         features.execute("AcquisitionStop")
         features.set("UserSetSelector", "Default")
@@ -102,7 +102,7 @@ class GigeStream:
             features.set(name, value)
 
     def trigger(self) -> None:
-        """Take one frame."""
+        """Trigger one frame."""
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
@@ -132,11 +132,11 @@ class GigeStream:
         return found
 
     def silent(self) -> bool:
-        """Test whether no packet arrives for `SILENCE_S`."""
+        """Return whether no packet arrives for `SILENCE_S`."""
         return self.datagram(SILENCE_S) is None
 
     def drain_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """Receive packets until none arrives for this long; raises Nonconformity if they do not end."""
+        """Receive packets until this long a pause; raises Nonconformity if they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -157,7 +157,7 @@ def require_leader(frame: list[Packet]) -> Leader:
 
 @read_as("a whole leader")
 def decode_leader(packet: Packet) -> Leader:
-    """Decode a leader."""
+    """Decode a stream leader."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
         ">HHQIIIIIHH", packet.content
     )
@@ -166,7 +166,7 @@ def decode_leader(packet: Packet) -> Leader:
 
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
-    """Stream of a controlled camera with small frames; leaves the camera with power-on settings."""
+    """Yield the stream of a controlled camera with small frames; restores power-on settings."""
     with camera_control(link):
         stream = GigeStream(link)
         try:
@@ -181,6 +181,6 @@ def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
 
 
 def start_acquisition(stream: GigeStream) -> GigeStream:
-    """Start the acquisition of a stream and return it."""
+    """Start the acquisition of a stream and return the stream."""
     stream.features.execute("AcquisitionStart")
     return stream

@@ -1,1 +1,1 @@
-"""Cases for KUKA's RSI and EKI: the controller on the wire (K) and its driver (L)."""
+"""Protocol cases for KUKA's RSI and EKI: the controller (K) and its driver (L)."""

@@ -1,4 +1,4 @@
-"""A plain client of a KUKA controller, on EKI and RSI, that bypasses every driver.
+"""Plain EKI and RSI client of a KUKA controller, bypassing every driver.
 
 It decodes elements independently, following the protocol reference, so that a driver's misreading cannot
 hide. Its RSI replies hold the arm unless a case gives corrections.
@@ -27,7 +27,7 @@ _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
 class EkiLine:
-    """A client of one channel. `between` stores the bytes between elements."""
+    """Client of one EKI channel. `between` holds the bytes between elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -53,11 +53,11 @@ class EkiLine:
         self._socket = self._connect()
 
     def send(self, data: bytes) -> None:
-        """Send bytes as they are."""
+        """Send raw bytes."""
         self._socket.sendall(data)
 
     def command(self, name: str, **attributes: object) -> str:
-        """Send a command of our channel; returns the identifier in its answers."""
+        """Send a command and return the identifier that its answers carry."""
         self._number += 1
         identifier = str(self._number)
         self.send(command(identifier, name, **attributes))
@@ -65,7 +65,7 @@ class EkiLine:
 
     @read_as("an answer with an integer Code")
     def ask(self, name: str, **attributes: object) -> int:
-        """Send a command of our channel and return the code of its acknowledgement."""
+        """Send a command and return the code of its acknowledgement."""
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
 
     def state(self) -> ElementTree.Element:
@@ -93,7 +93,7 @@ class EkiLine:
                 return root
 
     def is_closed_by_controller(self) -> bool:
-        """Test whether the controller closes the connection in time."""
+        """Return whether the controller closes the connection in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while (remaining_s := until_s - time.monotonic()) > 0:
             self._socket.settimeout(remaining_s)
@@ -125,7 +125,7 @@ class EkiLine:
 
 
 def command(identifier: str, name: str, **attributes: object) -> bytes:
-    """Encode a command of our channel, with a separate end tag."""
+    """Encode a command of our channel with a separate end tag."""
     text = "".join(f' {key}="{value}"' for key, value in attributes.items())
     return f'<Cmd Id="{identifier}" Name="{name}"{text}></Cmd>'.encode()
 
@@ -143,7 +143,7 @@ _DELAY = re.compile(rb'<Delay D="([^"]*)"')
 
 @dataclass(frozen=True)
 class Telegram:
-    """A telegram of the controller as received."""
+    """Controller telegram as received."""
 
     raw: bytes
     sender: tuple[str, int]
@@ -152,13 +152,13 @@ class Telegram:
     @property
     @read_as("an IPOC in digits")
     def ipoc(self) -> int:
-        """The time stamp that a reply must carry."""
+        """Time stamp that a reply must carry."""
         return int(require_present(IPOC.search(self.raw), "an IPOC in digits", self.raw[-80:])[1])
 
     @property
     @read_as("an integer D")
     def late(self) -> int:
-        """The delay counter D."""
+        """Value of the delay counter D."""
         match = _DELAY.search(self.raw)
         if match is None:
             raise NotShown("the controller sends no Delay")
@@ -205,7 +205,7 @@ class RsiLine:
         stop: bool = False,
         sentype: str | None = None,
     ) -> bytes:
-        """Return a reply with the elements wired in the controller's context; corrections in deg."""
+        """Build a reply with the elements wired in the controller's context; corrections in deg."""
         body = ""
         if (tag := self.context.find_wired_tag("STOP", "In1")) is not None:
             body += f"<{tag}>{int(stop)}</{tag}>"
@@ -221,7 +221,7 @@ class RsiLine:
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def run_cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
-        """Answer this many telegrams; returns them."""
+        """Answer this many telegrams and return them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())
@@ -229,7 +229,7 @@ class RsiLine:
         return telegrams
 
     def await_silence(self, *, with_replies: bool = True) -> list[Telegram]:
-        """Wait for the end of the stream; returns the telegrams that still arrived."""
+        """Wait for the end of the stream and return the telegrams that still arrived."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + END_LIMIT_S
         while (telegram := self._receive(SILENT_S)) is not None:
@@ -250,7 +250,7 @@ class RsiLine:
 
 @contextmanager
 def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
-    """A plain client of the EKI channel; closes every connection of the driver first."""
+    """Open a plain EKI client, closing every driver connection first."""
     endpoint = _endpoint(dut, "eki_project")
     dut.release()
     with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:
@@ -259,7 +259,7 @@ def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
 
 @contextmanager
 def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.socket]]:
-    """A controller ready to start its program, and the socket it will stream to."""
+    """Yield a controller ready to start its program, and the socket for its stream."""
     where = parse_endpoint(_endpoint(dut, "rsi")).require("udp")
     with eki_line(dut) as eki, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((where.host, where.port))
@@ -279,7 +279,7 @@ def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.sock
 
 @contextmanager
 def stream(dut: DeviceUnderTest) -> Iterator[RsiLine]:
-    """A freshly started stream, ended after the block."""
+    """Yield a newly started stream, ended after the block."""
     with idle_controller(dut) as (eki, ours):
         check(eki.ask("RSI_START") == 0, "a program that starts")
         line = RsiLine(ours, eki, load_context())

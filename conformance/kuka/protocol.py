@@ -1,4 +1,4 @@
-"""KUKA's RSI and EKI in the suite: their numbered checklist, their cases, and the simulator that speaks them.
+"""KUKA RSI and EKI protocol suite: numbered checklist, cases, and simulator.
 
 S lines are about the controller, on the wire (cases K), D lines about the driver (cases L).
 """
@@ -94,7 +94,7 @@ KUKA_CHECKLIST = Checklist(letters="KL", lines=_LINES, remarks=_REMARKS, elsewhe
 
 
 def simulator() -> tuple[str, ...]:
-    """Arguments of `ronna-sim` for a simulated controller; its client binds the RSI endpoint."""
+    """Return the `ronna-sim` arguments for a simulated controller, whose client binds the RSI endpoint."""
     any_port = "tcp://127.0.0.1:0"
     return ("kuka", "--rsi", own_udp_endpoint(), "--eki", any_port, "--eki-project", any_port)
 

@@ -1,4 +1,4 @@
-"""A tap between a KUKA controller and its driver: sees every telegram and reply, and can hold back telegrams.
+"""Tap between a KUKA controller and its driver that sees all traffic and can hold back telegrams.
 
 It modifies and invents nothing; a stalled computer or network also delays telegrams.
 """
@@ -22,7 +22,7 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass
 class Traffic:
-    """The traffic in order: telegrams as received by the driver, and its replies."""
+    """Traffic in order: telegrams as received by the driver, and its replies."""
 
     telegrams: list[bytes] = field(default_factory=list)
     replies: list[bytes] = field(default_factory=list)
@@ -65,7 +65,7 @@ class RsiTap(LineThread):
         self._holding = True
 
     def release(self) -> None:
-        """Forward everything held back at once, in order."""
+        """Forward all held telegrams together, in order."""
         with self._lock:
             held, self._held = self._held, []
             self._holding = False
@@ -74,7 +74,7 @@ class RsiTap(LineThread):
                 self._inside.sendto(telegram, self._driver)
 
     def discard(self) -> None:
-        """Drop what was held back, and forward telegrams again."""
+        """Drop the held telegrams, and forward telegrams again."""
         with self._lock:
             self._held.clear()
             self._holding = False
@@ -112,7 +112,7 @@ class RsiTap(LineThread):
 
 
 class PiecewiseLine(DisturbedLine):
-    """A line on which the device's bytes arrive one by one, or several elements at once."""
+    """Line on which the device's bytes arrive one by one, or several elements together."""
 
     gather_s = 0.0  # bytes within this time arrive together
 
@@ -130,7 +130,7 @@ class PiecewiseLine(DisturbedLine):
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
-    """Wait for a condition; False when time is up."""
+    """Wait for a condition; False if time is up."""
     until_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > until_s:

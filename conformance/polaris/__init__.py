@@ -1,1 +1,1 @@
-"""Cases for devices on the NDI Polaris protocol: the unit's replies (P) and its driver's commands (D)."""
+"""Protocol cases for NDI Polaris devices: the unit's replies (P) and its driver's commands (D)."""

@@ -1,4 +1,4 @@
-"""A plain client of an NDI Polaris unit that bypasses every driver.
+"""Plain client of an NDI Polaris unit, bypassing every driver.
 
 It decodes replies, also BX (options 0001, 0002, 0800, 1000), independently, following the protocol reference,
 so that a driver's misreading cannot hide.
@@ -45,7 +45,7 @@ _ERROR = re.compile("ERROR[0-9A-F]{2}")
 
 
 class SerialLine:
-    """A serial line at the unit's power-up rate, with the few socket calls used here."""
+    """Serial line at the unit's power-up rate, with the few socket calls used here."""
 
     def __init__(self, path: str) -> None:
         import serial
@@ -63,7 +63,7 @@ class SerialLine:
 
     @property
     def baud(self) -> int:
-        """Baud rate of our end."""
+        """Baud rate of our end of the line."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -71,7 +71,7 @@ class SerialLine:
         self._port.baudrate = rate
 
     def send_break(self) -> None:
-        """Send a break, which resets the unit; drops buffered data first."""
+        """Send a break, which resets the unit, after dropping buffered data."""
         import termios
 
         termios.tcflush(self.fileno(), termios.TCIOFLUSH)
@@ -82,13 +82,13 @@ class SerialLine:
 
 
 def with_crc(text: str) -> bytes:
-    """Return a command or text reply with its CRC in four upper-case digits, and CR."""
+    """Append the CRC in four upper-case digits and CR to a command or text reply."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
 
 
 @dataclass
 class PolarisLink:
-    """An open line. The CRC of every reply is checked."""
+    """Open line to the unit. The CRC of every reply is checked."""
 
     line: socket.socket | SerialLine
     definition: bytes = b""  # of the driver's first tool, for cases that need one
@@ -110,7 +110,7 @@ class PolarisLink:
         return match[1].decode("ascii")
 
     def ask_binary(self, command: str) -> bytes:
-        """Return the body of the binary reply to a command; checks both CRCs and that nothing follows."""
+        """Return the body of the binary reply to a command, with both CRCs and the end checked."""
         self.send(command)
         heard = self._read_until(lambda data: len(data) >= BX_HEADER_BYTES)
         start, length, crc = struct.unpack_from("<HHH", heard)
@@ -125,7 +125,7 @@ class PolarisLink:
         return body
 
     def read_rest(self, quiet_s: float = QUIET_S) -> bytes:
-        """Receive everything that arrives before the line has been quiet for `quiet_s`."""
+        """Receive everything until the line has been quiet for `quiet_s`."""
         heard = b""
         while select.select([self.line], [], [], quiet_s)[0]:
             if not (data := self.line.recv(65536)):
@@ -135,12 +135,12 @@ class PolarisLink:
         return heard
 
     def expect_okay(self, command: str | bytes) -> None:
-        """Send a command that must be answered OKAY."""
+        """Send a command and require the reply OKAY."""
         reply = self.ask(command)
         check(reply == REPLY_OKAY, f"OKAY to {command!r}", reply)
 
     def refused(self, command: str | bytes, *codes: int) -> None:
-        """Send a command that must be answered by one of these errors."""
+        """Send a command and require one of these error replies."""
         wanted = [f"ERROR{code:02X}" for code in codes]
         reply = self.ask(command)
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
@@ -180,7 +180,7 @@ class PolarisLink:
             self.ask(f"PHF:{handle}")
 
     def switch_baud(self, argument: str, baud: int) -> None:
-        """Switch the unit to another baud rate by COMM, and follow it."""
+        """Switch unit and line to another baud rate by COMM."""
         self.expect_okay(f"COMM:{argument}")  # answered at the old rate
         time.sleep(RATE_SETTLING_S)
         self.serial.baud = baud
@@ -202,7 +202,7 @@ class PolarisLink:
 
     @property
     def serial(self) -> SerialLine:
-        """The line as a serial one, for cases that need SERIAL_LINE."""
+        """Serial line, for cases that need SERIAL_LINE."""
         assert isinstance(self.line, SerialLine), "the case needs a serial line"
         return self.line
 
@@ -220,13 +220,13 @@ class PolarisLink:
 
 
 def is_error(text: str) -> bool:
-    """Test whether a reply is ERRORhh."""
+    """Return whether a reply is ERRORhh."""
     return _ERROR.fullmatch(text) is not None
 
 
 @contextmanager
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """A plain client of the unit under test, in the state in which its last client left it."""
+    """Yield a plain client of the unit under test, in the state left by its last client."""
     dut.release()
     endpoint = dut.endpoint
     with closing(
@@ -241,7 +241,7 @@ def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 @contextmanager
 def idle_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """A plain client of the unit under test, initialised and without tools, before and after the block."""
+    """Yield a plain client of the unit under test, initialised and without tools before and after."""
     with plain_unit(dut) as link:
         link.expect_okay("INIT:")
         link.clean_up()
@@ -260,7 +260,7 @@ OPTION_STRAYS = 0x1000
 
 @dataclass(frozen=True)
 class HandleReport:
-    """A handle in a reply: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
+    """Report on a handle: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
 
     handle: str
     status: HandleStatus
@@ -276,7 +276,7 @@ class HandleReport:
 
 @dataclass(frozen=True)
 class BxReply:
-    """A complete reply; `strays_at` is the offset of the first stray's position in the body.
+    """Complete BX reply; `strays_at` is the offset of the first stray's position in the body.
 
     `strays_outside` are the flags with the low bit of each byte first, as most clients read them,
     `strays_outside_mirrored` with the high bit first: the order is undocumented.
@@ -291,7 +291,7 @@ class BxReply:
 
     @property
     def frame(self) -> int:
-        """Number of the frame."""
+        """Frame number of the reply."""
         return max((handle.frame for handle in self.handles), default=0)
 
 
@@ -340,7 +340,7 @@ def _read_body(body: bytes, options: int) -> BxReply:
 
 
 def place_markers(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
-    """Return the markers of a tool in the tracker frame, for a pose with a scalar-first quaternion."""
+    """Transform the markers of a tool to the tracker frame, for a pose with a scalar-first quaternion."""
     q0, qx, qy, qz, tx, ty, tz, _ = pose
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     q0, qx, qy, qz = q0 / norm, qx / norm, qy / norm, qz / norm

@@ -1,4 +1,4 @@
-"""Fixtures of the cases for a Polaris unit and its driver: needs, tool definitions, volumes, a frame.
+"""Fixtures for Polaris cases: needs, tool definitions, volumes, and a tracking frame.
 
 A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter if a line has
 several cases. Every case leaves the unit initialised, idle and without tools.
@@ -30,21 +30,21 @@ SERIAL = (*NEEDS, SERIAL_LINE)
 
 @runtime_checkable
 class ReportsDefinitions(Protocol):
-    """A tracker that reports which tool definitions it loads."""
+    """Tracker that reports which tool definitions it loads."""
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
-        """Tool name -> content of its definition file."""
+        """Contents of the definition files by tool name."""
         ...
 
 
 @runtime_checkable
 class ReportsBaud(Protocol):
-    """A tracker that reports the rate of its serial line."""
+    """Tracker that reports the rate of its serial line."""
 
     @property
     def baud(self) -> int | None:
-        """Present rate; None if the line is not serial."""
+        """Current baud rate; None if the line is not serial."""
         ...
 
 
@@ -57,7 +57,7 @@ def definition(dut: DeviceUnderTest) -> bytes:
 
 @contextmanager
 def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """An idle unit with the driver's first tool definition at hand."""
+    """Yield an idle unit and the driver's first tool definition."""
     block = definition(dut)
     with idle_unit(dut) as unit:
         unit.definition = block
@@ -65,7 +65,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
-    """Read the frame by BX with these options."""
+    """Read a frame by BX with these options."""
     return read_body(unit.ask_binary(f"BX:{options:04X}"), options)
 
 
@@ -91,7 +91,7 @@ def read_markers(block: bytes) -> tuple[Vector3, ...]:
 
 
 def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
-    """Give a tool another origin: every marker moves by `shift_mm` in the tool frame.
+    """Shift the origin of a tool: every marker moves by `shift_mm` in the tool frame.
 
     It has its own part number, so that a simulated unit does not know where its spheres really are.
     """
@@ -116,7 +116,7 @@ def reverse_normals(block: bytes) -> bytes:
 
 
 def build_published_definition() -> bytes:
-    """Build a definition with the numbers of a real one, from the published layout."""
+    """Build a definition with the numbers of a real tool, from the published layout."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)
     block[:4] = layout.ROM_MAGIC
@@ -164,29 +164,29 @@ SPECTRA_SHAPE, VICRA_SHAPE = "5", "7"
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """A volume: its shape and its ten numbers, in hundredths of a mm and of a slope per 1000."""
+    """Measuring volume: shape and ten numbers, in hundredths of a mm and of a slope per 1000."""
 
     shape: str
     numbers: tuple[int, ...]
 
     @property
     def knee_mm(self) -> float:
-        """Depth z at which the slope of |y| changes."""
+        """Depth z at which the slope of |y| changes, mm."""
         return self.numbers[1] / 100
 
     @property
     def depths_mm(self) -> tuple[float, float]:
-        """z of the far and of the near face."""
+        """Depths z of the far and the near face, mm."""
         return self.numbers[0] / 100, self.numbers[2] / 100
 
     @property
     def middle_mm(self) -> float:
-        """A depth z well inside: that of the knee, or the midpoint if the knee is at a face."""
+        """Depth z well inside the volume, mm: at the knee, or the midpoint if the knee is at a face."""
         far_mm, near_mm = self.depths_mm
         return self.knee_mm if far_mm < self.knee_mm < near_mm else (far_mm + near_mm) / 2
 
     def half_extents_mm(self, z_mm: float) -> tuple[float, float]:
-        """Return the largest |x| and |y| inside at a depth."""
+        """Return the largest |x| and |y| inside the volume at a depth, mm."""
         _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.numbers
         behind_mm = knee / 100 - z_mm  # negative in front of the knee
         y_mm = y_knee / 100 + behind_mm * (y_behind if behind_mm > 0 else y_front) / 1e5
@@ -194,7 +194,7 @@ class MeasuringVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """Return the distance of a point inside the faces, along the closest axis; negative outside."""
+        """Return the distance of a point inside the faces along the closest axis, mm; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)
@@ -216,7 +216,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
 
 
 def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
-    """Return the selected volume; the first if the unit does not report it."""
+    """Return the selected volume, or the first if the unit does not report it."""
     volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()
     return volumes[int(value)] if value.isdecimal() and int(value) < len(volumes) else volumes[0]

@@ -47,7 +47,7 @@ on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 
 @contextmanager
 def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[PolarisLink]:
-    """A unit that tracks one tool: the driver's first, or that of another definition."""
+    """Yield a unit that tracks one tool, by default the driver's first."""
     block = block or definition(dut)
     with idle_unit(dut) as unit:
         unit.load_tool(block)
@@ -233,7 +233,7 @@ def frame_number(unit: PolarisLink) -> int:
 
 
 def _is_counting_requests(unit: PolarisLink) -> bool:
-    """Test whether many quick requests each return the next frame, faster than 60 per second.
+    """Return whether quick requests each return the next frame, faster than 60 per second.
 
     After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay
     each reply until the next.

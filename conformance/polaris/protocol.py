@@ -1,4 +1,4 @@
-"""The NDI Polaris protocol in the suite: its numbered checklist, its cases in that order, its simulator.
+"""NDI Polaris protocol suite: numbered checklist, cases in checklist order, and simulator.
 
 S lines are about the unit, on the wire; D lines about the driver. A case's number is P or D and its line.
 """
@@ -96,7 +96,7 @@ CASE_MODULES = (unit_cases, frame_cases, volume_cases, driver_cases)
 
 
 def offers(dut: DeviceUnderTest) -> frozenset[str]:
-    """Return the needs of the Polaris cases that the device under test meets."""
+    """Return the needs of Polaris cases that the device under test meets."""
     met = {CHECKED_REPLIES}
     if dut.config.endpoint is not None:
         met.add(POLARIS_BYTES)

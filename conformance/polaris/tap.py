@@ -1,4 +1,4 @@
-"""A disturbed line that understands the Polaris protocol and can change the reply to a given command."""
+"""Disturbable line for the Polaris protocol that can change the reply to a given command."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class PolarisTap(DisturbedLine):
             self._changes.append((name, change, delay_s))
 
     def answer(self, name: str, text: str) -> None:
-        """Replace the next reply to this command by a text with a valid CRC; the unit still executes it."""
+        """Replace the next reply to this command by a text with a valid CRC. The unit still executes it."""
         self.change(name, lambda _reply: with_crc(text))
 
     def count(self, beginning: str) -> int:
-        """Count the commands that start like this."""
+        """Count the commands with this beginning."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _note_command(self, data: bytes) -> None:
@@ -72,7 +72,7 @@ class PolarisTap(DisturbedLine):
 
 
 def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
-    """Make a tap between the driver and the unit; pass its endpoint to `make`."""
+    """Create a tap between driver and unit; pass its endpoint to `make`."""
     dut.release()
     return PolarisTap(dut.endpoint)
 
@@ -83,13 +83,13 @@ def body_of(reply: bytes) -> bytes:
 
 
 def with_body(body: bytes) -> bytes:
-    """Return a binary reply with this body and valid CRCs."""
+    """Build a binary reply with this body and valid CRCs."""
     header = _BX_START + _u16.pack(len(body))
     return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))
 
 
 def with_system_status(reply: bytes, status: int) -> bytes:
-    """Replace the system status of a reply, binary or text."""
+    """Replace the system status of a binary or text reply."""
     if reply.startswith(_BX_START):
         return with_body(body_of(reply)[:-2] + _u16.pack(status))
     return with_crc(reply[: -1 - ASCII_CRC_DIGITS - 4].decode() + f"{status:04X}")

@@ -119,7 +119,7 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
 
 
 def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
-    """Return the flags of the strays; all must agree with the volume, in one bit order or the other."""
+    """Return the flags of the strays, which must all agree with the volume in either bit order."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
     for _ in range(STRAY_FRAMES):
@@ -148,7 +148,7 @@ def _test_points(volume: MeasuringVolume) -> list[Vector3]:
 
 
 def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vector3, ...]:
-    """Load a tool whose origin is chosen so that its markers surround a point in the tracker frame.
+    """Load a tool with its origin chosen so that its markers surround a point in the tracker frame.
 
     A simulated unit places the origin at the tool's fixed place; a real one finds the spheres where they are,
     so the cases check that position. Leaves the unit tracking; returns the markers of the definition.

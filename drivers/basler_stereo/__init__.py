@@ -1,4 +1,4 @@
-"""Two Basler cameras over GigE Vision, with our own client: no vendor library, no root.
+"""Driver for two Basler cameras over GigE Vision, without vendor library or root rights.
 
 `BaslerStereoPair` is resolved on first use, so that the receiver process does not import what
 only the driver needs.

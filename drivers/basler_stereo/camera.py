@@ -1,4 +1,4 @@
-"""Camera from discovery to release: control, settings, stream."""
+"""Control of one camera from discovery to release: connection, settings, stream."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ PATIENCE_S = 0.1  # after the exposure, before packets of an image not yet begun
 
 
 class Camera:
-    """GigE Vision camera of one side. Deadlines are host monotonic time; used by one thread at a time."""
+    """GigE Vision camera of one side. Deadlines are host monotonic time. Use from one thread at a time."""
 
     def __init__(
         self, side: str, address: str, options: BaslerOptions, recorder: LinkRecorder | None = None
     ) -> None:
-        """Open nothing; `recorder` records the control channel, and a note of each image."""
+        """Open nothing. `recorder` receives the control channel and a note for each image."""
         self.side = side
         self._recorder = recorder or LinkRecorder("", None)
         self._address = address
@@ -70,19 +70,19 @@ class Camera:
 
     @property
     def control(self) -> ControlChannel:
-        """The control channel; only while connected."""
+        """Control channel; available only while connected."""
         assert self._control is not None, "the lifecycle allows this only while connected"
         return self._control
 
     @property
     def features(self) -> FeatureMap:
-        """Features described by the camera; only while controlled."""
+        """Features from the camera's description; available only while controlled."""
         assert self._features is not None, "the lifecycle allows this only while controlled"
         return self._features
 
     @property
     def receiver(self) -> StreamReceiver:
-        """Receiver of the stream; only while streaming."""
+        """Stream receiver; available only while streaming."""
         assert self._receiver is not None, "the lifecycle allows this only while streaming"
         return self._receiver
 
@@ -176,7 +176,7 @@ class Camera:
             self._close_receiver()
 
     def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
-        """Tie the present tick count to theatre time; None for a camera without a time stamp counter."""
+        """Relate the current tick count to theatre time; None for a camera without a time stamp counter."""
         if not self.tick_frequency_hz:
             return None
         try:
@@ -194,7 +194,7 @@ class Camera:
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
     def expect_next(self) -> None:
-        """Discard everything before the frame just triggered."""
+        """Discard everything older than the frame just triggered."""
         self.receiver.discard()
         if self.trigger_command is None:
             self._next_block = None  # a line may fire at any time
@@ -204,7 +204,7 @@ class Camera:
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
-        """Return the frame of the last trigger, or None at the deadline or as soon as `give_up()`.
+        """Return the frame of the last trigger, or None at the deadline or when `give_up()` is true.
 
         Late frames of earlier triggers are discarded.
         """
@@ -216,7 +216,7 @@ class Camera:
         return None
 
     def release(self, deadline_s: float) -> None:
-        """Stop everything and release control; the channel stays open."""
+        """Stop streaming and release control; the channel stays open."""
         if self._heartbeat is not None:
             self._heartbeat.close()
             self._heartbeat = None
@@ -306,7 +306,7 @@ class Camera:
 
 
 class LinkRecorder:
-    """Recorder of one camera's links, such as `stereo.left`; `sink` is None without a recorder.
+    """Traffic recorder for one camera's links, such as `stereo.left`; `sink` None disables it.
 
     Every datagram of the control channel is kept; for the stream, a note per image, and the counters. Resend
     requests and keep-alives are sent by the receiver process and are not included.
@@ -322,7 +322,7 @@ class LinkRecorder:
             self._sink.on_bytes(f"{self._name}.control", direction, data)
 
     def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
-        """Record the arrival of an image, complete or not."""
+        """Record the arrival of a complete or incomplete image."""
         if self._sink is None:
             return
         leader = {} if frame.leader is None else frame.leader._asdict()

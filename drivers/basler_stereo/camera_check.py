@@ -1,4 +1,4 @@
-"""Check of a camera's address: reply, controller, largest packet size, and advice.
+"""Diagnosis of a camera's address: reply, controlling application, largest packet size, advice.
 
 Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
 packets, and is released; a controlled one is left alone.
@@ -45,7 +45,7 @@ class Response(StrEnum):
 
 @dataclass(frozen=True)
 class Controller:
-    """Application in control: none, or one with an address if the camera reports it."""
+    """Application in control of a camera: none, or one with an address if the camera reports it."""
 
     taken: bool
     address: str = ""
@@ -56,7 +56,7 @@ class Controller:
 
 @dataclass(frozen=True)
 class CameraState:
-    """Observations at one address; fields are None for stages not reached."""
+    """Findings at one camera address; fields are None for stages not reached."""
 
     endpoint: Endpoint
     response: Response
@@ -143,7 +143,7 @@ def _reply_deadline_s() -> float:
 
 
 class ExpectedCamera(NamedTuple):
-    """Address of a camera, and its expected identity, if known."""
+    """Address of a camera and, if known, its expected identity."""
 
     endpoint: Endpoint
     serial: str | None = None
@@ -153,7 +153,7 @@ class ExpectedCamera(NamedTuple):
 def camera_diagnostic(
     camera: CameraState, found: Sequence[CameraIdentity], expected: ExpectedCamera
 ) -> Diagnostic:
-    """Return the doctor's entry for a camera, with figures; `found` replied to broadcast discovery."""
+    """Return the doctor's finding for a camera, with figures; `found` replied to broadcast discovery."""
     well, seen, advice = _diagnose(camera, found, expected)
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
@@ -171,7 +171,7 @@ def camera_diagnostic(
 
 
 def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
-    """List the cameras on one network, and serial numbers that replied several times."""
+    """List the cameras on one network, and serial numbers that replied more than once."""
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     advice = (

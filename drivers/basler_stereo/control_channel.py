@@ -1,4 +1,4 @@
-"""Control channel to one camera: commands with retries, control privilege, heartbeat.
+"""GVCP control channel to one camera: commands with retries, control privilege, heartbeat.
 
 A camera keeps the privilege of a dead client until that client's heartbeat times out.
 """
@@ -36,7 +36,7 @@ JOIN_LIMIT_S = 1.5
 
 
 class ControlChannel:
-    """Channel with one socket and one command at a time; safe to use from several threads.
+    """Control channel with one socket and one command at a time; thread-safe.
 
     Retries reuse the request id, so that a device that replies late does not execute a command twice.
     """
@@ -49,7 +49,10 @@ class ControlChannel:
         monotonic: Callable[[], float] = time.monotonic,
         on_bytes: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """Open the channel; `on_bytes` gets every datagram. Raises OSError without a route to the address."""
+        """Open the channel; `on_bytes` receives every datagram.
+
+        Raises OSError without a route to the address.
+        """
         self._passed = on_bytes
         # also used by the receiver process, which sends resend requests and keep-alives through it
         self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -67,7 +70,7 @@ class ControlChannel:
 
     @property
     def peer_address(self) -> str:
-        """Address of the camera in numbers."""
+        """Numeric address of the camera."""
         return str(self.link.getpeername()[0])
 
     @property
@@ -183,14 +186,14 @@ class ControlChannel:
 
 
 def register_write(address: int, value: int) -> Command:
-    """Return the command that sets one register."""
+    """Build the command that sets one register."""
     return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
 
 
 def send_together(
     commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
 ) -> list[Exception | None]:
-    """Send one command on each channel, as close together as possible.
+    """Send one command on each channel, as nearly simultaneously as possible.
 
     All commands are sent before the first acknowledge is awaited. Returns None or an error per channel.
     """
@@ -228,7 +231,7 @@ def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:
-    """Raise GEV-015 unless we control the camera, GEV-007 when it does not reply."""
+    """Raise GEV-015 unless we control the camera, GEV-007 if it does not reply."""
     try:
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
     except CommandRefused as error:  # while another client has exclusive access, even reading is rejected
@@ -238,7 +241,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
 
 
 def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
-    """Ask for control; None if we have it, otherwise the reason for the refusal."""
+    """Request control; None if granted, otherwise the reason for the refusal."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -250,7 +253,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
-    """Return the time at which a dead controller loses control; at most the deadline."""
+    """Return when a dead controlling application loses control, at most the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
     except CommandRefused:  # exclusive access: others cannot even read
@@ -259,7 +262,7 @@ def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
 
 
 class Heartbeat:
-    """Thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
+    """Heartbeat thread that reads the control privilege; calls `on_lost` once with the reason if it gives up.
 
     A silent camera is lost only after its time-out: until then it keeps us as its controller. Any command
     would restart the camera's timer, but reading the privilege also shows whether the camera has restarted or
@@ -285,7 +288,7 @@ class Heartbeat:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread; takes at most as long as one command to a dead peer."""
+        """End the thread; takes at most the time of one command to an unresponsive camera."""
         self._ending.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(JOIN_LIMIT_S)

@@ -1,4 +1,4 @@
-"""GVCP datagrams: commands to bytes, acknowledges from bytes. No I/O."""
+"""GVCP datagrams: encoding of commands and decoding of acknowledges. No I/O."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def encode(
 
 
 def encode_resend(request_id: int, block_id: int, first: int, last: int) -> bytes:
-    """Encode a request for packets `first`..`last` of a block; there is no acknowledge."""
+    """Encode a request to resend packets `first`..`last` of a block; there is no acknowledge."""
     payload = struct.pack(gev.PACKETRESEND_COMMAND, 0, block_id, first, last)
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
@@ -52,7 +52,7 @@ def decode(datagram: bytes) -> Acknowledge | None:
 
 
 def require_success(acknowledge: Acknowledge, what: str) -> bytes:
-    """Return the payload of a successful acknowledge; raises GEV-006 with the status by name."""
+    """Return the payload of a successful acknowledge; raises GEV-006 naming the status."""
     if acknowledge.status != GevStatus.SUCCESS:
         refused = CommandRefused(f"{what} was rejected", got=status_name(acknowledge.status))
         refused.status = acknowledge.status
@@ -61,7 +61,7 @@ def require_success(acknowledge: Acknowledge, what: str) -> bytes:
 
 
 def status_name(status: int) -> str:
-    """Name a status in words and by its number on the wire."""
+    """Name a status in words and by its number."""
     try:
         return f"{GevStatus(status).name.lower().replace('_', ' ')} (0x{status:04X})"
     except ValueError:
@@ -69,12 +69,12 @@ def status_name(status: int) -> str:
 
 
 def read_register_command(address: int) -> bytes:
-    """Return the payload of a READREG of one register."""
+    """Return the payload of a READREG command for one register."""
     return _U32.pack(address)
 
 
 def register_value(payload: bytes, what: str) -> int:
-    """Return the value in the acknowledge of a READREG of one register; raises GEV-008."""
+    """Return the value in the acknowledge of a READREG for one register; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES:
         raise MalformedReply(
             f"{what}: the reply has the wrong length",
@@ -86,17 +86,17 @@ def register_value(payload: bytes, what: str) -> int:
 
 
 def action_command(device_key: int, group_key: int, group_mask: int) -> bytes:
-    """Return the payload of an ACTION for immediate execution."""
+    """Return the payload of an ACTION command for immediate execution."""
     return struct.pack(gev.ACTION_COMMAND, device_key, group_key, group_mask)
 
 
 def write_register_command(address: int, value: int) -> bytes:
-    """Return the payload of a WRITEREG of one register."""
+    """Return the payload of a WRITEREG command for one register."""
     return struct.pack(gev.WRITEREG_ITEM, address, value)
 
 
 def read_memory_command(address: int, count: int) -> bytes:
-    """Return the payload of a READMEM; `count` is a multiple of 4 and at most 536."""
+    """Return the payload of a READMEM command; `count` is a multiple of 4 and at most 536."""
     return struct.pack(gev.READMEM_COMMAND, address, 0, count)
 
 
@@ -113,12 +113,12 @@ def memory_data(payload: bytes, address: int, count: int) -> bytes:
 
 
 def write_memory_command(address: int, data: bytes) -> bytes:
-    """Return the payload of a WRITEMEM; the data are a multiple of 4 bytes."""
+    """Return the payload of a WRITEMEM command; `data` is a multiple of 4 bytes."""
     return _U32.pack(address) + data
 
 
 def pending_ms(payload: bytes) -> int:
-    """Return the further wait requested by the device, ms; 0 if it gives none."""
+    """Return the extra waiting time requested by the device, ms; 0 if it gives none."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

@@ -1,4 +1,4 @@
-"""Identity of cameras from their replies to GVCP discovery, by address or by broadcast."""
+"""Camera identities from replies to GVCP discovery, by address or by broadcast."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
 
 
 def decode_identity(memory: bytes, address: str) -> CameraIdentity:
-    """Decode the identity in a reply to discovery; raises GEV-008."""
+    """Decode the identity in a discovery reply; raises GEV-008."""
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
             f"{address}: the reply to discovery has the wrong length",
@@ -73,7 +73,7 @@ def _read_text(memory: bytes, register: Bootstrap) -> str:
 
 
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
-    """Find all GigE Vision devices that reply on one network interface; needs no control.
+    """Find all GigE Vision devices that reply on one network interface, without taking control.
 
     A device also replies if its address belongs to another subnet.
     """
@@ -95,7 +95,7 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
 
 
 def describe_cameras_near(address: str) -> str:
-    """Describe the cameras on the network of an address; no other network is queried."""
+    """Describe the cameras on the network of an address; other networks are not queried."""
     if (interface := find_interface(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):

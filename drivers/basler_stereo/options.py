@@ -1,4 +1,4 @@
-"""Options of the stereo pair in the theatre file.
+"""Stereo pair options in the theatre file.
 
 [stereo.options]
 left_serial = "21904411"
@@ -23,7 +23,7 @@ SMALLEST_PACKET_BYTES = 576  # every IPv4 path carries it
 
 
 class BaslerOptions(Strict):
-    """Options of the pair; without serial numbers any two cameras are accepted."""
+    """Options of the pair. Without serial numbers, any two cameras are accepted."""
 
     left_serial: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="Serial number of the left camera; none accepts any."
@@ -85,7 +85,7 @@ class BaslerOptions(Strict):
 
     @property
     def pixel_format_code(self) -> gev.PixelFormat:
-        """Code of the pixel format on the wire."""
+        """Pixel format code of the protocol."""
         return {
             "Mono8": gev.PixelFormat.MONO8,
             "Mono12": gev.PixelFormat.MONO12,

@@ -1,4 +1,4 @@
-"""Two GigE Vision cameras triggered together, as a `StereoPair`."""
+"""Two jointly triggered GigE Vision cameras as a `StereoPair`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ T = TypeVar("T")
 
 
 class BaslerStereoPair(PairDevice[Camera]):
-    """Pair of cameras. Calls are synchronous, one thread at a time; time limits are host time, in seconds.
+    """Pair of GigE Vision cameras. Calls are synchronous, from one thread at a time.
+
+    Time limits are host seconds.
 
     The driver waits for a silent camera within the time limit and repeats the interrupted work. The camera
     stays under our control until its heartbeat times out, so a short absence only costs time.
@@ -44,7 +46,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Check options and endpoints; open nothing. Raises GEV-016, CFG-001 or CFG-002."""
+        """Check options and endpoints without opening anything. Raises GEV-016, CFG-001 or CFG-002."""
         self._options = read_options(config, BaslerOptions)
         super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
@@ -58,18 +60,20 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but should be known."""
+        """Observations at `configure` that are not errors but matter to the operator."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
 
     @property
     def counters(self) -> tuple[StreamCounters | None, StreamCounters | None]:
-        """Statistics of the present streams, left and right."""
+        """Statistics of the current streams, left and right."""
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Report lost packets of the present streams, and temperatures; empty before they start.
+        """Report lost packets of the current streams, and temperatures.
+
+        Nothing is reported before they start.
 
         No published temperature limit is known, so it is reported without being judged.
         """
@@ -93,14 +97,14 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Block ids of the last pair, None for a missing side. They restart with each stream."""
+        """Block ids of the last pair; None for a missing side. They restart with each stream."""
         return self._grabber.block_ids if self._grabber else (None, None)
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._sink = sink
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return that pair; with trigger `line1`, wait for one.
+        """Trigger both cameras once and return the pair; with trigger source `line1`, wait for a trigger.
 
         A side without an image is None and the reading MISSING, provided its camera replies. Images from
         different triggers are UNPAIRED, two older than the trigger STALE. If neither camera sent an
@@ -131,7 +135,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._streams.stop_streams(deadline_s)
 
     def _run_guarded(self, work: Callable[[], T], deadline_s: float, *, keeps_settings: bool = False) -> T:
-        """Do one piece of work, again after a silence; latch FAULT for lost cameras or control.
+        """Run a piece of work, once more after a silence; latch FAULT if cameras or control are lost.
 
         A camera that stays silent while its settings change also latches FAULT: they are then unknown.
         """
@@ -181,7 +185,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return (left, right), identities
 
     def _configure_cameras(self, deadline_s: float) -> None:
-        """Take control of both and find the packet size; on an error neither camera stays controlled."""
+        """Take control of both cameras and find the packet size. On an error, release both."""
         configured_cameras: list[Camera] = []
         self._end_receiver_process()
         self._receiver_process = ReceiverProcess()

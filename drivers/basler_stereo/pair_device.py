@@ -1,4 +1,4 @@
-"""Base of stereo drivers: the cameras, their identities, and the device state."""
+"""Base class of stereo drivers: cameras, identities, and device state."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ T = TypeVar("T")
 
 
 class PairDevice(ABC, Generic[C]):
-    """Part of a `StereoPair` independent of the access to its cameras."""
+    """Part of a `StereoPair` that is independent of camera access."""
 
     wire_protocol: str
 
@@ -74,7 +74,7 @@ class PairDevice(ABC, Generic[C]):
 
     @property
     def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
+        """Error that latched FAULT, if any."""
         return self._guard.fault
 
     @property
@@ -88,7 +88,7 @@ class PairDevice(ABC, Generic[C]):
 
     @property
     def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """Sensor areas that are read, left and right; known from `configure` on."""
+        """Readout areas of the sensors, left and right; known from `configure` on."""
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area
@@ -100,7 +100,7 @@ class PairDevice(ABC, Generic[C]):
         return hold_active(self, timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find both cameras and check models and serial numbers; does not take control.
+        """Find both cameras and check models and serial numbers, without taking control.
 
         Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
         """
@@ -111,7 +111,7 @@ class PairDevice(ABC, Generic[C]):
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Take control of both and bring them to a known state: trigger, full frame, packet size.
+        """Take control of both cameras and set a known state: trigger, full frame, packet size.
 
         May wait until the heartbeat of a dead controlling client has timed out. Raises GEV-005 when another
         application is in control, GEV-006 to GEV-012 when configuration fails.
@@ -136,7 +136,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set the part of each sensor to read; on GEV-011 both cameras are unchanged.
+        """Set the readout area of each sensor; GEV-011 leaves both cameras unchanged.
 
         A running stream is stopped and restarted; its block ids restart.
         """
@@ -148,13 +148,13 @@ class PairDevice(ABC, Generic[C]):
         self._areas = (left, right)
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set both cameras to the same values; raises GEV-011."""
+        """Set exposure and gain of both cameras to the same values; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         self._set_exposure(exposure_us, gain_raw, time.monotonic() + timeout_s)
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Multiply the exposure configured or set last by `share`; raises GEV-011."""
+        """Multiply the exposure last configured or set by `share`; raises GEV-011."""
         self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
         self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
@@ -183,14 +183,17 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop, release control and close; about three seconds at most with dead cameras. Never raises."""
+        """Stop, release control and close.
+
+        Takes three seconds at most with unresponsive cameras; never raises.
+        """
         if self._guard.state is not Lifecycle.CLOSED:
             self._release_all()
             self._guard.enter(Lifecycle.CLOSED)
 
     @abstractmethod
     def _open_cameras(self, deadline_s: float) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
-        """Connect to both cameras and check them; neither stays open on an error."""
+        """Connect to both cameras and check them; on an error, close both."""
 
     @abstractmethod
     def _configure_cameras(self, deadline_s: float) -> None:
@@ -206,10 +209,10 @@ class PairDevice(ABC, Generic[C]):
 
     @abstractmethod
     def _run_guarded(self, work: Callable[[], T], deadline_s: float) -> T:
-        """Do one piece of work; latch FAULT for lost cameras or control."""
+        """Run a piece of work; latch FAULT if cameras or control are lost."""
 
     def _stream_facts(self) -> dict[str, Any]:
-        """Return facts of the ending streams for the log."""
+        """Return log facts about the streams that are ending."""
         return {}
 
     def _release_all(self) -> None:
@@ -249,7 +252,7 @@ class PairDevice(ABC, Generic[C]):
             self._start_streams(deadline_s)
 
     def _store_pair(self, pair: StereoReading) -> StereoReading:
-        """Keep a new pair for `observe`."""
+        """Store a new pair for `observe`."""
         self._last_pair = pair
         self._unusable_count += pair.validity is not Validity.OK
         return pair
@@ -261,7 +264,7 @@ class PairDevice(ABC, Generic[C]):
 
 
 def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptions) -> None:
-    """Raise GEV-002, GEV-003 or GEV-004 unless these are the expected cameras, each on its side."""
+    """Raise GEV-002, GEV-003 or GEV-004 unless the expected cameras are each on their own side."""
     for identity in (left, right):
         if options.expected_model and identity.model != options.expected_model:
             raise WrongModel(
@@ -286,7 +289,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:
-    """Combine the identities of both cameras into that of one device."""
+    """Combine the identities of both cameras into one device identity."""
     return Identity(
         vendor=left.vendor,
         model=left.model,

@@ -1,4 +1,4 @@
-"""Grabbing of image pairs: start both streams, trigger, wait for both frames, judge whether they match."""
+"""Grabbing of image pairs: start both streams, trigger, wait for both frames, check that they match."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ Frames = tuple[Frame | None, Frame | None]
 
 
 class PairGrabber:
-    """Streams of a left and a right camera. Deadlines are host monotonic time; one thread at a time."""
+    """Streams of a left and a right camera. Deadlines are host monotonic time.
+
+    Use from one thread at a time.
+    """
 
     def __init__(
         self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
@@ -57,13 +60,13 @@ class PairGrabber:
         self._must_restart = False
 
     def stop_streams(self, deadline_s: float) -> None:
-        """Stop both streams; after a failure the next grab restarts them."""
+        """Stop both streams; the next grab after a failure restarts them."""
         self._must_restart = True
         for camera in self._cameras:
             camera.stop(deadline_s)
 
     def grab(self, sequence: int, deadline_s: float) -> StereoReading:
-        """Trigger once and return the pair of that trigger.
+        """Trigger once and return the resulting pair.
 
         Triggers a second time if neither camera sent an image, or if the images come from different triggers,
         such as when the computer stalls between the two commands. After an incomplete pair the streams
@@ -115,13 +118,13 @@ class PairGrabber:
         return self._make_reading(frames, sequence, triggered_s)
 
     def _needs_restart(self, frames: Frames) -> bool:
-        """Test whether the streams restart before the next trigger: this pair is incomplete."""
+        """Return whether this pair is incomplete and the streams must restart before the next trigger."""
         if self._options.trigger == "line1":  # a restart could miss the next pulse
             return None in frames and frames != (None, None)
         return any(frame is None or frame.missing_packets for frame in frames)
 
     def _tie_clocks(self, deadline_s: float) -> None:
-        """Tie the tick counts of both cameras to theatre time."""
+        """Relate the tick counts of both cameras to theatre time."""
         left, right = (camera.tie(self._clock, deadline_s) for camera in self._cameras)
         self._pair_clock = PairClock((left, right), self._options.pair_skew_ms / 1000.0)
 
@@ -139,7 +142,7 @@ class PairGrabber:
                 raise result
 
     def _collect(self, deadline_s: float) -> Frames:
-        """Take a frame from each camera; the wait for the second is shorter."""
+        """Take a frame from each camera, waiting less for the second."""
 
         def is_any_lost() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
@@ -165,7 +168,7 @@ class PairGrabber:
             raise self._trigger_missed_error()
 
     def _trigger_missed_error(self) -> TriggerMissed:
-        """Return the error for a trigger without any image, with the known reason."""
+        """Build the error for a trigger without any image, with the known reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed(

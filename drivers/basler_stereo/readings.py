@@ -1,4 +1,4 @@
-"""Readings of a pair: read-only images with their validity, paired by the cameras' own clocks. No I/O."""
+"""Readings of a camera pair: validated read-only images, matched by the cameras' own clocks. No I/O."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def camera_image(
     theatre_time_s: float,
     measured_s: float | None = None,
 ) -> CameraImage | None:
-    """Make the reading of one side; None without a leader, which carries time and shape.
+    """Build the reading of one side; None without a leader, which carries time and shape.
 
     CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing,
     and their pixels are 0.
@@ -63,7 +63,7 @@ def stereo_reading(
     theatre_time_s: float,
     match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Combine both sides of one trigger; the validity is the worst of left, right and `match`.
+    """Combine both sides of one trigger. The validity is the worst of left, right and `match`.
 
     Its device clock is the left camera's.
     """
@@ -78,7 +78,7 @@ def stereo_reading(
 def decode_pixels(
     data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Return grey values (height, width), 8 or 12 bits; read-only."""
+    """Decode grey values (height, width) of 8 or 12 bits, read-only."""
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
     if pixel_format is PixelFormat.MONO8:
         pixels = np.frombuffer(data, dtype=np.uint8)
@@ -104,7 +104,7 @@ def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class Tie:
-    """Tick count of a camera at a theatre time, known to within `uncertainty_s`."""
+    """Relation of a camera's tick count to theatre time, known to within `uncertainty_s`."""
 
     ticks: int
     frequency_hz: int
@@ -116,12 +116,12 @@ class Tie:
         return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
 
     def error_s(self, now_s: float) -> float:
-        """Return a bound on the present error of `moment_s`."""
+        """Return an upper bound on the current error of `moment_s`."""
         return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
 
 
 class PairClock:
-    """Test of whether two images come from the same trigger.
+    """Clock-based check that two images come from the same trigger.
 
     Each camera counts ticks from its own zero. Latching the counter at the start of the stream ties it to
     theatre time; every correctly paired image renews the tie, so that clock drift does not accumulate.
@@ -134,7 +134,7 @@ class PairClock:
 
     @property
     def is_tied(self) -> bool:
-        """True if the counts of both cameras are tied to theatre time."""
+        """Whether the counts of both cameras are related to theatre time."""
         return None not in self._ties
 
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
@@ -147,7 +147,7 @@ class PairClock:
     def judge_pair(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> Validity:
-        """Return UNPAIRED if left and right come from different triggers, STALE if both are older, else OK.
+        """Return UNPAIRED for images of different triggers, STALE for outdated ones, else OK.
 
         `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
         ties the first pair cannot be judged. A valid pair ties both clocks to a time between its trigger and

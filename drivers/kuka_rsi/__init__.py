@@ -1,4 +1,4 @@
-"""KUKA KR C4: RSI over UDP in a separate process, EKI over TCP for everything except motion.
+"""Driver for KUKA KR C4: RSI over UDP in a separate process for motion, EKI over TCP for the rest.
 
 `KukaRsiArm` is resolved on first use, so that the real-time process does not import what
 only the driver needs.

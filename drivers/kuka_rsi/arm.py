@@ -1,4 +1,4 @@
-"""KUKA KR C4 arm as the `RobotArm` of a theatre."""
+"""KUKA KR C4 arm as a `RobotArm`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _STOP_ORDERS = {
 
 
 class KukaRsiArm:
-    """Arm with endpoints `rsi` (udp://, our listening address) and `eki_project` (tcp://, the controller)."""
+    """Arm with endpoints `rsi` (udp://, our receiving address) and `eki_project` (tcp://, the controller)."""
 
     wire_protocol = "kuka-rsi-eki"
     notices: tuple[str, ...] = ()
@@ -106,7 +106,7 @@ class KukaRsiArm:
 
     @property
     def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
+        """Error that latched FAULT, if any."""
         self._watch.check_until_certain()
         return self._guard.fault
 
@@ -120,12 +120,12 @@ class KukaRsiArm:
 
     @property
     def controller(self) -> ControllerCommands:
-        """Commands to the controller except motion: tool, base, override; and its state."""
+        """Controller commands other than motion (tool, base, override), and the controller's state."""
         return ControllerCommands(self._guard, lambda: self.connections.eki)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """The last cycles of the stream, oldest first; frozen once a fault is latched."""
+        """Last cycles of the stream, oldest first; frozen once a fault is latched."""
         return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
@@ -164,11 +164,11 @@ class KukaRsiArm:
         self._t1_confirmed_by = person if IN_T1 in self._prompted else ""
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Report everything that `activate` checks, as the controller states it now."""
+        """Report everything that `activate` checks, with the controller's current values."""
         return tuple(readiness_facts(self._request_state(timeout_s), verified=self.connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
-        """Let the next `activate` start in T1, with someone next to the arm holding the pendant.
+        """Permit the next `activate` to start in T1, with a person holding the pendant near the arm.
 
         Motions then stay within 250 mm/s and a tenth of the axes' full speed.
         """
@@ -194,7 +194,7 @@ class KukaRsiArm:
         self._enter_active(stop_count)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
-        """Activate with a controller that does not report what it runs, tested by a micro-move.
+        """Activate with a controller that does not report its context, which a micro-move tests instead.
 
         Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
         has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped,
@@ -216,7 +216,7 @@ class KukaRsiArm:
         self._enter_active(stop_count)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Bring the arm to rest and end the RSI program. Raises a fault that comes up meanwhile."""
+        """Bring the arm to rest and end the RSI program. Raises a fault that occurs meanwhile."""
         self._watch.check_until_certain()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
@@ -292,7 +292,7 @@ class KukaRsiArm:
         return self._readings.from_controller(self._request_state(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Read the number of the tool at the controller's inputs; 0 is none."""
+        """Read the tool number on the controller's inputs; 0 means no tool."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
         return ToolIdentity(self._readings.stamp(), self._request_state(timeout_s).tool)
@@ -331,7 +331,7 @@ class KukaRsiArm:
         return self._planner.preview(motion, start_rad, self.operating_mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
+        """Bring the arm to rest; `timeout_s` is host time. All kinds except HOLD latch a fault."""
         self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self.connections.open_link
@@ -376,7 +376,7 @@ class KukaRsiArm:
         return self._readings.from_stream(self._follower.follow(clear_plan, stop_count, timeout_s))
 
     def _enter_active(self, stop_count: int) -> None:
-        """Enter ACTIVE, or HOLD if a stop was ordered during the start: more than `stop_count` are known."""
+        """Enter ACTIVE, or HOLD if a stop was ordered during the start (more than `stop_count` known)."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
         if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
@@ -400,5 +400,5 @@ class KukaRsiArm:
 
 
 def _operating_mode(mode: OperationMode) -> OperatingMode:
-    """Convert to the mode known to every arm; a stream starts in EXT or T1 only."""
+    """Convert to the vendor-neutral operating mode; a stream starts in EXT or T1 only."""
     return OperatingMode.REDUCED_SPEED if mode is OperationMode.T1 else OperatingMode.AUTOMATIC

@@ -1,4 +1,4 @@
-"""Connections to the controller: the EKI channel, and the RSI stream answered by the real-time process.
+"""Connections to the controller: the EKI channel, and the RSI stream served by the real-time process.
 
 `Connections` opens and closes each; starting and ending the stream involves both.
 """
@@ -36,7 +36,7 @@ STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was
 
 
 class Connections:
-    """The two connections of one arm; accessing one that is not open raises."""
+    """EKI and RSI connections of one arm. Accessing a closed one raises."""
 
     def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
         """Open nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
@@ -52,25 +52,25 @@ class Connections:
 
     @property
     def reported(self) -> ControllerState | None:
-        """The last state reported by the controller, requested or not."""
+        """Last state reported by the controller, requested or not."""
         return None if self.open_eki is None else self.open_eki.latest
 
     @property
     def eki(self) -> EkiClient:
-        """The EKI connection; raises EKI-001 if there is none."""
+        """EKI connection; raises EKI-001 if there is none."""
         if self.open_eki is None:
             raise ControllerNotFound(f"{self._name}: no EKI connection is open")
         return self.open_eki
 
     @property
     def link(self) -> LinkClient:
-        """The real-time process; raises RSI-002 if there is none."""
+        """Real-time process; raises RSI-002 if there is none."""
         if self.open_link is None:
             raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
 
     def is_eki_answering(self, limit_s: float) -> bool:
-        """Test whether the EKI connection is unbroken and the controller replies in time."""
+        """Return whether the EKI connection is intact and the controller replies in time."""
         if self.open_eki is None or self.open_eki.failure is not None:
             return False
         try:
@@ -109,7 +109,7 @@ class Connections:
         self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
-        """Switch the drives on, start the RSI program, answer it, wait until corrections take effect.
+        """Switch the drives on, start the RSI program, answer it, and wait until corrections take effect.
 
         Until then every correction is zero: any other would take effect in one jump at RSI_MOVECORR.
         In T1 the operator switches the drives on and presses the start key. `limits` has an entry for each
@@ -157,7 +157,7 @@ class Connections:
         return mode
 
     def acknowledge(self, deadline: float) -> None:
-        """Acknowledge the controller's messages and read its state again, with no RSI program running.
+        """Acknowledge the controller's messages and read its state again, while no RSI program runs.
 
         Raises EKI-005 to EKI-007 for unmet requirements, EKI-008 when it refuses for another reason.
         """
@@ -201,7 +201,7 @@ class Connections:
             self.open_link = None
 
     def _open_controller(self, timeout_s: float) -> tuple[EkiClient, Identity, bool]:
-        """Connect by EKI and check that the controller runs our context for our arm; True if it says so.
+        """Connect by EKI and check that the controller runs our context for our arm; True if it reports this.
 
         Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 for a different set-up, EKI-006 when the
         controller does not report it and the option `accept_unverified` is off.
@@ -233,7 +233,7 @@ class Connections:
 
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
-    """Return the real-time process' settings; its `LinkClient` adds the descriptors."""
+    """Return the settings of the real-time process; its `LinkClient` adds the descriptors."""
     return LinkSettings(
         host=rsi.host,
         port=rsi.port,
@@ -257,7 +257,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
 
 
 class LinkRecorder:
-    """Sinks of a recorder for both connections, if any; read when a connection is opened."""
+    """Traffic recorder of both connections, if any; read when a connection is opened."""
 
     def __init__(self, arm: str) -> None:
         self._arm = arm
@@ -294,5 +294,5 @@ def _iterate_traffic(cycles: list[KeptCycle]) -> Iterator[PassedBytes]:
 
 
 def remaining_s(deadline: float) -> float:
-    """Return the time left until a deadline of the host's monotonic clock, not negative."""
+    """Return the time left until a deadline of the host's monotonic clock, at least 0."""
     return max(deadline - time.monotonic(), 0.0)

@@ -1,4 +1,4 @@
-"""Errors of the robot link: RSI for the stream, EKI for the controller's other channel."""
+"""Errors of the robot link: RSI codes for the stream, EKI codes for the other channel."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class LinkNotStarted(ConnectError):
 
 
 class NoTelegram(LinkTimeout):
-    """The controller was started but sends nothing here."""
+    """The controller was started but sends no telegrams to this computer."""
 
     code = "RSI-002"
     action = (
@@ -40,7 +40,7 @@ class LinkSilent(LinkTimeout):
 
 
 class LinkStopped(StateError):
-    """Replies were stopped on request; the controller's Timeout ends the stream."""
+    """Replies were stopped on request, so that the controller's Timeout ends the stream."""
 
     code = "RSI-004"
     action = f"Find the reason, then {ACKNOWLEDGE}."
@@ -70,7 +70,7 @@ class LinkProcessDied(DeviceError):
 
 
 class ControllerRestarted(DeviceError):
-    """The telegrams come from a run that this program did not start."""
+    """Telegrams come from a program run that this program did not start."""
 
     code = "RSI-008"
     action = f"Check who started the program, then {ACKNOWLEDGE}."
@@ -119,14 +119,14 @@ class BadTelegram(ProtocolError):
 
 
 class PoseDisagrees(DeviceError):
-    """RSI and EKI report different axes: they do not belong to one controller."""
+    """RSI and EKI report different axes, so they do not belong to the same controller."""
 
     code = "RSI-015"
     action = "Check that the endpoints rsi and eki_project belong to the same controller."
 
 
 class PathFailed(LimitError):
-    """A path had no solution partway; the arm was stopped along its joints."""
+    """A path had no solution at some point, and the arm was stopped in joint space."""
 
     code = "RSI-016"
     action = f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move."
@@ -147,7 +147,7 @@ class HandshakeFailed(DeviceError):
 
 
 class LinkUnusable(LinkTimeout):
-    """Too many replies were lost for too long: the arm was stopped."""
+    """Too many replies were lost for too long, and the arm was stopped."""
 
     code = "RSI-019"
     action = (
@@ -156,7 +156,7 @@ class LinkUnusable(LinkTimeout):
 
 
 class LinkProcessStalled(DeviceError):
-    """The real-time process is alive but has not run for too long: the controller gets no replies."""
+    """The real-time process is alive but stalled for too long: the controller gets no replies."""
 
     code = "RSI-020"
     action = (

@@ -1,4 +1,4 @@
-"""Errors for the reports of the real-time process, with the flight record attached."""
+"""Conversion of real-time process reports to errors, with the flight record attached."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def fault_error(
     message: int = 0,
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
-    """Return the error for the latched fault, None without one. `message`: the controller's, 0 for none."""
+    """Build the error for the latched fault; None without one. `message` is the controller's, 0 for none."""
     prefix = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
@@ -104,7 +104,7 @@ def fault_error(
 def start_error(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
-    """Return the error for a start without a matching telegram; names other senders."""
+    """Build the error for a start without a matching telegram, naming other senders."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counts = (
         (state.disagreeing, "reported other axes"),
@@ -158,7 +158,7 @@ def _monitor_error(
 
 
 def refusal_error(name: str, state: LinkState) -> MotionRefused | MotionStopped:
-    """Return the error for a motion refused by the real-time process, or forestalled by a stop."""
+    """Build the error for a motion refused by the real-time process, or prevented by a stop."""
     if state.result is Result.REFUSED_STOP:
         return MotionStopped(f"{name}: stopped before it began", got=axes_text(state))
     reason = _REFUSALS.get(state.result, f"result {state.result.name}")

@@ -1,4 +1,4 @@
-"""Latching of faults of the real-time process, the EKI channel, and the controller itself.
+"""Fault watch over the real-time process, the EKI channel, and the controller.
 
 The real-time process stops the arm for faults that it detects itself. Faults that only EKI reports (emergency
 stop, guard, mode, drives, a message, or a broken channel) stop the arm from here as soon as they arrive. The
@@ -30,7 +30,7 @@ EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for r
 
 
 class _Inquiry(NamedTuple):
-    """Request for the controller's state, and the end of the wait for its reply, in host time."""
+    """Pending request for the controller's state, with the host time at which waiting ends."""
 
     eki: EkiClient
     number: int
@@ -38,7 +38,7 @@ class _Inquiry(NamedTuple):
 
 
 class FaultWatch:
-    """Watch over one arm; listener of its EKI connection."""
+    """Fault watch over one arm, and listener of its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
@@ -109,7 +109,7 @@ class FaultWatch:
         self._raised_fault = self._guard.fault
 
     def raise_new(self) -> None:
-        """Raise a latched fault to the first call after it; later calls are refused and name it."""
+        """Raise a latched fault in the first call after it. Later calls are refused and name it."""
         self.check_until_certain()
         fault = self._guard.fault
         if fault is not None and fault is not self._raised_fault:
@@ -125,7 +125,7 @@ class FaultWatch:
             raise fault
 
     def on_state(self, state: ControllerState) -> None:
-        """Check a state from the controller, requested or not. Called by the EKI reader."""
+        """Check a requested or unsolicited state from the controller. Called by the EKI reader."""
         self.check()
         if self._guard.state not in RUNNING:
             return
@@ -134,11 +134,11 @@ class FaultWatch:
             self._stop_for(stop_error)
 
     def on_silence(self) -> None:
-        """Check for a silence that is too long. Called by the EKI reader."""
+        """Check whether a silence is too long. Called by the EKI reader."""
         self.check()
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Stop for a broken channel: an emergency stop would no longer be reported."""
+        """Stop for a broken channel, which could no longer report an emergency stop."""
         if self._guard.state in RUNNING:
             with contextlib.suppress(Exception):  # perhaps the reader's own failure: the arm is stopped
                 self.check()
@@ -158,7 +158,7 @@ class FaultWatch:
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
     def _find_following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
-        """Return why the axes no longer follow: the controller's reason if it has one; None while unknown.
+        """Return the controller's reason why the axes no longer follow, if it has one; None while unknown.
 
         Braked axes leave their set-points before the controller's unsolicited state arrives: only its reply
         to a later request counts.

@@ -1,4 +1,4 @@
-"""Driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
+"""Driver side of the real-time process: start, heartbeat, orders, and waiting for results."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ TrafficHandler = Callable[[list[KeptCycle], int], None]  # called with cycles, a
 
 
 class LinkClient:
-    """Real-time process with its mailbox. All calls may come from any thread."""
+    """Client of the real-time process and its mailbox; thread-safe."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class LinkClient:
         timeout_s: float = START_TIMEOUT_S,
         on_traffic: TrafficHandler | None = None,
     ) -> None:
-        """Start the process, with descriptors of its own in the settings. Raises RSI-001.
+        """Start the process, with its own descriptors in the settings. Raises RSI-001.
 
         `on_traffic` is called from a thread of this object with the link's traffic.
         """
@@ -93,17 +93,17 @@ class LinkClient:
 
     @property
     def state(self) -> LinkState:
-        """The last state published by the process."""
+        """Last state published by the process."""
         return self.mailbox.read_state()
 
     @property
     def alive(self) -> bool:
-        """True while the process runs."""
+        """Whether the process is running."""
         return self.process.poll() is None
 
     @property
     def stalled_s(self) -> float:
-        """Host time since the process was last seen running; it reports every 10 ms."""
+        """Host time since the process was last seen running. It reports every 10 ms."""
         heartbeat_ns = self.mailbox.read_alive_ns()
         return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 
@@ -115,7 +115,7 @@ class LinkClient:
         axes_rad: JointVector | None = None,
         limits: MotionLimits | None = None,
     ) -> int:
-        """Give a command; return its number. A motion is overridden by any stop after `stop_number`.
+        """Send a command; return its number. Any stop after `stop_number` overrides a motion.
 
         For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
         """
@@ -131,12 +131,12 @@ class LinkClient:
             return self._command_count
 
     def surround(self, surroundings: Surroundings) -> None:
-        """Set the surroundings that the next motions are monitored against."""
+        """Set the surroundings for monitoring the next motions."""
         if surroundings != self.surroundings:  # the real-time process reads only changes
             self.surroundings = surroundings
 
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop, which takes effect with the next reply; return its number.
+        """Order a stop that takes effect with the next reply; return its number.
 
         A weaker stop does not replace a stronger one of the same stream: the process may not have seen it.
         """
@@ -147,7 +147,7 @@ class LinkClient:
             return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait for a state that meets the condition; None after the time limit (host time).
+        """Wait for a state that meets a condition; None after the time limit (host time).
 
         Raises RSI-007 when the process has ended.
         """
@@ -165,7 +165,7 @@ class LinkClient:
                 self._changed.wait(min(remaining_s, HEARTBEAT_S))
 
     def death_error(self) -> LinkProcessDied:
-        """Return the error for a process that ended unexpectedly."""
+        """Build the error for a process that ended unexpectedly."""
         if self._end_reason is None:
             self._end_reason = self._read_end_reason()
         return LinkProcessDied(f"the real-time process ended: {self._end_reason}")

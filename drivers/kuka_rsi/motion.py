@@ -1,4 +1,4 @@
-"""Motions of one arm: planned within its limits and clear of its surroundings, then followed to their end."""
+"""Motions of one arm: planned within limits and clear of obstacles, then followed to their end."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
 class MotionPlanner:
-    """Planner of one arm's motions; `surroundings` may be replaced between motions."""
+    """Motion planner of one arm; `surroundings` may be replaced between motions."""
 
     def __init__(self, name: str, kinematics: Kinematics, options: KukaOptions, cycle_s: float) -> None:
         self._name = name
@@ -54,18 +54,18 @@ class MotionPlanner:
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
     def clear_plan(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
-        """Return the plan with speed limits along its path; raises ARM-007 if anything comes too close."""
+        """Return the plan with speed limits along its path; raises ARM-007 if clearance is violated."""
         path = sweep_path(self._kinematics, plan, self.surroundings)
         path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path, self.limits(mode).body_speed_mm_s)
 
     def preview(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> PathPreview:
-        """Preview a motion as planned and cleared; raises the errors of `plan`."""
+        """Preview a planned and cleared motion; raises the errors of `plan`."""
         return preview_motion(self._kinematics, start_rad, motion, self.surroundings, self.limits(mode))
 
 
 class MotionFollower:
-    """Follower of one motion at a time in the real-time process."""
+    """Supervisor of one motion at a time in the real-time process."""
 
     def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name
@@ -89,12 +89,12 @@ class MotionFollower:
             self._motion_lock.release()
 
     def await_end(self, timeout_s: float) -> None:
-        """Wait until another thread has noticed the stop of its motion, before the link ends."""
+        """Wait until another thread has noticed that its motion was stopped, before the link ends."""
         if self._motion_lock.acquire(timeout=max(0.0, timeout_s)):
             self._motion_lock.release()
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait like `LinkClient.wait`, and latch the end of the real-time process."""
+        """Wait like `LinkClient.wait`, and latch a fault if the real-time process ends."""
         try:
             return self._connections.link.wait(condition, timeout_s)
         except LinkProcessDied as error:

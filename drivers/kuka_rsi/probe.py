@@ -1,4 +1,4 @@
-"""Diagnosis of an arm that does not answer, and search for controllers on the networks.
+"""Diagnosis of an unresponsive arm, and search for controllers on the networks.
 
 A controller serves one EKI client at a time and needs a moment before the next, so there is only one
 connection, the driver's own.
@@ -53,14 +53,14 @@ STREAM = (
 
 
 class KukaProbe:
-    """Probe of this driver; `find` serves a new theatre file."""
+    """Probe of the KUKA driver; `find` serves a new theatre file."""
 
     table = "robot"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
-        """Check the stream's port, then the controller. Sends nothing to the stream, moves nothing."""
+        """Check the stream's port, then the controller, without sending telegrams or moving anything."""
         streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
         ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
         return (*ports, *connect_and_identify(name, config, KukaRsiArm, inspect=inspect))
@@ -88,7 +88,7 @@ probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Test by binding and releasing whether the driver can listen where the controller sends."""
+    """Check by binding and releasing whether the driver can receive telegrams at its port."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
@@ -135,7 +135,7 @@ def _find_listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
 
 
 def _list_hosts(interface: Interface) -> list[str]:
-    """List the addresses of one network except our own; on loopback only its own."""
+    """List the addresses of one network except our own; for loopback, only the interface's address."""
     if interface.loopback:
         return [interface.address]
     network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
@@ -151,7 +151,7 @@ def _is_listening(host: str) -> bool:
 
 
 def _make_proposal(controller: Endpoint, stream: str) -> Proposal:
-    """Propose a controller as far as it can be identified, even if it is silent or serves another client."""
+    """Propose a controller with all that is known, even if it is silent or serves another client."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
     what, variant, absent = "a controller", None, ""
     try:

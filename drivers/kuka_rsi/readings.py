@@ -1,4 +1,4 @@
-"""Readings and readiness of the arm, from the stream and from the controller's EKI state."""
+"""Arm readings and readiness, from the stream and from the controller's EKI state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person 
 
 
 class ArmReadings:
-    """Numbered readings of one arm; keeps the latest for observers."""
+    """Numbered readings of one arm; the latest is kept for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections
@@ -34,17 +34,17 @@ class ArmReadings:
         self._newest: ArmReading | None = None
 
     def stamp(self, device_clock: int = 0) -> Stamp:
-        """Return the stamp of the next reading."""
+        """Return the time stamp for the next reading."""
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
 
     def from_stream(self, state: LinkState) -> ArmReading:
-        """Make a reading of the last telegram's axes."""
+        """Build a reading from the axes of the last telegram."""
         self._newest = self._make_stream_reading(state, self.stamp(state.IPOC))
         return self._newest
 
     def from_controller(self, state: ControllerState) -> ArmReading:
-        """Make a reading of the axes in a requested `State`."""
+        """Build a reading from the axes in a requested `State`."""
         self._newest = self._make_controller_reading(state, self.stamp())
         return self._newest
 
@@ -84,7 +84,7 @@ class ArmReadings:
 
 
 def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """List the settings that the controller reports unsolicited; nothing before its first report.
+    """Yield the settings that the controller reports unsolicited; nothing before its first report.
 
     Drives that are off are no objection: `activate` switches them on.
     """
@@ -106,7 +106,7 @@ def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
 
 
 def _brakes_fact(state: ControllerState) -> Fact:
-    """Report the brakes. With drives on they may be closed: the controller closes them after a while."""
+    """Report the brakes, which the controller may close after a while even with drives on."""
     if state.open_brakes is None:
         drives_text = "normally released while the drives are on" if state.drives else "the drives are off"
         return Fact("brakes", f"not reported; {drives_text}")

@@ -1,4 +1,4 @@
-"""NDI Polaris optical tracker (Spectra, Vicra) over serial or TCP."""
+"""Driver for NDI Polaris optical trackers (Spectra, Vicra) over serial or TCP."""
 
 from drivers.ndi_polaris.driver import PolarisTracker
 

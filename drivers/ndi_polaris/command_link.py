@@ -1,4 +1,4 @@
-"""Commands and replies over a line: framing with CRC, time limits, resynchronisation after a disturbance.
+"""Command link: framing with CRC, time limits, and resynchronisation after a disturbance.
 
 Replies carry no number, so a late reply looks like the next one. Therefore input is flushed before each
 command; bytes found there, a time-out or a broken reply leave the link *unsettled*. An unsettled link first
@@ -54,7 +54,7 @@ _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a b
 
 @dataclass
 class LinkStatistics:
-    """Counts since the link was opened."""
+    """Link statistics since the link was opened."""
 
     commands: int = 0
     retries: int = 0
@@ -67,7 +67,7 @@ class _Echo(Enum):
 
 
 class CommandLink:
-    """Commands and replies over one transport; one thread at a time."""
+    """Command link over one transport. Use from one thread at a time."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class CommandLink:
         self._echoes = 0
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
-        """Use these time limits, in seconds by command; other commands keep theirs."""
+        """Adopt these time limits, in seconds by command; other commands keep theirs."""
         self._limits_s = {**self._limits_s, **limits_s}
 
     def ask(
@@ -98,7 +98,7 @@ class CommandLink:
         reply_bytes: int = ORDINARY_REPLY_BYTES,
         retry: bool = True,
     ) -> str:
-        """Send a command and return the text of its reply, OKAY and WARNINGhh included.
+        """Send a command and return the text of its reply, including OKAY and WARNINGhh.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
         `deadline_s`. With `retry` a disturbed exchange is repeated once, so use it only for commands that may
@@ -140,7 +140,7 @@ class CommandLink:
         return discarded
 
     def mark_unsettled(self) -> None:
-        """Resynchronise before the next command: the caller has seen an implausible reply."""
+        """Request resynchronisation before the next command, after an implausible reply."""
         self._settled = False
 
     def settle(self) -> None:
@@ -225,7 +225,7 @@ class CommandLink:
             raise error
 
     def _receive(self, until_s: float, binary: bool) -> tuple[Reply | None, bytes]:
-        """Read until a reply is complete or `until_s` has come: (reply or None, remaining bytes)."""
+        """Read until a reply is complete or `until_s` is reached: (reply or None, remaining bytes)."""
         buffer = b""
         while True:
             if binary and buffer[:1] == BX_START_BYTES[:1]:
@@ -246,7 +246,7 @@ class CommandLink:
             buffer += data
 
     def _check_stale_input(self) -> None:
-        """Flush the input before a command; anything found there unsettles the link."""
+        """Flush the input before a command; unexpected bytes mark the link as unsettled."""
         if not (stale := self.transport.read(0.0)):
             return
         stale += self.drain(0.0)
@@ -327,7 +327,7 @@ def _has_valid_crc(line: bytes) -> bool:
 
 
 def split_ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
+    """Split off the first reply ending in CR: (line without CR, rest), or None while incomplete."""
     line, end, rest = buffer.partition(ndi.CR)
     return (line, rest) if end else None
 
@@ -348,7 +348,7 @@ def _header_crc(header: bytes) -> int:
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first binary reply: (its body, rest), or None while incomplete.
+    """Split off the first binary reply: (body, rest), or None while incomplete.
 
     Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
     """
@@ -375,7 +375,7 @@ def unit_error(text: str, command: str = "") -> UnitError | None:
 
 
 def warning_meaning(text: str) -> str | None:
-    """Return the meaning of a WARNING reply, else None; the command was executed nevertheless."""
+    """Return the meaning of a WARNING reply, else None. The command was executed nevertheless."""
     match = _WARNING.fullmatch(text)
     if not match:
         return None

@@ -1,4 +1,4 @@
-"""Find a unit on a line, initialise it, and switch to the fastest baud rate that works."""
+"""Unit discovery on a line, initialisation, and selection of the fastest usable baud rate."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Set the line to a rate at which the unit replies.
+    """Find the baud rate at which the unit replies, and set the line to it.
 
     Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
     """
@@ -90,7 +90,7 @@ def initialise(link: CommandLink) -> None:
 
 
 def await_reset(link: CommandLink) -> bool:
-    """Wait for RESET after a break or the RESET command; False if it does not come in time."""
+    """Wait for RESET after a break or the RESET command; False if it does not arrive in time."""
     until_s = min(link.deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
     while (remaining_s := until_s - link.monotonic()) > 0:
@@ -159,7 +159,7 @@ class Inquiry(NamedTuple):
 
 
 def inquire(link: CommandLink) -> Inquiry:
-    """Send a command that changes nothing, twice if the first reply is garbled.
+    """Send a command without side effects, twice if the first reply is garbled.
 
     Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
     """
@@ -197,7 +197,7 @@ def _inquire_once(link: CommandLink) -> Inquiry:
 
 
 def _find_last_reply(heard: bytes) -> str | None:
-    """Return the text of the last reply with a valid CRC, ignoring our own command from a loop-back."""
+    """Return the text of the last reply with a valid CRC, ignoring loop-back of our own command."""
     echo = f"{INQUIRY_COMMAND}:"
     texts = (trailing_text(line) for line in reversed(heard.split(ndi.CR)[:-1]))
     return next((text for text in texts if text and text != echo), None)

@@ -1,4 +1,4 @@
-"""NDI Polaris (Spectra, Vicra and compatible units) on serial or TCP as an `OpticalTracker`."""
+"""NDI Polaris units (Spectra, Vicra and compatible) on serial or TCP as an `OpticalTracker`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,10 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """One Polaris unit. Calls are synchronous, one thread at a time; time limits in seconds of host time."""
+    """Driver of one Polaris unit. Calls are synchronous, from one thread at a time.
+
+    Time limits are host seconds.
+    """
 
     wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
 
@@ -74,7 +77,7 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and tool definitions; open nothing.
+        """Check options and tool definitions without opening anything.
 
         Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
@@ -112,7 +115,7 @@ class PolarisTracker:
 
     @property
     def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
+        """Error that latched FAULT, if any."""
         return self._guard.fault
 
     @property
@@ -130,7 +133,7 @@ class PolarisTracker:
 
     @property
     def identity(self) -> Identity | None:
-        """Identity of the unit found by `connect`."""
+        """Identity of the connected unit."""
         return self._identity
 
     @property
@@ -140,27 +143,27 @@ class PolarisTracker:
 
     @property
     def volume(self) -> MeasuringVolume | None:
-        """Measuring volume in use; None before `configure`, or when the unit does not report it."""
+        """Measuring volume in use; None before `configure`, or if the unit does not report it."""
         return self._volume
 
     @property
     def volume_sections_mm(self) -> tuple[Section, ...]:
-        """Sections of the measuring volume, see `BoundedTracker`."""
+        """Sections of the measuring volume; see `BoundedTracker`."""
         return () if self._volume is None else self._volume.sections_mm
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """Waiting times of the last replies, see `TimedTracker`."""
+        """Recent reply times; see `TimedTracker`."""
         return self._tracking.replies_s if self._tracking else ()
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but should be known."""
+        """Observations at `configure` that are not errors but matter to the operator."""
         return tuple(self._notices)
 
     @property
     def statistics(self) -> TrackingStatistics:
-        """Counts of the current or last run of tracking."""
+        """Counts of the current or last tracking run."""
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
     def observe(self) -> LastKnown[TrackerFrame]:
@@ -197,7 +200,7 @@ class PolarisTracker:
         )
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start tracking, with the frame number from 0."""
+        """Start tracking, with frame numbers from 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         self._run_guarded(self._tracking_run.start, timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
@@ -209,7 +212,7 @@ class PolarisTracker:
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """Read the next frame by one request to the unit, or two when the first reply was disturbed.
+        """Read the next frame by one request to the unit, or two if the first reply was disturbed.
 
         Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
         unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with

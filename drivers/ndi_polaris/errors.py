@@ -1,4 +1,4 @@
-"""Errors of the tracker, NDI-001 to NDI-037; NDI-03x are the ERRORhh replies of the unit.
+"""Errors of the tracker, NDI-001 to NDI-037. NDI-03x are the ERRORhh replies of the unit.
 
 `error_for(hh)` maps each vendor code to its type; `vendor_code` keeps the number.
 """
@@ -59,14 +59,14 @@ class BadReplyCrc(ProtocolError):
 
 
 class MalformedReply(ProtocolError):
-    """A reply has a valid CRC but not the form of its command."""
+    """A reply has a valid CRC, but not the form required by its command."""
 
     code = "NDI-006"
     action = "Check the firmware version of the unit; keep the bytes for a report."
 
 
 class NoReply(LinkTimeout):
-    """The unit did not reply in time; it may only be slow."""
+    """The unit did not reply in time, possibly because it is slow."""
 
     code = "NDI-007"
     action = "Try again: the next command resynchronises the link first."
@@ -88,7 +88,7 @@ class UnitRestarted(DeviceError):
 
 
 class BadOptions(ConfigurationError):
-    """The tracker's options in the theatre file have mistakes; all of them are listed."""
+    """Tracker options in the theatre file have mistakes, which are all listed."""
 
     code = "NDI-010"
     action = "Correct the tracker's options; docs/reference/tracker-options.md lists them."
@@ -109,7 +109,7 @@ class SameGeometry(ConfigurationError):
 
 
 class ForeignTool(DataError):
-    """A definition is valid but is not that of this tool."""
+    """A definition is valid but belongs to another tool."""
 
     code = "NDI-013"
     action = "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file."
@@ -123,7 +123,7 @@ class HardwareFailure(DeviceError):
 
 
 class SensorBumped(DeviceError):
-    """The unit was bumped: it may have moved, and its calibration may have suffered."""
+    """The unit was bumped: it may have moved or lost its calibration."""
 
     code = "NDI-021"
     action = f"Check the unit and its stand, then {ACKNOWLEDGE}. Repeat all measurements made with the unit."
@@ -131,7 +131,7 @@ class SensorBumped(DeviceError):
 
 
 class TemperatureHold(DeviceError):
-    """The unit has not warmed up, or is too hot; it withholds poses in the meantime."""
+    """The unit is too cold or too hot and withholds poses."""
 
     code = "NDI-022"
     action = "Wait: tracking resumes by itself when the temperature is in range."
@@ -168,7 +168,7 @@ class CommandGarbled(UnitError):
 
 
 class WrongMode(UnitError):
-    """The command is not valid in the current mode of the unit, such as tracking."""
+    """A command is not valid in the current mode of the unit, such as tracking."""
 
     code = "NDI-032"
     action = "Another program may be using the unit, or its watchdog stopped tracking; activate again."
@@ -176,7 +176,7 @@ class WrongMode(UnitError):
 
 
 class NotInitialised(UnitError):
-    """The unit needs INIT first: it has just been powered up or reset."""
+    """The unit needs INIT first, having just been powered up or reset."""
 
     code = "NDI-033"
     action = "Reconnect; if it happens while connected, the unit has restarted."
@@ -192,7 +192,7 @@ class HandleRefused(UnitError):
 
 
 class ToolRefused(UnitError):
-    """The unit rejects a tool definition, or rejects it together with the others."""
+    """The unit rejects a tool definition, alone or in combination with the others."""
 
     code = "NDI-035"
     action = "Check the tool's .rom, the number of tools and the selected volume."
@@ -200,7 +200,7 @@ class ToolRefused(UnitError):
 
 
 class NotOffered(UnitError):
-    """This unit does not have that feature, parameter, volume or line setting."""
+    """The unit lacks this feature, parameter, volume or line setting."""
 
     code = "NDI-036"
     action = "Omit the option, or use a unit that has it."
@@ -231,5 +231,5 @@ _BY_VENDOR_CODE: dict[int, type[UnitError]] = {
 
 
 def error_for(vendor_code: int, command: str = "") -> UnitError:
-    """Return the typed error for ERRORhh in reply to `command`."""
+    """Build the typed error for an ERRORhh reply to `command`."""
     return _BY_VENDOR_CODE.get(vendor_code, UnitFault)(vendor_code, command)

@@ -1,4 +1,4 @@
-"""Check of a tracker's line below the driver: answering rate, users of the port, and advice.
+"""Low-level check of a tracker's line: responding baud rate, other users of the port, advice.
 
 The inquiry is the driver's own: every unit answers it, and it changes nothing. A unit is never reset for
 this, not even by a break. A line opened by another program is left alone. So is a server that speaks first,
@@ -50,7 +50,7 @@ class Opening(StrEnum):
 
 
 class Outcome(StrEnum):
-    """Result of an inquiry at one rate."""
+    """Result of an inquiry at one baud rate."""
 
     ANSWERED = "answered"
     GARBAGE = "garbage"
@@ -62,7 +62,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """Inquiry at one rate: the end of the bytes received, and the text of a reply with a valid CRC."""
+    """Inquiry at one baud rate: the last bytes received, and the text of a reply with a valid CRC."""
 
     baud: int | None  # None over TCP
     outcome: Outcome
@@ -72,7 +72,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class LineState:
-    """Observations on one line."""
+    """Findings on one line."""
 
     endpoint: Endpoint
     opening: Opening
@@ -82,12 +82,12 @@ class LineState:
 
     @property
     def answered_attempt(self) -> Attempt | None:
-        """The attempt that got a reply, if any."""
+        """Attempt that got a reply, if any."""
         return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
 
     @property
     def last_bytes(self) -> bytes:
-        """The end of the bytes received last."""
+        """Last bytes received on the line."""
         return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
 
 
@@ -100,7 +100,7 @@ _OPENING_BY_ERROR = {
 
 
 def check_line(endpoint: Endpoint) -> LineState:
-    """Check a serial or TCP line; never raises for its behaviour, CFG-002 for other schemes."""
+    """Check a serial or TCP line. Never raises for line behaviour; CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)
@@ -157,7 +157,7 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
 
 
 def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
-    """Return the doctor's entry for a line, with the bytes of every attempt.
+    """Return the doctor's finding for a line, with the bytes of every attempt.
 
     Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
     """

@@ -1,4 +1,4 @@
-"""Measuring volume as read from the unit; the driver itself tests positions against it."""
+"""Measuring volume as read from the unit, against which the driver itself tests positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DIMENSION = re.compile(rf"[+-][0-9]{{{ndi.SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """Measuring volume in tracker coordinates, mm: a pyramid with a knee, all of it at negative z."""
+    """Measuring volume in tracker coordinates, mm: a pyramid with a knee, entirely at negative z."""
 
     shape: str
     far_z_mm: float  # D1
@@ -35,7 +35,7 @@ class MeasuringVolume:
     cap_x_mm: float  # D10
 
     def contains(self, position_mm: Vector3) -> bool | None:
-        """Test a position; None when the formula of this shape is unknown."""
+        """Return whether a position is inside; None if the formula of this shape is unknown."""
         if self.shape != PYRAMID_SHAPE:
             return None
         x, y, z = position_mm
@@ -56,7 +56,7 @@ class MeasuringVolume:
         return tuple((z, *self._half_extents_mm(z)) for z in bends_mm)
 
     def _half_extents_mm(self, z_mm: float) -> tuple[float, float]:
-        """Return half the extent along x and along y."""
+        """Return half the extent along x and along y, mm."""
         behind_knee_mm = self.knee_z_mm - z_mm
         slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
         half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)

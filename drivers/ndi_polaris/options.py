@@ -1,4 +1,4 @@
-"""Options of the tracker in the theatre file.
+"""Tracker options in the theatre file.
 
 [tracker.options]
 tools = [{ name = "robot_frame", rom = "robot_frame.rom" }]
@@ -23,7 +23,7 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
 class ToolOption(Strict):
-    """One passive tool to load."""
+    """Passive tool to load."""
 
     name: Annotated[str, Field(min_length=1, description="Name of the tool in readings and calibrations.")]
     rom: Annotated[
@@ -56,7 +56,7 @@ class ToolOption(Strict):
 
 
 class PolarisOptions(Strict):
-    """Options of a Polaris unit; every default works."""
+    """Options of a Polaris unit, all with working defaults."""
 
     tools: Annotated[
         tuple[ToolOption, ...],
@@ -118,5 +118,5 @@ class PolarisOptions(Strict):
 
 
 def read_options(config: DeviceConfig) -> PolarisOptions:
-    """Parse the options of the theatre file; raises NDI-010 listing every mistake."""
+    """Parse the tracker options of the theatre file; raises NDI-010 listing every mistake."""
     return parse_options(PolarisOptions, config.options, "tracker options", BadOptions)

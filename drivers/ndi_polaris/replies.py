@@ -1,4 +1,4 @@
-"""Replies to TX and BX with the options 0001, 0800 and 1000: decoded, and assembled into readings. No I/O."""
+"""Replies to TX and BX with options 0001, 0800 and 1000, decoded and assembled into readings. No I/O."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _STRAY = re.compile(_POSITION * 3)
 
 
 class HandleReport(NamedTuple):
-    """Report on one handle: pose and error only for a tool that is seen.
+    """Report on one handle; pose and error only for a visible tool.
 
     Port status and frame also for a missing tool, neither for a disabled or unoccupied handle.
     """
@@ -54,7 +54,7 @@ class HandleReport(NamedTuple):
 
 
 class TrackingReply(NamedTuple):
-    """Content of one reply as sent, common to both decoders."""
+    """Content of one tracking reply as sent, common to both decoders."""
 
     handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]
@@ -63,7 +63,7 @@ class TrackingReply(NamedTuple):
 
 
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode the body of a BX reply, CRC checked; `strays`: option 1000 was requested.
+    """Decode the body of a BX reply, CRC already checked; `strays` if option 1000 was requested.
 
     Raises NDI-006 when the body does not match the options.
     """
@@ -119,7 +119,7 @@ def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tu
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode the text of a TX reply, CRC checked; `strays`: option 1000 was requested.
+    """Decode the text of a TX reply, CRC already checked; `strays` if option 1000 was requested.
 
     Raises NDI-006 when the text does not match the options.
     """
@@ -202,7 +202,7 @@ def _malformed_error(what: str, text: str) -> MalformedReply:
 
 
 def frame_number(reply: TrackingReply) -> int:
-    """Return the frame number of a reply; raises NDI-006 when no handle carries one."""
+    """Return the frame number of a reply; raises NDI-006 if no handle carries one."""
     numbers = [report.frame for report in reply.handles if report.frame is not None]
     if not numbers:
         raise MalformedReply("no handle of the reply carries a frame number")
@@ -218,7 +218,7 @@ def assemble_frame(
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status."""
+    """Assemble one frame of readings: STALE if repeated, PARTIAL for a doubtful system status."""
     frame = frame_number(reply)
     reports = {report.handle: report for report in reply.handles}
     readings = []
@@ -280,7 +280,7 @@ def _make_stray_readings(
 def _is_marker_of_any(
     tracked_tools: list[tuple[LoadedTool, ToolReading]], position: Vector3, nearest_mm: float
 ) -> bool:
-    """Test whether the stray is one of the tools' own markers."""
+    """Return whether the stray is one of the tools' own markers."""
     for tool, reading in tracked_tools:
         assert tool.definition is not None
         assert reading.rotation is not None
@@ -294,7 +294,7 @@ def _is_marker_of_any(
 
 
 def _normalise(rotation: Quaternion) -> Quaternion | None:
-    """Normalise a quaternion to scalar part >= 0; None if it is not a rotation."""
+    """Normalise a quaternion to a non-negative scalar part; None if it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also rejects NaN

@@ -1,4 +1,4 @@
-"""Tool definitions shipped with the driver: the robot's reference frame M and the x-shaped fiducial frame.
+"""Tool definitions shipped with the driver: robot reference frame M and the x-shaped fiducial frame.
 
 `python -P -m drivers.ndi_polaris.shipped_tools` regenerates them; a test compares the committed files.
 """
@@ -18,7 +18,7 @@ ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0)
 
 
 def build_shipped_definitions() -> dict[str, ToolDefinition]:
-    """Return the shipped definitions by file name; markers in mm, in the tool's own frame."""
+    """Build the shipped definitions by file name; markers in mm, in the tool's own frame."""
     robot_frame = make_planar_tool(
         "RONNA-M", ROBOT_FRAME_MARKERS_MM, manufacturer=MANUFACTURER, made_on=date(2025, 1, 6)
     )
@@ -33,7 +33,7 @@ def build_shipped_definitions() -> dict[str, ToolDefinition]:
 
 
 def find_definition(path: Path, folder: Path | None = None) -> Path:
-    """Resolve the path of a definition, relative to `folder` or else to the working directory.
+    """Resolve the path of a definition, relative to `folder` or else the working directory.
 
     A bare name without an existing file, with or without `.rom`, selects the shipped definition of that name.
     """

@@ -1,4 +1,4 @@
-"""Tool definitions and their .rom files. Lengths in mm, in the tool's own frame.
+"""Tool definitions and .rom files. Lengths in mm, in the tool's own frame.
 
 A property is written only where it differs from the bytes already there, so that unpublished content and the
 padding and rounding of foreign files survive reading and writing.
@@ -29,7 +29,7 @@ _SERIAL = ((layout.SERIAL_OFFSET, 4),)
 
 
 def blank_block() -> bytes:
-    """Return an empty definition: the bytes that are the same in every real file."""
+    """Return an empty definition, with the bytes common to all real files."""
     block = bytearray(layout.ROM_BYTES)
     block[: len(layout.ROM_MAGIC)] = layout.ROM_MAGIC
     block[layout.CONSTANT_ONE_OFFSET] = 1
@@ -73,7 +73,7 @@ def make_planar_tool(
     manufacturer: str,
     made_on: date,
 ) -> ToolDefinition:
-    """Make a tool with one face whose markers all face along `normal`, like most passive rigid bodies."""
+    """Build a tool with one face whose markers all point along `normal`, like most passive rigid bodies."""
     return ToolDefinition(
         part_number=part_number,
         markers_mm=markers_mm,
@@ -86,7 +86,7 @@ def make_planar_tool(
 
 
 def face_normal_of(normal: Vector3) -> Vector3:
-    """Return the normal of a face whose markers face along `normal`: real files use the opposite."""
+    """Return the face normal for markers that point along `normal`; real files use the opposite."""
     return -normal[0] or 0.0, -normal[1] or 0.0, -normal[2] or 0.0
 
 
@@ -102,7 +102,7 @@ def read_definition(path: Path) -> ToolDefinition:
 
 
 def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
-    """Parse the bytes of a .rom, zero padding allowed; raises NDI-011."""
+    """Decode the bytes of a .rom, with optional zero padding; raises NDI-011."""
     if not layout.ROM_BYTES <= len(block) <= layout.ROM_FILE_LIMIT_BYTES or any(block[layout.ROM_BYTES :]):
         raise BadToolFile(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
     if block[: len(layout.ROM_MAGIC)] != layout.ROM_MAGIC:
@@ -167,13 +167,13 @@ def _check_definition(tool: ToolDefinition, name: str = "") -> None:
 
 
 def checksum(block: bytes | bytearray) -> int:
-    """Sum all bytes after the checksum; zero padding does not change it."""
+    """Sum all bytes after the checksum field; zero padding does not change the sum."""
     return sum(block[layout.CHECKSUM_FROM :]) & 0xFFFF
 
 
 @dataclass(frozen=True)
 class Field:
-    """Property in the 752 bytes: name in `ToolDefinition`, bytes (offset, length), reader and writer."""
+    """Field of the 752 bytes: name in `ToolDefinition`, bytes (offset, length), reader and writer."""
 
     name: str
     spans: tuple[tuple[int, int], ...]

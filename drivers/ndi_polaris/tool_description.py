@@ -1,4 +1,4 @@
-"""Description of a tool: the TOML from which `ronna-rom make` writes a definition.
+"""TOML description of a tool, from which `ronna-rom make` writes a definition.
 
     part_number = "POINTER-1"
     markers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 0]]
@@ -54,7 +54,7 @@ Byte = Annotated[int, Field(ge=0, le=LARGEST_BYTE)]
 
 
 class ToolDescription(Strict):
-    """A tool as described by its maker; lengths in mm, in the tool's own frame."""
+    """Tool as described by its maker; lengths in mm, in the tool's own frame."""
 
     part_number: Annotated[str, Field(min_length=1, max_length=layout.PART_NUMBER_BYTES)]
     markers_mm: Annotated[tuple[Numbers3, ...], Field(min_length=3, max_length=layout.ROM_MARKERS)]
@@ -115,7 +115,7 @@ class ToolDescription(Strict):
 
 
 def read_description(path: Path) -> ToolDescription:
-    """Read a description; raises NDI-011 listing every mistake."""
+    """Read a tool description; raises NDI-011 listing every mistake."""
     try:
         content = read_toml(path, partial(BadToolFile, action="Correct the description."))
     except OSError as error:
@@ -164,7 +164,7 @@ def _round_vector(vector: Vector3) -> list[float]:
 
 
 def _round_single(value: float) -> float:
-    """Round to the shortest number that is the same in single precision, as in files."""
+    """Round to the shortest number with the same single-precision value, as stored in files."""
     return float(f"{value:.7g}")
 
 

@@ -108,7 +108,7 @@ def _initialise(link: CommandLink, handle: int, name: str, note: Callable[[str],
 
 
 def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefinition) -> str | None:
-    """Return a notice if serial or part number differs; raises NDI-013 if both do.
+    """Return a notice if serial or part number differs; raises NDI-013 if both differ.
 
     Either byte order of the serial number is accepted, since firmware differs. A unit
     without PHINF is trusted.
@@ -133,7 +133,7 @@ def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefi
 
 
 def request_handle(link: CommandLink, argument: str) -> int:
-    """Request a handle by PHRQ, which is never repeated: a lost reply would leak a handle."""
+    """Request a handle by PHRQ without retries, as a lost reply would leak a handle."""
     text = link.ask("PHRQ", argument, retry=False)
     try:
         handle = int(text, 16)
@@ -145,7 +145,7 @@ def request_handle(link: CommandLink, argument: str) -> int:
 
 
 def free_handle(link: CommandLink, handle: int) -> None:
-    """Free one handle; freeing a free one is not an error."""
+    """Free a handle. Freeing a free handle is not an error."""
     try:
         link.ask("PHF", f"{handle:02X}")
     except HandleRefused:

@@ -1,4 +1,4 @@
-"""Tracking from TSTART to TSTOP: one request per reading, in the order of the unit's frame numbers."""
+"""Tracking from TSTART to TSTOP, with one request per reading, in frame number order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
 @dataclass
 class TrackingStatistics:
-    """Counts since `start`, from the unit's frame numbers."""
+    """Frame statistics since `start`, from the unit's frame numbers."""
 
     frames: int = 0
     repeated: int = 0
@@ -45,7 +45,7 @@ class TrackingStatistics:
 
 
 class Tracking:
-    """Tracking with a configured unit: tools, volume, clock."""
+    """Tracking run of a configured unit, with its tools, volume and clock."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class Tracking:
         )
 
     def _request_newest(self) -> tuple[TrackingReply, int]:
-        """Request a reply and its frame count, again if it is older than the previous one."""
+        """Request a reply and its frame count, once more if it is older than the previous one."""
         for _ in range(2):
             reply = self._request()
             count = unwrap_frame_number(frame_number(reply), self._last_count)
@@ -147,7 +147,7 @@ class Tracking:
 
 
 def stop_tracking(link: CommandLink) -> None:
-    """Send TSTOP; a unit that is not tracking is not an error."""
+    """Send TSTOP. A unit that is not tracking is not an error."""
     try:
         link.ask("TSTOP")
     except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
@@ -155,7 +155,7 @@ def stop_tracking(link: CommandLink) -> None:
 
 
 class FrameClock:
-    """Frame numbers of one run of tracking, unwrapped and fitted to theatre time by a line.
+    """Unwrapped frame numbers of one tracking run, with a linear fit to theatre time.
 
     The delay of a reply is never negative, so the least delayed replies lie on the lower edge of time over
     frame number. The least delayed reply of each second is kept. The slope is the median over all pairs of
@@ -175,7 +175,7 @@ class FrameClock:
         self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
 
     def add_reply(self, count: int, arrived_s: float) -> float:
-        """Add a reply for frame `count`; return the fitted theatre time of that frame."""
+        """Add a reply for frame `count`; return the fitted theatre time of the frame."""
         if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
             self._reset()
         window = count // WINDOW_FRAMES
@@ -202,7 +202,7 @@ class FrameClock:
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:
-    """Unwrap a frame number: the count nearest to `last` that is congruent to `number`.
+    """Unwrap a frame number to the count nearest `last` that is congruent to `number`.
 
     A result below `last` is an older frame.
     """

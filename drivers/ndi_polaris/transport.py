@@ -1,4 +1,4 @@
-"""Byte transport to the unit: serial line (or pseudo-terminal) or TCP, recorded if wanted."""
+"""Byte transport to the unit by serial line, pseudo-terminal or TCP, optionally recorded."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial
 
 
 class Transport(Protocol):
-    """Byte stream in both directions; `baud` is None where a rate has no meaning."""
+    """Bidirectional byte stream; `baud` is None where it has no meaning."""
 
     @property
     def baud(self) -> int | None: ...
 
     def write(self, data: bytes) -> None:
-        """Send everything; raises NDI-008 when the peer is gone."""
+        """Send all bytes; raises NDI-008 if the peer is gone."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
@@ -71,7 +71,7 @@ class Transport(Protocol):
 
 
 def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
-    """Open a serial:// or tcp:// endpoint; raises NDI-001 when it cannot be opened, CFG-002 for others."""
+    """Open a serial:// or tcp:// endpoint; raises NDI-001 if it cannot be opened, CFG-002 for others."""
     endpoint.require("serial", "tcp")
     if endpoint.scheme == "serial":
         return SerialTransport(endpoint)
@@ -79,7 +79,7 @@ def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
 
 
 class _Descriptor:
-    """File descriptor that is read and written with time limits."""
+    """File descriptor with time limits for reading and writing."""
 
     def __init__(self, endpoint: Endpoint, descriptor: int) -> None:
         self._endpoint = endpoint
@@ -111,7 +111,7 @@ class _Descriptor:
         return data
 
     def _write_slowly(self, data: bytes) -> None:
-        """Send what did not fit into the buffers; raises NDI-008 if the peer does not read."""
+        """Send the bytes that did not fit into the buffers; raises NDI-008 if the peer does not read."""
         writable = select.poll()
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
@@ -127,7 +127,7 @@ class _Descriptor:
                 raise self._lost_error(error) from error
 
     def _forget(self) -> None:
-        """Keep later calls from reaching a file that reuses the closed descriptor."""
+        """Forget the closed descriptor, so that later calls cannot reach a file that reuses it."""
         self._descriptor = CLOSED
 
     def _lost_error(self, error: OSError) -> LinkLost:
@@ -207,7 +207,7 @@ class TcpTransport(_Descriptor):
 
 
 def _unavailable_error(endpoint: Endpoint, error: Exception) -> PortUnavailable:
-    """Return the error with advice for its cause."""
+    """Build the error with advice for its cause."""
     number, reason = _error_number(error), _error_reason(error)
     users = find_serial_port_users(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
     holder_text = f", {' and '.join(map(str, users))}" if users else ""
@@ -219,7 +219,7 @@ def _unavailable_error(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 
 def _error_number(error: Exception) -> int | None:
-    """Return the errno of an error; for a file that is not a port, pyserial keeps it in the cause."""
+    """Return the errno of an error, which pyserial keeps in the cause for a file that is not a port."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):
@@ -236,7 +236,7 @@ def _error_reason(error: Exception) -> str:
 
 
 class RecordedTransport:
-    """Transport that passes its traffic on to a recorder."""
+    """Transport that passes its traffic to a recorder."""
 
     def __init__(self, transport: Transport, link: str, sink: ByteSink) -> None:
         self._transport = transport

@@ -1,4 +1,4 @@
-"""State of the unit: identity, user parameters, alerts, illuminator rate, time limits."""
+"""State of the tracker unit: identity, user parameters, alerts, illuminator rate, time limits."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def read_identity(link: CommandLink) -> Identity:
 
 
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
-    """Raise NDI-004 when model or serial number is not the expected one; None accepts any."""
+    """Raise NDI-004 if model or serial number is not as expected; None accepts any."""
     if model is not None and model.lower() not in identity.model.lower():
         raise WrongUnit("wrong model of unit", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
@@ -86,7 +86,7 @@ def check_identity(identity: Identity, model: str | None, serial: str | None) ->
 
 
 def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:
-    """Return the reply, or an empty text when the unit lacks the command or parameter."""
+    """Return the reply, or an empty text if the unit lacks the command or parameter."""
     try:
         return link.ask(name, argument, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:
@@ -126,7 +126,7 @@ def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
 
 
 def read_new_alerts(link: CommandLink) -> Alert:
-    """Read the alerts raised since the last reading; this clears the pending bit."""
+    """Read the alerts raised since the last reading, which clears the pending bit."""
     value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
     alerts = parse_whole_number(value)
     if alerts is None:
@@ -156,7 +156,7 @@ def set_illuminator_rate(link: CommandLink, rate_hz: int) -> int:
 
 
 def read_time_limits(link: CommandLink) -> dict[str, float]:
-    """Read the unit's time limits in seconds by command; empty when it reports none."""
+    """Read the unit's time limits in seconds by command; empty if it reports none."""
     try:
         text = link.ask("GET", f"{ndi.PARAMETER_TIMEOUT_PREFIX}*", reply_bytes=TIME_LIMITS_BYTES)
     except UnitError:
@@ -172,7 +172,7 @@ def read_time_limits(link: CommandLink) -> dict[str, float]:
 
 
 def read_parameter(link: CommandLink, name: str) -> str:
-    """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 for another one."""
+    """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 if it replies with another."""
     for _ in range(2):
         text = link.ask("GET", name, reply_bytes=PARAMETER_REPLY_BYTES)
         replied_name, _, value = text.partition("=")
@@ -183,12 +183,12 @@ def read_parameter(link: CommandLink, name: str) -> str:
 
 
 def parse_whole_number(value: str) -> int | None:
-    """Parse a parameter as a whole number of 32 bits; None if it is none."""
+    """Parse a parameter as a 32-bit whole number; None if it is not one."""
     return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
 
 
 def read_parameter_or(link: CommandLink, name: str, missing: str) -> str:
-    """Read one parameter; return `missing` if the unit lacks it."""
+    """Read one parameter, or return `missing` if the unit lacks it."""
     try:
         return read_parameter(link, name)
     except UnitError:

@@ -1,1 +1,1 @@
-"""The arm: kinematics behind a neutral interface, motion, clearance, and the independent monitor."""
+"""Robot arm: vendor-neutral kinematics, motion, clearance and independent monitoring."""

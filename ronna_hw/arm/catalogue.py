@@ -1,4 +1,4 @@
-"""Known arms by their names in calibration records: this package's own, and others by entry point.
+"""Catalogue of known arms by name: those of this package, and others registered as entry points.
 
 A driver package with an arm of its own declares, for example::
 
@@ -20,7 +20,7 @@ GROUP = "ronna_hw.arms"
 
 
 def find_kinematics(name: str) -> Kinematics:
-    """Find the arm with this `Kinematics.name`; raises ARM-009 with the known names."""
+    """Find an arm by its `Kinematics.name`; raises ARM-009 listing the known names."""
     if name in (own := [str(variant) for variant in ArmVariant]):
         return kr6_r900(name)
     others = {point.name: point for point in entry_points(group=GROUP)}
@@ -32,7 +32,7 @@ def find_kinematics(name: str) -> Kinematics:
 
 
 def require_known_arm(name: str) -> str:
-    """Return the name of a known arm; a validator of models, raises ValueError with the known names."""
+    """Validate that an arm is known and return its name; raises ValueError listing the known names."""
     try:
         find_kinematics(name)
     except UnknownArm as error:

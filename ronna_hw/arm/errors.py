@@ -1,4 +1,4 @@
-"""Errors of kinematics, planning and motion of the arm."""
+"""Errors of arm kinematics, planning and motion."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class MotionInvalid(DataError):
 
 
 class NotClear(LimitError):
-    """Along the path, a body of the arm or its tool comes too close to another body."""
+    """A body of the arm or its tool comes too close to another body along the path."""
 
     code = "ARM-007"
     action = (
@@ -58,7 +58,7 @@ class SurroundingsTooLarge(DataError):
 
 
 class UnknownArm(ConfigurationError):
-    """A calibration record, or a driver, names an arm that is not in the catalogue."""
+    """A calibration record or a driver names an arm that is not in the catalogue."""
 
     code = "ARM-009"
     action = "Correct the name, or install the package that brings the arm."

@@ -1,4 +1,4 @@
-"""The neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
+"""Vendor-neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
 
 It assumes neither an axis order nor a spherical wrist.
 """
@@ -22,7 +22,7 @@ Segment = tuple[Vector3, Vector3]
 
 
 class ArmPart(StrEnum):
-    """Parts of an arm whose thickness a theatre file states (`[cell.arm]`)."""
+    """Arm parts whose thickness a theatre file states (`[cell.arm]`)."""
 
     COLUMN = "column"
     UPPER_ARM = "upper_arm"
@@ -32,7 +32,7 @@ class ArmPart(StrEnum):
 
 
 class Joint(NamedTuple):
-    """A joint of a chain. With all joints at zero every frame is parallel to the base.
+    """Joint of a chain. With all joints at zero, every frame is parallel to the base.
 
     `axis` is a unit vector, about which angles are positive; `to_next_mm` leads to the next joint, or from
     the last joint to the flange, in the frame that turns with this one.
@@ -43,7 +43,7 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """The nominal chain from the robot base through the joints to the flange.
+    """Nominal chain from the robot base through the joints to the flange.
 
     `flange_rotation` rotates the frame of the last link into that of the flange.
     """
@@ -54,7 +54,7 @@ class Chain(NamedTuple):
 
 
 class Link(NamedTuple):
-    """The body of a link: a capsule in the frame that turns with joint `joint`, counted from 0.
+    """Body of a link: a capsule in the frame that rotates with joint `joint`, counted from 0.
 
     `touches` names the preceding bodies, possibly `COLUMN_NAME`, that it touches by construction.
     """
@@ -71,25 +71,25 @@ COLUMN_NAME = "base column"
 
 
 class ArmBodies(Protocol):
-    """Positions of an arm's bodies. A tool is mounted on the flange and touches the last link only."""
+    """Positions of an arm's collision bodies. A tool on the flange touches the last link only."""
 
     @property
     def chain(self) -> Chain:
-        """The nominal chain; planning multiplies it out."""
+        """Nominal chain from base to flange."""
         ...
 
     @property
     def links(self) -> tuple[Link, ...]:
-        """The moving bodies, from the base outwards."""
+        """Moving bodies, from the base outwards."""
         ...
 
     @property
     def column_height_mm(self) -> float:
-        """Height of the first moving body's axis above the base: the fixed column ends below it."""
+        """Height of the axis of the first moving body above the base, mm; the fixed column ends below it."""
         ...
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
-        """Axes of all links in the robot base, and the pose of the flange.
+        """Return the axes of all links in the robot base, and the pose of the flange.
 
         The live monitor's own closed form, called in the real-time loop; shares no formula with the sweeps
         that multiply out `chain`.
@@ -97,7 +97,7 @@ class ArmBodies(Protocol):
         ...
 
     def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
-        """Bound on the motion of any point of links or tool (flange frame), per radian of each joint."""
+        """Bound the motion of any point of the links or tool (flange frame), mm per radian of each joint."""
         ...
 
 
@@ -108,14 +108,14 @@ RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is no violation
 
 
 class Solution(NamedTuple):
-    """Joint angles that bring the flange to a pose, with their branch."""
+    """Joint angles that bring the flange to a pose, and their branch."""
 
     branch: Branch
     joints_rad: JointVector
 
 
 class SingularMeasure(NamedTuple):
-    """Distance from the three kinds of singularity, each at most 1, and 0 at the singularity.
+    """Distances from the three kinds of singularity, each from 0 (singular) to 1.
 
     `wrist`: two wrist axes aligned; `elbow`: upper arm and forearm aligned; `shoulder`: the
     wrist on the first axis.
@@ -127,16 +127,16 @@ class SingularMeasure(NamedTuple):
 
     @property
     def least(self) -> float:
-        """Smallest of the three."""
+        """Smallest of the three distances."""
         return min(self)
 
 
 class JointRanges(Protocol):
-    """Capabilities of the joints of an arm, one value per joint from the base outwards."""
+    """Ranges and capabilities of an arm's joints, one value per joint from the base outwards."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the joints, for messages."""
+        """Joint names for messages."""
         ...
 
     @property
@@ -153,37 +153,37 @@ class JointRanges(Protocol):
 
 
 class Kinematics(JointRanges, ArmBodies, Protocol):
-    """The nominal kinematics of one arm: ROBOT <- FLANGE from joint angles, and back."""
+    """Nominal kinematics of one arm: ROBOT <- FLANGE from joint angles, and the inverse."""
 
     @property
     def name(self) -> str:
-        """Name of the arm, also in calibration records."""
+        """Name of the arm, as in calibration records."""
         ...
 
     @property
     def home_rad(self) -> JointVector:
-        """Posture from which to start work: clear of singularities, tool down and in front of the wrist."""
+        """Home posture: clear of singularities, tool pointing down in front of the wrist."""
         ...
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """All branches, the usual ones first."""
+        """All branches, the most common ones first."""
         ...
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        """Pose of the flange in the robot base, in plain floats."""
+        """Return the pose of the flange in the robot base, in plain floats."""
         ...
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """Pose of the flange as a checked transform, ROBOT <- FLANGE."""
+        """Return the pose of the flange as a checked transform, ROBOT <- FLANGE."""
         ...
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
-        """Geometric Jacobian of the flange in the base, (6, n): vx vy vz in mm, wx wy wz in rad, per rad."""
+        """Return the geometric Jacobian of the flange in the base, (6, n): mm and rad per rad."""
         ...
 
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
-        """All joint vectors within range that reach the flange pose, whole turns included.
+        """Return all joint vectors within range that reach the flange pose, including whole turns.
 
         Raises ARM-001 when the pose is out of reach, ARM-002 when a joint is undefined in a branch within the
         ranges, ARM-003 when every branch leaves the ranges.
@@ -191,24 +191,24 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def branch_of(self, joints_rad: JointVector) -> Branch:
-        """The branch of a joint vector."""
+        """Return the branch of a joint vector."""
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-        """Solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
+        """Return the solution in one branch, with the whole turns nearest to `near`. Real-time safe.
 
         Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """
         ...
 
     def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
-        """Distance of a posture from each kind of singularity."""
+        """Return the distance of a posture from each kind of singularity."""
         ...
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
-        """Angle by which the wrist is bent away from its singularity, not negative."""
+        """Return the angle by which the wrist is bent away from its singularity, not negative."""
         ...
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
-        """Angle of the joint that turns the bent wrist as a whole."""
+        """Return the angle of the joint that rotates the bent wrist as a whole."""
         ...

@@ -1,4 +1,4 @@
-"""The independent monitor: checks every set-point before it is sent, and every measured pose.
+"""Independent monitor that checks every set-point before it is sent, and every measured pose.
 
 It shares no code with the generators: it compares plain numbers with limits given at the start. It knows only
 set-points that were sent, and those that the receiver reported as not accepted.
@@ -27,7 +27,7 @@ History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """Limits per axis that the monitor compares: differences over one cycle of `cycle_s`, with a margin.
+    """Per-axis limits of the monitor, as differences over one cycle of `cycle_s`, with a margin.
 
     The corrections limit the distance from the pose at RSI_ON. `following_cycles`: the arm has to be where a
     set-point of these last cycles was, within `FOLLOWING_RAD`.
@@ -48,7 +48,7 @@ class MonitorLimits:
 def monitor_limits(
     arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
-    """Limits of a stream that started at `start_rad`: those of the arm in its operating mode.
+    """Build the limits of a stream that started at `start_rad`, for the arm's operating mode.
 
     The total correction is limited by the end switches minus the start pose, as in the context of the
     controller.
@@ -76,7 +76,7 @@ def monitor_limits(
 
 
 class Monitor:
-    """Monitor of one stream.
+    """Monitor of one stream of set-points.
 
     `check` changes nothing; `sent` and the methods after it record what happened.
     """
@@ -91,7 +91,7 @@ class Monitor:
         self._watch: LiveWatch | None = None
 
     def watch(self, watch: LiveWatch | None) -> None:
-        """Also check the clearance of the bodies from now on; call only while the arm is at rest."""
+        """Set the clearance watch; None removes it. Call only while the arm is at rest."""
         self._watch = watch
 
     @property
@@ -106,11 +106,11 @@ class Monitor:
 
     @property
     def held_rad(self) -> JointVector:
-        """The set-point that the arm follows: the last one sent, unless it was not accepted."""
+        """Set-point that the arm follows: the last one sent, unless it was not accepted."""
         return self._followed_rad
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """Return the first limit that a set-point would exceed if it were sent next, or None."""
+        """Return the first limit that this set-point would exceed if sent next, or None."""
         limits = self.limits
         latest, previous, earlier, _ = self._last
         for i in range(len(joints_rad)):
@@ -143,7 +143,7 @@ class Monitor:
         return None if self._watch is None else self._watch.check(joints_rad)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """Record that this set-point was sent."""
+        """Record a set-point as sent."""
         latest, previous, earlier, _ = self._last
         self._last = (joints_rad, latest, previous, earlier)
         self._followed_rad = joints_rad
@@ -152,7 +152,7 @@ class Monitor:
             self._watch.sent(joints_rad)
 
     def mark_not_accepted(self) -> Violation | None:
-        """Record that the last set-point was not accepted: the one before is held; recheck the step."""
+        """Record that the last set-point was not accepted, so the previous one is held; recheck the step."""
         held = self._followed_rad = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
@@ -165,19 +165,19 @@ class Monitor:
         return Violation(ViolationKind.SPEED, index + 1, step_rad / self.limits.cycle_s, most)
 
     def mark_sent_again(self) -> None:
-        """Record that the last set-point was sent again. The next is checked as if there was no pause."""
+        """Record that the last set-point was sent again. The next one is checked as if without a pause."""
         self._followed_rad = self._last[0]
         self._recent.append(self._followed_rad)
 
     def mark_at_rest(self) -> None:
-        """Record that the arm has come to rest at the held set-point, and that it was sent."""
+        """Record that the arm is at rest at the held set-point, and that this set-point was sent."""
         self._last = (self._followed_rad, self._followed_rad, self._followed_rad, self._followed_rad)
         self._recent.append(self._followed_rad)
         if self._watch is not None:
             self._watch.sent(self._followed_rad)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
-        """Check that each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
+        """Check that each measured axis lies between its set-points of the last `FOLLOWING_TIME_S`.
 
         An arm at rest must be where it was sent, a moving one where it was sent a moment ago. A clamped,
         sticking or braked arm is noticed at every speed. The value is the distance from the nearest

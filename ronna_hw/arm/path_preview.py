@@ -1,4 +1,4 @@
-"""A planned path in numbers, for people, records and JSON; `ronna_hw.preview` makes it."""
+"""Numeric preview of a planned path for people, records and JSON, made by `ronna_hw.preview`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.arm.kinematics import SingularMeasure
 
 @dataclass(frozen=True)
 class PathPreview:
-    """A planned path in numbers. Angles in rad, `largest_speed_mm_s` of anything that moves."""
+    """Numeric preview of a planned path. Angles in rad; `largest_speed_mm_s` covers everything that moves."""
 
     duration_s: float
     joint_ranges_rad: tuple[tuple[float, float], ...]
@@ -24,11 +24,11 @@ class PathPreview:
 
     @property
     def clear(self) -> bool:
-        """Whether every body keeps its distance from the others."""
+        """Whether every body keeps its minimum distance from the others."""
         return self.refused is None
 
     def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record or for JSON."""
+        """Return plain numbers for a record or for JSON."""
         closest: dict[str, Any] | None = None
         if self.closest is not None:
             closest = asdict(self.closest)

@@ -23,7 +23,10 @@ _GIMBAL_COSINE = 1e-9  # below this cos(B), only A minus or plus C is defined an
 
 
 class Pose(NamedTuple):
-    """A rigid motion: position in mm and rotation matrix, row by row. Default: flange in robot base."""
+    """Rigid motion: position in mm and row-major rotation matrix.
+
+    By default, the flange in the robot base.
+    """
 
     position_mm: Vector3 = (0.0, 0.0, 0.0)
     rotation: Rotation9 = _IDENTITY
@@ -96,7 +99,7 @@ class Pose(NamedTuple):
         return (raw[0] / n, raw[1] / n, raw[2] / n, raw[3] / n)
 
     def compose(self, other: Pose) -> Pose:
-        """Apply `self` after `other`: (a <- b).compose(b <- c) is a <- c."""
+        """Compose with `other`, which is applied first: (a <- b).compose(b <- c) is a <- c."""
         a, b = self.rotation, other.rotation
         rotation = (
             a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
@@ -112,7 +115,7 @@ class Pose(NamedTuple):
         return Pose(self.apply(other.position_mm), rotation)
 
     def inverse(self) -> Pose:
-        """The inverse motion."""
+        """Return the inverse motion."""
         r = self.rotation
         back = Pose((0.0, 0.0, 0.0), (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]))
         x, y, z = back.apply(self.position_mm)
@@ -129,11 +132,11 @@ class Pose(NamedTuple):
         )
 
     def distance_mm(self, other: Pose) -> float:
-        """Distance of the two origins."""
+        """Return the distance between the two origins, mm."""
         return math.dist(self.position_mm, other.position_mm)
 
     def angle_rad(self, other: Pose) -> float:
-        """Angle of the rotation from one orientation to the other, 0..pi; accurate near zero."""
+        """Return the rotation angle between the two orientations, 0..pi; accurate near zero."""
         w, x, y, z = self.inverse().compose(other).quaternion()
         return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 
@@ -145,7 +148,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_transform(cls, transform: Transform) -> Self:
-        """Convert a checked transform; raises FRM-001 unless it is ROBOT <- FLANGE."""
+        """Convert a checked transform; raises FRM-001 if it is not ROBOT <- FLANGE."""
         from ronna_hw.frames import Frame, FrameMismatch
 
         if (transform.target, transform.source) != (Frame.ROBOT, Frame.FLANGE):
@@ -155,7 +158,10 @@ class Pose(NamedTuple):
         return cls.from_matrix(transform.as_matrix().tolist())
 
     def to_transform(self) -> Transform:
-        """Convert to the checked transform ROBOT <- FLANGE. Imports SciPy: not for the real-time loop."""
+        """Convert to the checked transform ROBOT <- FLANGE.
+
+        Not for the real-time loop, as it imports SciPy.
+        """
         from ronna_hw.frames import Frame, Transform
 
         return Transform.of(

@@ -1,1 +1,1 @@
-"""The arm as it is: its deviations from the nominal chain, and its error budget."""
+"""The calibrated arm: deviations from the nominal chain, and the error budget."""

@@ -1,4 +1,4 @@
-"""Deviations of an arm from its nominal chain, and the command that reaches a wanted pose nevertheless.
+"""Deviations of an arm from its nominal chain, and the commanded pose that compensates them.
 
 The effective angle of a joint is
 
@@ -39,7 +39,7 @@ MOST_ROUNDS = 8  # four suffice for an uncalibrated arm away from singularities
 
 @dataclass(frozen=True)
 class ArmDeviations:
-    """Deviations of an arm of n joints, from the base outwards. Millimetres and radians."""
+    """Deviations of an arm with n joints, from the base outwards, in mm and rad."""
 
     link_translation_mm: Array  # (n, 3) at the far end of the link after each joint, in its frame
     link_rotation_rad: Array  # (n, 3) there
@@ -51,18 +51,18 @@ class ArmDeviations:
 
     @classmethod
     def none(cls, joints: int) -> Self:
-        """The nominal arm."""
+        """Return zero deviations: the nominal arm."""
         each, per_axis = np.zeros(joints), np.zeros((joints, 3))
         per_turn = np.zeros((joints, len(HARMONICS)))
         return cls(per_axis, per_axis, each, per_turn, per_turn, each, each)
 
     @classmethod
     def of(cls, record: ArmCalibration) -> Self:
-        """Take the deviations of a calibration record."""
+        """Take the deviations from a calibration record."""
         return cls(*(np.array(getattr(record, field.name)) for field in fields(cls)))
 
     def as_plain(self) -> dict[str, Any]:
-        """Values named as in a calibration record."""
+        """Return the values under their names in a calibration record."""
         plain: dict[str, Any] = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -70,12 +70,12 @@ class ArmDeviations:
         return plain
 
     def flat(self) -> Array:
-        """All values in one vector, field by field."""
+        """Concatenate all values into one vector, field by field."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
     @classmethod
     def from_flat(cls, row: Array, joints: int) -> Self:
-        """Restore the deviations from a vector of `flat`."""
+        """Restore the deviations from a `flat` vector."""
         parts, begin = [], 0
         for field in fields(cls):
             shape = getattr(cls.none(joints), field.name).shape
@@ -86,14 +86,14 @@ class ArmDeviations:
 
 
 class Compensation(NamedTuple):
-    """Joints that bring the flange to the wanted pose, and the pose to command for it."""
+    """Joints that bring the flange to the wanted pose, and the pose to command."""
 
     joints_rad: JointVector
     commanded: Pose
 
 
 class CalibratedArm:
-    """An arm with its deviations; without any, exactly the nominal arm."""
+    """Arm with its deviations; without any, exactly the nominal arm."""
 
     def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
         self.nominal = nominal
@@ -101,11 +101,11 @@ class CalibratedArm:
 
     @property
     def is_nominal(self) -> bool:
-        """Whether no deviations of this arm are known."""
+        """Whether the arm has no known deviations."""
         return self._deviations is None
 
     def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
-        """Pose of the flange in the robot base.
+        """Return the pose of the flange in the robot base.
 
         `flanks`, +1 or -1, give the side of its backlash on which each joint rests: the direction in which it
         arrived. Without them, each joint is assumed to be in the middle.
@@ -117,7 +117,7 @@ class CalibratedArm:
         return Pose.from_matrix(pose.tolist())
 
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
-        """The room in the controller's own coordinates, exact at these joints.
+        """Transform the surroundings to the controller's coordinates, exact at these joints.
 
         The driver of the controller checks clearances with the nominal chain. Within reach of one head the
         deviations vary by some tenths of a millimetre, which margins and corridors allow for.
@@ -127,13 +127,13 @@ class CalibratedArm:
         return surroundings.moved(self.nominal.forward(at_rad).compose(self.forward(at_rad).inverse()))
 
     def flange_pose(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Transform:
-        """Pose of the flange as a checked transform, ROBOT <- FLANGE."""
+        """Return the pose of the flange as a checked transform, ROBOT <- FLANGE."""
         return self.forward(joints_rad, flanks).to_transform()
 
     def compensate(
         self, flange: Transform, near: JointVector, flanks: Sequence[float] | None = None
     ) -> Compensation:
-        """Joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
+        """Find the joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
 
         `flanks` as in `forward`, after arrival. Raises ARM-001 to ARM-003 like `Kinematics.solve_branch`;
         ARM-001 also near a singularity, where no commanded pose leads to the wanted one.
@@ -163,7 +163,7 @@ def flange_poses(
     flanks: ArrayLike = 0.0,
     levers: Array | None = None,
 ) -> Array:
-    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) for joints resting on `flanks` (m, n).
+    """Return poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n), with backlash sides `flanks` (m, n).
 
     `levers` are the `gravity_levers` at these angles, if known.
     """
@@ -183,7 +183,7 @@ def flange_poses(
 
 
 def flange_rotations(chain: Chain, joints_rad: Array) -> Array:
-    """Orientations (m, 3, 3) ROBOT <- FLANGE of the nominal arm."""
+    """Return orientations (m, 3, 3) ROBOT <- FLANGE of the nominal arm."""
     nominal = ArmDeviations.none(len(chain.joints))
     return np.asarray(flange_poses(chain, nominal, joints_rad)[:, :3, :3])
 
@@ -195,7 +195,7 @@ def joint_errors(
     flanks: ArrayLike,
     levers: Array | None = None,
 ) -> Array:
-    """Difference between the effective angles and the encoders', (m, n) rad."""
+    """Return the differences between effective and encoder angles, (m, n) rad."""
     errors = deviations.joint_offset_rad + FLANK_SHARE * deviations.backlash_rad * np.asarray(flanks)
     if levers is None:
         levers = gravity_levers(chain, encoders_rad)
@@ -207,7 +207,7 @@ def joint_errors(
 
 
 def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
-    """Horizontal lever arm (m, n) of the wrist about each joint, relative to that of the stretched arm.
+    """Return horizontal lever arms (m, n) of the wrist about each joint, relative to the stretched arm's.
 
     Positive where weight turns the joint in its positive direction; 0 for the wrist joints.
     """
@@ -230,7 +230,7 @@ def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
 
 
 def rotations(vectors_rad: Array) -> Array:
-    """Rotation matrices (m, 3, 3) of rotation vectors (m, 3), by Rodrigues' formula."""
+    """Convert rotation vectors (m, 3) to matrices (m, 3, 3) by Rodrigues' formula."""
     angles = np.linalg.norm(vectors_rad, axis=1)
     x, y, z = vectors_rad.T / np.where(angles > 0.0, angles, 1.0)
     zero = np.zeros_like(x)

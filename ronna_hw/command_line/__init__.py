@@ -1,1 +1,1 @@
-"""The conventions shared by all commands of the project."""
+"""Command-line conventions shared by all commands of the project."""

@@ -1,4 +1,4 @@
-"""An interruption during the imports of a command prints one word, no traceback. Import this module first."""
+"""Print one word, without a traceback, if a command is interrupted during its imports. Import this first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EXIT_INTERRUPTED = 130  # as in ronna_hw.errors, which is too slow to import her
 
 
 def say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Exception hook: nothing needs cleaning up this early."""
+    """Report an early interruption as the exception hook; nothing needs cleaning up yet."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

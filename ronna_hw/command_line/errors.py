@@ -1,4 +1,4 @@
-"""Errors around a command: usage, disk, paths, ports, memory, and program faults.
+"""Errors of the command line: usage, disk, paths, ports, memory, and program faults.
 
 Typer reports half of a mistake in a command line. The other half, such as the closest valid word, is in the
 option and in its validation error.
@@ -17,7 +17,7 @@ from ronna_hw.errors import EXIT_USAGE, RonnaError
 
 
 class UsageMistake(RonnaError):
-    """The command line itself is wrong."""
+    """The command line is invalid."""
 
     code = "CLI-001"
     action = "Run the command with --help."
@@ -25,14 +25,14 @@ class UsageMistake(RonnaError):
 
 
 class InternalFault(RonnaError):
-    """An unexpected error in the program."""
+    """The program has an unexpected error."""
 
     code = "CLI-002"
     action = "This is a bug: run again with --verbose and report the traceback."
 
 
 class DiskFull(RonnaError):
-    """No space is left, or the quota is used up."""
+    """No disk space is left, or the quota is used up."""
 
     code = "CLI-003"
     action = (
@@ -48,21 +48,21 @@ class NotWritable(RonnaError):
 
 
 class PathProblem(RonnaError):
-    """A path does not exist, or is a file where a folder is needed, or vice versa."""
+    """A path does not exist, or is a file instead of a folder or vice versa."""
 
     code = "CLI-005"
     action = "Check the path."
 
 
 class PortInUse(RonnaError):
-    """Another program uses the network port."""
+    """Another program uses this network port."""
 
     code = "CLI-006"
     action = "Stop the other program or choose another endpoint."
 
 
 class SystemRefused(RonnaError):
-    """The operating system refused for another reason."""
+    """The operating system refused an operation for another reason."""
 
     code = "CLI-007"
     action = "Fix what the system reports and run the command again."
@@ -94,7 +94,7 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
 
 
 def as_ronna_error(problem: BaseException) -> RonnaError:
-    """Return any exception as a RonnaError: itself, or an error of the system or the program with a code."""
+    """Convert any exception to a RonnaError; errors of the system or the program get a code."""
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
@@ -109,7 +109,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
 
 
 def _find_system_error(problem: BaseException) -> BaseException:
-    """The operating-system error that a library has wrapped."""
+    """Return the operating-system error wrapped by a library's exception."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:
@@ -123,7 +123,7 @@ _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
 def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
-    """Name and parameters of the command that the arguments select."""
+    """Return name and parameters of the command selected by the arguments."""
     names = [str(command.name)]
     for word in arguments:
         inner = getattr(command, "commands", {}).get(word)
@@ -135,7 +135,7 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
 
 
 def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
-    """Turn typer's refusal of a command line into an error of ours: option, value, expectation, help."""
+    """Convert a usage error of typer to our own: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
     see = f"See {help_of}."
@@ -214,12 +214,12 @@ def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
 
 
 def _format_parameter(parameter: Any, context: Any) -> str:
-    """Option or argument as typed."""
+    """Format an option or argument as typed."""
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
 def _describe_parameter(parameter: Any, context: Any) -> str:
-    """Help of an option or argument, with its limits."""
+    """Return the help of an option or argument, with its limits."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
     return text if not text or text.endswith((".", "]")) else f"{text}."

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def on_terminal(stream: TextIO) -> bool:
-    """Whether this stream is a terminal."""
+    """Return whether a stream is a terminal."""
     try:
         return stream.isatty()
     except ValueError:  # closed
@@ -32,27 +32,27 @@ def on_terminal(stream: TextIO) -> bool:
 
 
 def tell(line: str) -> None:
-    """Print a one-line message on standard error, if that is still open."""
+    """Print a one-line message on standard error, if it is still open."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
 
 
 def tell_address(addresses: Mapping[str, str], tell: Callable[[str], None] = tell) -> None:
-    """Print where a page is served: one line for scripts; on a terminal also the address, to click."""
+    """Print the address of a served page on one line for scripts, and as a link on a terminal."""
     tell(f"CONSOLE {json.dumps(addresses)}")
     if on_terminal(sys.stderr):
         tell(f"open {addresses['url']}")
 
 
 def say(line: str = "") -> None:
-    """Print lines for a person on standard output."""
+    """Print lines of text on standard output."""
     sys.stdout.write(printable_lines(line) + "\n")
     sys.stdout.flush()
 
 
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
-    """Print an error as `run` does, for commands that continue after it.
+    """Print an error like `run`, for commands that continue afterwards.
 
     `advice` replaces the error's own if the caller knows better what to do.
     """
@@ -74,7 +74,7 @@ def fail_with(error: RonnaError, advice: str | None = None) -> None:
 
 
 def message_console() -> Console:
-    """The rich console for standard error."""
+    """Return the rich console for standard error."""
     from rich.console import Console
 
     return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr))
@@ -84,7 +84,7 @@ FRAME_WIDTH = 3  # of a table's frame, per column
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on standard output: framed if it fits on the terminal, else tab-separated lines.
+    """Print a table on standard output: framed if it fits the terminal, else tab-separated.
 
     Cells and headings wrap only between words; a frame that would split a word or a number is not drawn.
     """
@@ -111,7 +111,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 
 
 def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
-    """Widths that fill the terminal without splitting a word; None if there are none."""
+    """Return column widths that fill the terminal without splitting a word; None if there are none."""
     by_column = list(zip(*rows, strict=True))
     widths = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in by_column]
     wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
@@ -132,7 +132,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @contextlib.contextmanager
 def progress_bar(description: str) -> Iterator[ProgressBar]:
-    """Show a progress bar on standard error after two seconds of work; none off a terminal."""
+    """Show a progress bar on standard error after two seconds of work; none without a terminal."""
     bar = ProgressBar(description, shown=on_terminal(sys.stderr))
     try:
         yield bar
@@ -141,7 +141,7 @@ def progress_bar(description: str) -> Iterator[ProgressBar]:
 
 
 class ProgressBar:
-    """A bar that is called with the fraction done. Bar and timer pause while `hidden`.
+    """Progress bar called with the completed fraction. Bar and timer pause while `hidden`.
 
     Never shown unless `shown`, which is False when nobody is watching.
     """
@@ -155,7 +155,7 @@ class ProgressBar:
         self._started = False
 
     def __call__(self, share: float) -> None:
-        """Report the fraction done, 0 to 1."""
+        """Report the completed fraction, 0 to 1."""
         if self._bar is None or self._task is None:
             return
         with self._writing:
@@ -166,7 +166,7 @@ class ProgressBar:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hide the bar during the block, in which the user is prompted."""
+        """Hide the bar within the block, for example during a prompt."""
         with self._writing:
             since_s = time.monotonic()
             self.close()
@@ -180,7 +180,7 @@ class ProgressBar:
                     self._bar.start()
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar."""
         if self._bar is not None and self._started:
             self._bar.stop()
 

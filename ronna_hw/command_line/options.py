@@ -1,4 +1,4 @@
-"""Options that commands share: log output and its levels, the version, records of options, files to write.
+"""Options common to several commands: logging, version, option records, output files.
 
 Every command has `--verbose`, `--log-level` and `--version`; a group has only the last.
 """
@@ -28,7 +28,7 @@ VERBOSE_FLAG = "--verbose"
 
 
 def with_common_options(command: Any) -> Any:
-    """Add the common options to typer's command and to all commands of a group; returns it."""
+    """Add the common options to typer's command and all commands of a group; returns the command."""
     declared = _create_options()
     for one in _walk_commands(command):
         is_group = bool(getattr(one, "commands", {}))
@@ -37,14 +37,14 @@ def with_common_options(command: Any) -> Any:
 
 
 def _walk_commands(command: Any) -> Iterator[Any]:
-    """A command and all commands below it."""
+    """Yield a command and all commands below it."""
     yield command
     for one in getattr(command, "commands", {}).values():
         yield from _walk_commands(one)
 
 
 def _create_options() -> list[Any]:
-    """The options as typer creates them: their callbacks do the work, and commands receive no value."""
+    """Create the common options as typer does. Their callbacks do the work; commands receive no value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
     @app.command()
@@ -96,7 +96,7 @@ def _tell_version(wanted: bool) -> None:
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`; otherwise silence warnings of libraries.
+    """Show the log on standard error with `--verbose`; otherwise silence library warnings.
 
     Python would print those among the messages of the command.
     """
@@ -111,7 +111,7 @@ def set_up_logging(verbose: bool) -> None:
 
 
 def set_log_levels(levels: Sequence[str]) -> None:
-    """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
+    """Set log levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
     for entry in levels:
         name, _, level = entry.strip().rpartition("=")
         if name and not is_known_logger(name):
@@ -125,7 +125,7 @@ def set_log_levels(levels: Sequence[str]) -> None:
 
 
 def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
-    """Apply levels here and in every process that this command starts or becomes; raises CLI-001."""
+    """Set log levels in this process and every process that it starts or becomes; raises CLI-001."""
     if not levels:
         return
     set_log_levels(levels)
@@ -134,19 +134,19 @@ def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
 
 
 def set_log_levels_from_environment() -> None:
-    """Apply the comma-separated levels in RONNA_LOG; options come later and take precedence."""
+    """Set the comma-separated log levels in RONNA_LOG; options are applied later and take precedence."""
     given = os.environ.get(LEVELS_VARIABLE)
     if given:
         set_log_levels(given.split(","))
 
 
 def command_logger() -> Logger:
-    """Logger of the command of this process."""
+    """Return the logger of the command of this process."""
     return logger(command=Path(sys.argv[0]).name)
 
 
 def log_failure(problem: Exception, error: RonnaError) -> None:
-    """Log how a command failed: the error, and where it was raised, without any values."""
+    """Log the error of a failed command and where it was raised, without any values."""
     import traceback
 
     frames = traceback.extract_tb(problem.__traceback__)
@@ -158,7 +158,7 @@ Returned = TypeVar("Returned")
 
 
 def with_option_records(command: Callable[..., Returned]) -> Callable[..., Returned]:
-    """Decorate a command for typer: each parameter of a dataclass type is replaced by its fields.
+    """Decorate a typer command, replacing each dataclass parameter by its fields.
 
     A field is declared like a parameter, `name: Annotated[type, typer.Option(...)] = default`. The command
     itself receives the record.
@@ -202,7 +202,7 @@ def require_folder(out: Path) -> None:
 
 
 def require_folder_of(*files: Path) -> None:
-    """Raise CLI-005 for a file whose folder does not exist; called before the work that writes it."""
+    """Raise CLI-005 for a file whose folder does not exist; call before the work that writes the file."""
     for file in files:
         if not file.parent.is_dir():
             raise PathProblem(
@@ -213,7 +213,7 @@ def require_folder_of(*files: Path) -> None:
 
 
 def require_new(*files: Path) -> None:
-    """Raise CLI-001 for a file that exists, CLI-005 for one whose folder does not."""
+    """Raise CLI-001 if a file exists, CLI-005 if its folder does not."""
     for file in files:
         if file.exists():
             raise UsageMistake(f"{file} exists and was not changed", action="Name a new file with --out.")

@@ -1,4 +1,4 @@
-"""Runs a command: options, exit code, termination. Commands import everything they share from here.
+"""Execution of a command: options, exit code, termination. Re-exports everything that commands share.
 
 Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
@@ -72,7 +72,7 @@ _NO_ARGUMENTS: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHe
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command with this process's arguments and exit with the documented code."""
+    """Run a command with the arguments of this process and exit with the documented code."""
     limit_to_one_thread()
     code = exit_code_of(app, sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to exit
@@ -138,7 +138,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 
 def _command_of(app: typer.Typer, requested: str) -> Any:
-    """Build the command; of a group only the selected one, because typer takes two milliseconds for each."""
+    """Build the typer command; for a group, only the selected one, as each takes two milliseconds."""
 
     def name_of(candidate: typer.models.CommandInfo) -> str:
         assert candidate.callback is not None
@@ -174,7 +174,7 @@ def _report(problem: Exception, *, verbose: bool) -> int:
 
 
 def _open_missing_streams() -> None:
-    """Replace streams that the shell has closed, which Python sets to None."""
+    """Replace standard streams that the shell has closed, which Python sets to None."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
@@ -189,7 +189,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop output that a full disk or a closed pipe refuses, so that the interpreter exits quietly."""
+    """Drop output refused by a full disk or a closed pipe, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The address at which a page is served to remote viewers: one address of this computer, over TLS."""
+"""Address at which a page is served to remote viewers over TLS."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ READABLE_BY_OTHERS = 0o044
 
 @dataclass(frozen=True)
 class ViewersAddress:
-    """An address and its certificate, at which the page is served to viewers only."""
+    """Address of this computer for remote viewers, and its TLS certificate."""
 
     address: str
     certificate: Path
     key: Path
 
     def check(self) -> tuple[str, ...]:
-        """Check that the address can be served; returns warnings to show. Raises CLI-001."""
+        """Check that the address can be served and return warnings to show. Raises CLI-001."""
         try:
             address = ipaddress.ip_address(self.address)
         except ValueError:
@@ -69,11 +69,11 @@ class ViewersAddress:
 
     @property
     def family(self) -> socket.AddressFamily:
-        """Address family of its sockets."""
+        """Address family of the sockets."""
         return socket.AF_INET6 if ":" in self.address else socket.AF_INET
 
     def host(self, port: int) -> str:
-        """Host as in a URL and in the Host header."""
+        """Host as written in a URL and in the Host header."""
         return f"[{self.address}]:{port}" if ":" in self.address else f"{self.address}:{port}"
 
     def context(self) -> ssl.SSLContext:
@@ -91,7 +91,7 @@ class ViewersAddress:
 
 
 def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
-    """Addresses of this computer's network interfaces."""
+    """Return the addresses of this computer's network interfaces."""
     import psutil
 
     cards = psutil.net_if_addrs().values()
@@ -102,7 +102,7 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
 
 
 def viewers_address(bind: str | None, certificate: Path | None, key: Path | None) -> ViewersAddress | None:
-    """The address that the options give; None without them. Raises CLI-001."""
+    """Return the viewers' address given by the options; None without one. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
             raise UsageMistake("--certificate and --key require --bind")

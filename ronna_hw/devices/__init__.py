@@ -1,4 +1,4 @@
-"""Typed device interfaces, their lifecycle, and their readings."""
+"""Typed interfaces, lifecycle and readings of devices."""
 
 from ronna_hw.devices.lifecycle import Device, Identity, LastKnown, Lifecycle, LifecycleGuard
 from ronna_hw.devices.robot import (

@@ -1,4 +1,4 @@
-"""Capabilities that a driver may offer beyond the interface of its device.
+"""Optional capabilities of a driver beyond the interface of its device.
 
 A driver may pass on its link traffic, byte for byte, and report the conditions for beginning a case.
 """
@@ -12,14 +12,14 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 
 class Direction(StrEnum):
-    """Direction of traffic, as seen from this computer."""
+    """Direction of traffic as seen from this computer."""
 
     SENT = "sent"
     RECEIVED = "received"
 
 
 class PassedBytes(NamedTuple):
-    """Bytes that passed at a time of the monotonic clock of the host."""
+    """Bytes transferred, with their host monotonic time."""
 
     host_ns: int
     direction: Direction
@@ -27,30 +27,30 @@ class PassedBytes(NamedTuple):
 
 
 class ByteSink(Protocol):
-    """Receiver of link traffic, called by drivers from any thread.
+    """Receiver of link traffic. Drivers call it from any thread.
 
     Never blocks, never raises. `link` is such as `robot.master.eki`.
     """
 
     def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
-        """Take bytes that have just passed."""
+        """Receive bytes as they are transferred."""
         ...
 
     def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
-        """Take traffic, in order, that another process saw since it was last queried."""
+        """Receive traffic, in order, that another process recorded since the last query."""
         ...
 
     def note(self, link: str, **facts: str | float) -> None:
-        """Take facts about the link other than bytes: a new rate, bytes lost, one image of a stream."""
+        """Receive facts about the link other than bytes: a new rate, lost bytes, an image of a stream."""
         ...
 
 
 @runtime_checkable
 class RecordsBytes(Protocol):
-    """A device whose driver passes on the bytes of its links."""
+    """Device whose driver passes on the bytes of its links."""
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        """Pass every byte to `sink` from the next `connect` on; None stops it."""
+        """Pass every byte to `sink` from the next `connect` on; None stops this."""
         ...
 
 
@@ -59,7 +59,7 @@ MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowled
 
 @dataclass(frozen=True)
 class Fact:
-    """A condition that a device reports: name, such as `operating mode`, and finding.
+    """Condition reported by a device, such as `operating mode`, with the finding.
 
     If it keeps a case from beginning, `ready` is False and `advice` says what to do.
     """
@@ -71,13 +71,13 @@ class Fact:
 
 
 def report_count(name: str, count: int) -> tuple[Fact, ...]:
-    """Report a driver's count as an unsolicited fact; none while the count is 0."""
+    """Report a driver's count as an unsolicited fact; nothing while it is 0."""
     return (Fact(name, str(count)),) if count else ()
 
 
 @runtime_checkable
 class TellsReadiness(Protocol):
-    """A device that reports more about its readiness than that it answers."""
+    """Device that reports details of its readiness beyond answering."""
 
     def readiness(self, timeout_s: float = 1.0) -> Sequence[Fact]:
         """Read everything that decides whether the device can be activated. Allowed from CONNECTED.

@@ -1,4 +1,4 @@
-"""Errors that any device may raise, whatever its protocol."""
+"""Device errors that are independent of the protocol."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ ACKNOWLEDGE = (
 
 
 class WrongState(StateError):
-    """The call is not allowed in the current lifecycle state of the device."""
+    """A call is not allowed in the current lifecycle state of the device."""
 
     code = "DEV-001"
     action = f"Bring the device to the expected state first; after a fault, {ACKNOWLEDGE}."
 
 
 class MotionInterrupted(StateError):
-    """A motion was stopped before its end by `stop` from elsewhere; the arm rests on its path in HOLD.
+    """`stop` from elsewhere ended a motion early; the arm rests on its path in HOLD.
 
     Each arm driver has its own subclass, with its code.
     """
 
 
 class UnknownDriver(ConfigurationError):
-    """The theatre file names a driver that no installed package provides."""
+    """No installed package provides the driver named in the theatre file."""
 
     code = "DEV-002"
     action = "Check the driver name in the theatre file, or install the package that provides it."
 
 
 class NotInTheatre(ConfigurationError, KeyError):
-    """The theatre file lacks the device or table that was requested."""
+    """The theatre file lacks the requested device or table."""
 
     code = "DEV-007"
     action = "Add its table to the theatre file, with driver and endpoint, or request an existing one."
@@ -43,7 +43,7 @@ class NotInTheatre(ConfigurationError, KeyError):
 
 
 class WrongKind(ConfigurationError):
-    """The driver of a device does not provide the interface that was requested."""
+    """The driver of a device does not provide the requested interface."""
 
     code = "DEV-008"
     action = (
@@ -59,21 +59,21 @@ class TheatreClosed(StateError):
 
 
 class NoNewFrame(LinkTimeout):
-    """The tracker replies, but makes no new measurement within the time limit."""
+    """The tracker replies, but delivers no new measurement within the time limit."""
 
     code = "DEV-009"
     action = "Check that the tracker is tracking, and allow more than one frame period."
 
 
 class UnknownTool(ConfigurationError, LookupError):
-    """The tracker has no tool with that name."""
+    """The tracker has no tool of this name."""
 
     code = "DEV-003"
     action = "Use the name of a tool in the tracker's options, or add the tool there."
 
 
 class NoPose(DataError):
-    """The reading has no pose, or none that can be trusted."""
+    """A reading has no pose, or none that can be trusted."""
 
     code = "DEV-004"
     action = "Check the validity of the reading before using its pose."

@@ -1,4 +1,4 @@
-"""The interface of every device, its lifecycle, and its activation for a block.
+"""Common interface and lifecycle of all devices, and activation for a block.
 
 DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD; FAULT is latched
 and cleared only by an explicit `recover`, which re-reads the device; CLOSED is final. Reading is allowed from
@@ -25,7 +25,7 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Lifecycle(StrEnum):
-    """The states of every device."""
+    """Lifecycle states of a device."""
 
     DISCONNECTED = "disconnected"
     CONNECTED = "connected"
@@ -57,7 +57,7 @@ _ALLOWED: dict[Lifecycle, set[Lifecycle]] = {  # and from each but CLOSED to CLO
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity of the device itself: read at connect, never taken from the configuration."""
+    """Device identity as read at connect, never taken from the configuration."""
 
     vendor: str
     model: str
@@ -68,7 +68,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class LastKnown(Generic[R_co]):
-    """State, latched fault and latest reading as last seen; the stamp of the reading gives its age."""
+    """Last known state, latched fault and reading; the stamp of the reading gives its age."""
 
     state: Lifecycle
     fault: RonnaError | None
@@ -78,16 +78,16 @@ class LastKnown(Generic[R_co]):
 
 @runtime_checkable
 class Device(Protocol):
-    """Interface of every device. Calls are synchronous and have a time limit in seconds."""
+    """Common interface of all devices. Calls are synchronous, with time limits in seconds."""
 
     @property
     def name(self) -> str:
-        """Name of the device in the theatre file, such as `tracker` or `robot.master`."""
+        """Device name in the theatre file, such as `tracker` or `robot.master`."""
         ...
 
     @property
     def wire_protocol(self) -> str:
-        """The protocol on the wire, such as `ndi-polaris`, which selects the byte-level conformance cases.
+        """Wire protocol, such as `ndi-polaris`, which selects the byte-level conformance cases.
 
         Empty if the conformance suite does not know it.
         """
@@ -100,12 +100,12 @@ class Device(Protocol):
 
     @property
     def fault(self) -> RonnaError | None:
-        """The error that latched FAULT; None in any other state."""
+        """Error that latched FAULT; None in any other state."""
         ...
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but that the operator should know."""
+        """Observations at `configure` that are not errors but matter to the operator."""
         ...
 
     def observe(self) -> LastKnown[object]:
@@ -117,7 +117,7 @@ class Device(Protocol):
         ...
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
+        """Activate the device for a block, from whatever state it is in; deactivate it on leaving.
 
         `hold_active` implements this for every driver.
         """
@@ -131,7 +131,7 @@ class Device(Protocol):
         ...
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Bring the device to a known, verified configuration: CONNECTED -> CONFIGURED."""
+        """Apply a known, verified configuration: CONNECTED -> CONFIGURED."""
         ...
 
     def activate(self, timeout_s: float = 10.0) -> None:
@@ -143,14 +143,14 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED once the device has been re-read and configured again: `activate` comes next.
+        """Read and configure the device again after a fault: FAULT -> CONFIGURED. `activate` comes next.
 
         Moves nothing. Raises DEV-006 without a name.
         """
         ...
 
     def close(self) -> None:
-        """Close the connection. Bounded in time; never raises because the peer is gone."""
+        """Close the connection in bounded time. Never raises because the peer is gone."""
         ...
 
 
@@ -194,13 +194,13 @@ def _activate(device: Device, timeout_s: float) -> None:
 
 
 def _deactivate(device: Device, timeout_s: float) -> None:
-    """Deactivate, except in FAULT: the device has stopped, and only `recover` clears that."""
+    """Deactivate, except in FAULT, where the device has already stopped and needs `recover`."""
     if device.state in RUNNING:
         device.deactivate(timeout_s)
 
 
 def require_person(name: str) -> str:
-    """Return the name of the person who acknowledges or confirms; raises DEV-006 if it has no letters."""
+    """Return the name of the acknowledging or confirming person; raises DEV-006 if it has no letters."""
     if not any(map(str.isalpha, name)):
         raise PersonNotNamed(
             "an acknowledgement or confirmation needs the name of a person",
@@ -211,7 +211,7 @@ def require_person(name: str) -> str:
 
 
 class LifecycleGuard:
-    """State machine of a driver: refuses calls that the state forbids, latches faults, logs."""
+    """State machine of a driver: refuses forbidden calls, latches faults, logs transitions."""
 
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
@@ -226,11 +226,11 @@ class LifecycleGuard:
 
     @property
     def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
+        """Error that latched FAULT, if any."""
         return self._now[1]
 
     def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
-        """The result of `Device.observe`, with the driver's latest reading."""
+        """Build the result of `Device.observe` with the driver's latest reading."""
         return LastKnown(*self._now, reading, says)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
@@ -248,7 +248,7 @@ class LifecycleGuard:
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
-        """Move to `state` and log it with `facts`; raises DEV-001 if there is no such transition."""
+        """Enter `state` and log it with `facts`; raises DEV-001 for a forbidden transition."""
         with self._changing:
             before = self.state
             if state is before:
@@ -268,7 +268,7 @@ class LifecycleGuard:
             return True
 
     def latch(self, cause: RonnaError) -> None:
-        """Enter FAULT from any state but CLOSED, and keep the first cause."""
+        """Enter FAULT from any state except CLOSED, keeping the first cause."""
         with self._changing:
             before = self.state
             if before in (Lifecycle.CLOSED, Lifecycle.FAULT):

@@ -1,4 +1,4 @@
-"""Probes: diagnosis of a device that does not answer, and search for devices.
+"""Probes for diagnosing unresponsive devices and finding devices.
 
 `ronna-procedure doctor` and `new-theatre` show the findings. A driver's package declares its probe under the
 name of the driver::
@@ -39,7 +39,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A line of the doctor: subject, verdict, observation, advice.
+    """One finding of the doctor: subject, verdict, observation, advice.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
     JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
@@ -61,7 +61,7 @@ def refusal(subject: str, error: RonnaError) -> Diagnostic:
 
 
 def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
-    """Report each fact as a line of the doctor, with its advice if a case cannot begin."""
+    """Report each fact as a finding of the doctor, with advice if it prevents a case."""
     for fact in device.readiness():
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
@@ -70,12 +70,12 @@ Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further check
 
 
 def inspect_nothing(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
-    """Make no further checks."""
+    """Perform no further checks."""
     return ()
 
 
 class Probe(Protocol):
-    """Checks a device of a theatre file."""
+    """Diagnosis of a device in a theatre file."""
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
@@ -90,15 +90,15 @@ class Probe(Protocol):
 
 @runtime_checkable
 class EndpointProbe(Probe, Protocol):
-    """A probe that needs no theatre file: it can also check bare endpoints."""
+    """Probe that can also check bare endpoints, without a theatre file."""
 
     @property
     def endpoint_schemes(self) -> frozenset[str]:
-        """Schemes that it can check, such as `serial`."""
+        """Endpoint schemes that the probe can check, such as `serial`."""
         ...
 
     def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        """Identify the device at each endpoint, without the driver itself."""
+        """Identify the device at each endpoint without using the driver."""
         ...
 
 
@@ -133,13 +133,13 @@ def connect_and_identify(
 
 
 def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
-    """All endpoints of a device, in the order of its theatre file."""
+    """Return all endpoints of a device in theatre file order."""
     texts = config.endpoints.values() if config.endpoint is None else (config.endpoint,)
     return tuple(parse_endpoint(text) for text in texts)
 
 
 def explain_unreachable(endpoint: Endpoint) -> str:
-    """Say why a TCP endpoint accepts no connection; empty if it does, and for other endpoints."""
+    """Explain why a TCP endpoint accepts no connection; returns an empty text if it does, or is not TCP."""
     if endpoint.scheme != "tcp":
         return ""
     try:
@@ -166,7 +166,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a driver: its value if it differs from the default, and its purpose."""
+    """Driver option with its purpose, and its value if it differs from the default."""
 
     key: str
     value: Any  # as in TOML; None if it has no default
@@ -177,7 +177,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A device as an entry of a theatre file."""
+    """Proposed theatre file entry for a device."""
 
     driver: str
     what: str  # what was found, in words; empty for an example
@@ -189,24 +189,24 @@ class Proposal:
 
 @runtime_checkable
 class Finder(Protocol):
-    """A probe that can also search. `table` is the theatre file's: `tracker`, `robot` or `stereo`."""
+    """Probe that can also search. `table` is the theatre file table: `tracker`, `robot` or `stereo`."""
 
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Find everything that answers as such a device, and say why each other given address does not.
+        """Find all devices of this kind, and explain the failure at every other given address.
 
         Nothing moves and no setting is changed.
         """
         ...
 
     def example(self, search: Search) -> Proposal:
-        """Example of the table for a device that was not found; its addresses are invented."""
+        """Return an example table, with invented addresses, for a device that was not found."""
         ...
 
 
 def describe_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
-    """Options of a driver with their descriptions, including the values of the chosen ones."""
+    """Describe the options of a driver, with the values of the chosen ones."""
     return tuple(
         Option(
             name,
@@ -230,7 +230,7 @@ def picture_diagnostics(
     tries: int,
     judge: Callable[[StereoReading], Iterator[Diagnostic]],
 ) -> Iterator[Diagnostic]:
-    """Take so many pairs with configured cameras and report whether enough arrive complete for a case.
+    """Take `pairs` image pairs with configured cameras and report whether enough arrive complete.
 
     A case repeats a lost pair, up to `tries` times in all. `judge` reports on the last pair. Nothing moves.
     """

@@ -1,4 +1,4 @@
-"""Readings: frozen records of plain numbers, with units in the names.
+"""Device readings as frozen records of plain numbers, with units in the names.
 
 Missing data is expressed by the validity, never as NaN or zeros. Transforms are built from
 a reading on demand.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Validity(StrEnum):
-    """Whether a reading can be used, and if not, why."""
+    """Usability of a reading, with the reason if it is unusable."""
 
     OK = "ok"
     PARTIAL = "partial"
@@ -35,7 +35,7 @@ class Validity(StrEnum):
 
 @dataclass(frozen=True)
 class Stamp:
-    """When a reading was made: our sequence number, the device clock, theatre time."""
+    """Time of a reading: our sequence number, device clock, theatre time."""
 
     sequence: int
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
@@ -45,16 +45,16 @@ class Stamp:
 
 @runtime_checkable
 class StampedReading(Protocol):
-    """A reading that tells when it was made and whether it can be used."""
+    """Reading with a time stamp and a validity."""
 
     @property
     def stamp(self) -> Stamp:
-        """Return the time at which the reading was taken."""
+        """Time stamp of the reading."""
         ...
 
     @property
     def validity(self) -> Validity:
-        """Whether it can be used."""
+        """Usability of the reading."""
         ...
 
 
@@ -66,7 +66,7 @@ _TO_SEE = {
 
 @dataclass(frozen=True)
 class ToolReading:
-    """Pose of a loaded tool in the tracker frame; rotation and position are None if it has none."""
+    """Pose of a loaded tool in the tracker frame; rotation and position are None if unknown."""
 
     tool: str
     validity: Validity
@@ -75,7 +75,7 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as `TRACKER <- source`; raises DEV-004 if the reading has none that can be trusted.
+        """Return the pose as `TRACKER <- source`; raises DEV-004 without a trustworthy pose.
 
         Raises FRM-001 for another target. Outside the measuring volume the tracker's error is not specified:
         use those numbers only for aiming.
@@ -100,7 +100,7 @@ class ToolReading:
 
 @dataclass(frozen=True)
 class StrayReading:
-    """A marker that belongs to no tool; it has no identity from frame to frame."""
+    """Marker that belongs to no tool; it has no identity from frame to frame."""
 
     position_mm: Vector3
     validity: Validity
@@ -108,7 +108,7 @@ class StrayReading:
 
 @dataclass(frozen=True)
 class TrackerFrame:
-    """Tools and strays that the tracker saw in one frame."""
+    """Tools and strays seen by the tracker in one frame."""
 
     stamp: Stamp
     validity: Validity
@@ -116,7 +116,7 @@ class TrackerFrame:
     strays: tuple[StrayReading, ...]
 
     def tool(self, name: str) -> ToolReading:
-        """Reading of a tool by name; raises DEV-003 if the tracker has no such tool."""
+        """Return the reading of a tool by name; raises DEV-003 for an unknown tool."""
         for reading in self.tools:
             if reading.tool == name:
                 return reading
@@ -137,7 +137,7 @@ class ArmReading:
 
 @dataclass(frozen=True)
 class ToolIdentity:
-    """Tool number reported by the controller's inputs; 0 means no tool."""
+    """Tool number on the controller's inputs; 0 means no tool."""
 
     stamp: Stamp
     number: int
@@ -145,7 +145,7 @@ class ToolIdentity:
 
 @dataclass(frozen=True)
 class LinkStatistics:
-    """Health of the real-time link since it was activated. Times in microseconds of host time."""
+    """Health of the real-time link since activation. Times in microseconds of host time."""
 
     cycles: int
     late_cycles: int
@@ -163,7 +163,7 @@ class LinkStatistics:
 
 @dataclass(frozen=True)
 class AreaOfInterest:
-    """Part of a sensor in pixels; offsets from the top-left pixel."""
+    """Readout area of a sensor in pixels; offsets from the top-left pixel."""
 
     offset_x: int
     offset_y: int
@@ -173,7 +173,7 @@ class AreaOfInterest:
 
 @dataclass(frozen=True)
 class CameraImage:
-    """A read-only 2-D array of grey values. (0, 0) is the centre of its top-left pixel."""
+    """Read-only 2-D array of grey values. (0, 0) is the centre of the top-left pixel."""
 
     __pydantic_config__: ClassVar = {"arbitrary_types_allowed": True}  # pixels, read back from a tape
 
@@ -187,7 +187,7 @@ class CameraImage:
 
 @dataclass(frozen=True)
 class StereoReading:
-    """A pair of frames of one trigger.
+    """Pair of images from one trigger.
 
     PARTIAL: packets are missing; MISSING: one side did not arrive; UNPAIRED: left and right are from
     different triggers; STALE: both are older than the trigger.

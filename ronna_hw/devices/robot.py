@@ -1,4 +1,4 @@
-"""A six-axis arm that follows corrections in real time and can stop on its own, and its motions as values."""
+"""Interface of a six-axis arm that follows real-time corrections, and its motions as values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointMove:
-    """A motion of all joints together, straight to `target_rad`.
+    """Motion of all joints together, straight to `target_rad`.
 
     `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. A motion is a value,
     so that the motion previewed is the motion driven.
@@ -30,13 +30,13 @@ class JointMove:
     speed_fraction: float = 1.0
 
     def drive(self, arm: RobotArm) -> ArmReading:
-        """Drive it with `RobotArm.move_joints`."""
+        """Execute the motion with `RobotArm.move_joints`."""
         return arm.move_joints(self.target_rad, speed_fraction=self.speed_fraction)
 
 
 @dataclass(frozen=True)
 class LineMove:
-    """A straight line of the flange to ROBOT <- FLANGE, or of the tool to ROBOT <- TOOL.
+    """Straight-line motion of the flange to ROBOT <- FLANGE, or of the tool to ROBOT <- TOOL.
 
     `flange_from_tool` (FLANGE <- TOOL) is given with the latter. `speed_fraction` as in `JointMove`.
     """
@@ -46,7 +46,7 @@ class LineMove:
     speed_fraction: float = 1.0
 
     def drive(self, arm: RobotArm) -> ArmReading:
-        """Drive it with `RobotArm.move_linear`."""
+        """Execute the motion with `RobotArm.move_linear`."""
         return arm.move_linear(
             self.target, flange_from_tool=self.flange_from_tool, speed_fraction=self.speed_fraction
         )
@@ -56,7 +56,7 @@ Motion = JointMove | LineMove
 
 
 class StopKind(StrEnum):
-    """Ways to stop. None of them is an emergency stop: that is the controller's."""
+    """Kind of stop. None is an emergency stop, which belongs to the controller."""
 
     HOLD = "hold"  # along the path, to rest; the stream continues
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
@@ -65,7 +65,7 @@ class StopKind(StrEnum):
 
 
 class OperatingMode(StrEnum):
-    """Operating modes in which an arm can be moved by this program (ISO 10218-1)."""
+    """Operating mode in which this program can move an arm (ISO 10218-1)."""
 
     AUTOMATIC = "automatic"
     REDUCED_SPEED = "manual at reduced speed"  # with a person at the arm
@@ -73,18 +73,18 @@ class OperatingMode(StrEnum):
 
 @runtime_checkable
 class ConfirmedStart(Protocol):
-    """Additional interface of an arm that may need a person's confirmation before `activate`."""
+    """Optional interface of an arm that may need a person's confirmation before `activate`."""
 
     @property
     def to_confirm(self) -> str | None:
-        """Question that a person must confirm before the next `activate`; None for nothing.
+        """Question to confirm before the next `activate`; None if there is none.
 
         Passive: uses only the controller's last report; allowed in every state.
         """
         ...
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Confirm the last `to_confirm`: the next `activate`, and only that, may proceed.
+        """Confirm the last `to_confirm`, which permits only the next `activate`.
 
         Raises DEV-006 without a name. Moves nothing.
         """
@@ -93,44 +93,44 @@ class ConfirmedStart(Protocol):
 
 @runtime_checkable
 class RobotArm(Device, Protocol):
-    """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
+    """Robot arm. `activate` starts the correction stream, so the arm may move; `deactivate` ends it."""
 
     def observe(self) -> LastKnown[ArmReading]:
-        """Observe like `Device.observe`; the reading contains the axes last reported by the controller."""
+        """Observe like `Device.observe`. The reading contains the axes last reported by the controller."""
         ...
 
     @property
     def kinematics(self) -> Kinematics:
-        """The nominal kinematics used for lines, ranges and clearance; known in every state."""
+        """Nominal kinematics for lines, ranges and clearance; known in every state."""
         ...
 
     @property
     def operating_mode(self) -> OperatingMode:
-        """The mode of the running stream, or else the one last reported; AUTOMATIC before any report.
+        """Mode of the running stream, or the last one reported. AUTOMATIC before any report.
 
         Passive; allowed in every state.
         """
         ...
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
-        """Limits of every motion in an operating mode, by default the present one; known in every state.
+        """Return the motion limits in an operating mode, by default the current one; known in every state.
 
         Motions, previews and the monitor keep to exactly these.
         """
         ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Read the measured axes; allowed from CONNECTED."""
+        """Read the measured axes. Allowed from CONNECTED."""
         ...
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Read the number of the mounted tool from the controller's inputs; allowed from CONNECTED."""
+        """Read the number of the mounted tool from the controller's inputs. Allowed from CONNECTED."""
         ...
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
     ) -> ArmReading:
-        """Move all joints together to rest at the target; returns the settled reading.
+        """Move all joints together to rest at the target and return the settled reading.
 
         `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre time
         if that clocks the controller. Raises LimitError before motion if the path leaves the joint ranges,
@@ -156,7 +156,7 @@ class RobotArm(Device, Protocol):
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
-        """Predict a motion from `start_rad`, by default from here; nothing moves.
+        """Predict a motion from `start_rad`, by default the current position, without moving.
 
         Raises like `move_joints` and `move_linear` if there is no such path; one that is not clear is
         reported in `refused`.
@@ -164,14 +164,14 @@ class RobotArm(Device, Protocol):
         ...
 
     def surround(self, surroundings: Surroundings) -> None:
-        """Declare the mounted tool and the arm's surroundings, from the next motion on.
+        """Declare the mounted tool and the surroundings of the arm for all later motions.
 
         Every motion is checked against them before it starts (ARM-007), and monitored while it runs.
         """
         ...
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Bring the arm to rest; may be called from another thread than the motion.
+        """Bring the arm to rest. May be called from another thread than the motion.
 
         No motion begins while it is carried out: it raises StateError or MotionInterrupted. A start under way
         fails, or ends in HOLD.
@@ -179,9 +179,9 @@ class RobotArm(Device, Protocol):
         ...
 
     def resume(self) -> None:
-        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only re-planned."""
+        """Leave HOLD for ACTIVE without moving: an interrupted path is re-planned, never continued."""
         ...
 
     def link_statistics(self) -> LinkStatistics:
-        """Health of the link since the last `activate`."""
+        """Return the health of the link since the last `activate`."""
         ...

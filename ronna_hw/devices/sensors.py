@@ -1,4 +1,4 @@
-"""The measuring devices: an optical tracker with tools and strays, and two cameras triggered together."""
+"""Interfaces of the sensors: an optical tracker of tools and strays, and a triggered camera pair."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ronna_hw.vectors import Vector3
 
 @runtime_checkable
 class OpticalTracker(Device, Protocol):
-    """A tracker.
+    """Optical tracker.
 
     `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
     """
 
     @property
     def tools(self) -> tuple[str, ...]:
-        """Names of the tools to load, in the order of the theatre file."""
+        """Names of the tools to load, in theatre file order."""
         ...
 
     @property
@@ -45,11 +45,11 @@ class OpticalTracker(Device, Protocol):
 
 @runtime_checkable
 class BoundedTracker(Protocol):
-    """A tracker that reports its measuring volume."""
+    """Tracker that reports its measuring volume."""
 
     @property
     def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
-        """Rectangles perpendicular to its axis, from near to far: z, half x, half y, tracker frame.
+        """Cross-sections of the volume, near to far, in the tracker frame: z, half x, half y.
 
         Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
         """
@@ -58,11 +58,11 @@ class BoundedTracker(Protocol):
 
 @runtime_checkable
 class TimedTracker(Protocol):
-    """A tracker that reports how long its replies take: the least age of a frame on arrival."""
+    """Tracker that reports its reply times, the minimum age of a frame on arrival."""
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """Times from request to reply of the last frames, without the transfer of both, the newest last.
+        """Times from request to reply of recent frames, without transfer, newest last.
 
         Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
         runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
@@ -72,7 +72,7 @@ class TimedTracker(Protocol):
 
 @runtime_checkable
 class StereoPair(Device, Protocol):
-    """A pair of cameras.
+    """Pair of cameras triggered together.
 
     `configure` takes control, binds serial numbers to sides and sets the cameras; `activate` arms them.
     """
@@ -87,19 +87,19 @@ class StereoPair(Device, Protocol):
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set the area of interest of each sensor; a running stream is restarted."""
+        """Set the readout area of each sensor; a running stream is restarted."""
         ...
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set exposure and gain of both cameras; raises LimitError for values outside their limits."""
+        """Set exposure and gain of both cameras; raises LimitError if out of range."""
         ...
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Multiply the exposure configured or set last by `share` on both cameras; 1.0 restores it."""
+        """Multiply the exposure last configured or set by `share` on both cameras; 1.0 restores it."""
         ...
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return the pair of that trigger. Allowed in ACTIVE."""
+        """Trigger both cameras once and return the resulting pair. Allowed in ACTIVE."""
         ...
 
 
@@ -109,7 +109,7 @@ ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms
 def new_frames(
     tracker: OpticalTracker, count: int | None = None, *, timeout_s: float = 1.0
 ) -> Iterator[TrackerFrame]:
-    """Yield `count` measurements, or endless ones; each is new, none is STALE.
+    """Yield `count` new measurements, or endless ones; STALE repeats are skipped.
 
     `timeout_s` is host time for each. Raises DEV-009 when the tracker delivers no new measurement in time,
     and the errors of `read_frame`.

@@ -1,4 +1,4 @@
-"""Groups the stray markers that belong to one sphere across frames, and averages each group."""
+"""Grouping of stray markers into spheres across frames, and averaging of each group."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be it
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """A sphere over the frames, in tracker coordinates.
+    """One sphere across the frames, in tracker coordinates.
 
     `mean_mm` (3,) excludes `outliers`; `spread_mm` is the rms distance of all readings from it, which reveals
     a moving sphere; `covariance_mm2` (3, 3) is that of one reading; `count` is the number of all readings.
@@ -39,7 +39,7 @@ class StrayGroup:
 
 @dataclass(frozen=True)
 class StrayAverage:
-    """Averaged strays of some frames: `groups` are spheres, `rejected` were seen in too few frames."""
+    """Averaged strays of some frames: `groups` are spheres, `rejected` were in too few frames."""
 
     groups: tuple[StrayGroup, ...]
     rejected: tuple[StrayGroup, ...]
@@ -77,7 +77,7 @@ def group_strays(
     radius_mm: float = GROUP_RADIUS_MM,
     least_share: float = LEAST_SHARE,
 ) -> StrayAverage:
-    """Group the positions in mm of each frame's strays.
+    """Group stray positions, mm, across frames.
 
     A group accepts one reading per frame, nearest first. Groups are in the order of their first appearance;
     those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
@@ -109,7 +109,7 @@ def _require_positions(frame: Sequence[Vector3]) -> Array:
 
 
 def _assign(groups: list[_GroupBuilder], readings: Array, radius_mm: float) -> list[int]:
-    """Assign each reading to the nearest group without one in this frame; returns the unassigned readings."""
+    """Assign each reading to the nearest free group and return the unassigned readings."""
     free = list(range(len(readings)))
     if not groups or not free:
         return free

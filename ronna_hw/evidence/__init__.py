@@ -1,1 +1,1 @@
-"""Integrity of a run folder: the journal's chain, the records' hashes, the seal, and the check."""
+"""Integrity of a run folder: journal chain, record hashes, seal, and their inspection."""

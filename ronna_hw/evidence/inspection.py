@@ -1,4 +1,4 @@
-"""The integrity check of a run folder: nothing in it is changed, missing, added, replaced or foreign.
+"""Integrity check of a run folder for changed, missing, added, replaced or foreign files.
 
 Journal and seal describe the folder as the run left it. A killed run has neither its last line nor a seal. It
 is checked as far as it goes; findings that only its end could confirm are `unfinished`, not changes.
@@ -51,7 +51,7 @@ FINISH_IT = (
 
 @dataclass(frozen=True)
 class Problem:
-    """A file that differs from the state in which the run left it, and the difference.
+    """File that differs from the state left by the run, and how.
 
     `unfinished`: only because the run did not reach its end, or a report file is to be made anew. `beside`:
     nothing written by the run is affected (its folder was renamed, or a file added). `out_of_reach`: an input
@@ -66,7 +66,7 @@ class Problem:
 
     @property
     def is_account_file(self) -> bool:
-        """Whether journal, request or records are not as written."""
+        """Whether the file is the journal, the request or a record, and not as written."""
         of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
         return of_it and not self.beside
 
@@ -75,7 +75,7 @@ class Problem:
 
 
 class KnownRecord(NamedTuple):
-    """Hash and CT series of a record named by an earlier line of the journal."""
+    """Hash and CT series of a record named earlier in the journal."""
 
     sha256: str
     series: str | None
@@ -83,7 +83,7 @@ class KnownRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Inspection:
-    """The journal of a run, those of its records that match the journal, and all problems."""
+    """Result of an inspection: the journal of a run, its matching records, and all problems."""
 
     folder: Path
     chain: Chain
@@ -94,17 +94,17 @@ class Inspection:
 
     @property
     def superseded(self) -> frozenset[str]:
-        """Identifiers of the superseded records."""
+        """Identifiers of superseded records."""
         return self.manifest.superseded
 
     @property
     def changes(self) -> tuple[Problem, ...]:
-        """Problems other than those of a run that did not reach its end."""
+        """Problems other than those of an unfinished run."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
     @property
     def not_as_left(self) -> dict[str, str | None]:
-        """Changed, missing and added files, with their hash at the last end or beginning; None without one.
+        """Changed, missing and added files with their last known hash; None without one.
 
         Excluded are files that every program continues, such as the log, unless added. A renamed folder is
         excluded too: every reading finds it.
@@ -118,15 +118,18 @@ class Inspection:
         }
 
     def require_unchanged(self, action: str | None = None) -> Inspection:
-        """Return itself, or raise PRO-033 on any change; an unfinished run passes."""
+        """Return the inspection, or raise PRO-033 on any change. An unfinished run passes."""
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """Return itself, or raise PRO-033 if journal, request or records changed: homing depends on them."""
+        """Return the inspection, or raise PRO-033 if journal, request or records changed.
+
+        Homing needs them.
+        """
         return self._require(tuple(problem for problem in self.changes if problem.is_account_file))
 
     def require_whole(self) -> Inspection:
-        """Return itself, or raise PRO-033 unless the folder is as a closed and sealed run left it."""
+        """Return the inspection, or raise PRO-033 unless the run is closed, sealed and unchanged."""
         return self._require(self.problems, None if self.changes else FINISH_IT)
 
     def require_content(self, name: str, content: bytes) -> bytes:
@@ -198,7 +201,7 @@ def _read_chain(folder: Path, problems: list[Problem]) -> Chain:
 
 
 def _check_records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
-    """Records that match their lines and whose parents come before them."""
+    """Yield the records that match their journal lines and follow their parents."""
     known: dict[str, KnownRecord] = {}
     run = lines[0].get("run") if lines else None
     for line in lines:
@@ -245,7 +248,7 @@ def _find_mismatches(
 
 
 def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
-    """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
+    """Find problems with the request, pictures, truth, and files named by the journal's end or the seal."""
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.request | manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))
@@ -286,7 +289,7 @@ def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Pro
 
 
 def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection[str]) -> Iterator[Problem]:
-    """Report files that a killed program found changed or added, if they still are."""
+    """Report files that a killed program found changed or added, unless restored since."""
     expected = manifest.unvouched_files
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
     yield from compare_files(folder, known, inputs=True)
@@ -295,7 +298,7 @@ def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection
 
 
 def _check_sealed_files(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
-    """Problems with files that only the seal covers, and with the journal, which it also covers."""
+    """Find problems with files covered only by the seal, and with the sealed journal."""
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
         yield Problem(SEAL_FILE, "changed")
@@ -310,7 +313,7 @@ def _check_sealed_files(folder: Path, chain: Chain, names: Sequence[str]) -> Ite
 
 
 def _compare_with_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
-    """Differences between the journal and its sealed state; returns whether the seal covers all of it."""
+    """Compare the journal with its sealed state; returns whether the seal covers all of it."""
     journal = read_json_lines(folder / JOURNAL_FILE, follow_links=False)
     sealed, after = journal[: seal.journal_bytes], journal[seal.journal_bytes :]
     if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
@@ -331,7 +334,7 @@ def _report_added_files(names: Sequence[str], *, sealed: bool = True) -> Iterato
 
 
 def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
-    """Compare files of the folder with their hashes; with `inputs` also files elsewhere, by whole path."""
+    """Compare files of the folder with their hashes; with `inputs`, also outside files by full path."""
     remaining_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():
         if wrong := explain_bad_name(name.removeprefix("/") if inputs else name):
@@ -353,14 +356,14 @@ def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = Fal
 
 
 def explain_bad_name(name: str) -> str:
-    """Explain why a name is not that of a file in the folder: it leads elsewhere, or is not normalised."""
+    """Explain why a name is not that of a run file: it leads outside, or is not normalised."""
     path = PurePosixPath(name)
     leads_elsewhere = path.is_absolute() or ".." in path.parts
     return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
 
 
 def explain_unreadable(error: OSError | InputRefused) -> str:
-    """Explain why a file of a run cannot be read."""
+    """Explain why a run file cannot be read."""
     if isinstance(error, InputRefused):
         return error.summary
     if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
@@ -371,6 +374,6 @@ def explain_unreadable(error: OSError | InputRefused) -> str:
 
 
 def _is_out_of_reach(name: str) -> bool:
-    """Whether a file elsewhere is in a folder that is missing or may not be entered."""
+    """Return whether an outside file is in a missing or inaccessible folder."""
     path = PurePosixPath(name)
     return path.is_absolute() and not os.access(path.parent, os.X_OK)

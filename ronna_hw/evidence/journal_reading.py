@@ -1,4 +1,4 @@
-"""Reads a journal back and checks its chain, distinguishing crash damage from later changes.
+"""Reading of a journal and its hash chain, distinguishing crash damage from later changes.
 
 A crash or a power loss tears the end: an unterminated line, or a last block of zeros. Nothing intact can
 follow it. An intact line after a broken one means that someone changed or removed something.
@@ -17,14 +17,14 @@ from ronna_hw.errors import RefusedError, RonnaError
 
 
 class JournalCorrupt(RonnaError):
-    """A journal's chain is broken: a line was changed, lost or torn in the middle."""
+    """The chain of a journal is broken: a line was changed, lost or torn in the middle."""
 
     code = "PRO-011"
     action = "Do not rely on this run; keep the folder as it is for analysis."
 
 
 class RunChanged(RefusedError):
-    """The files of a run were changed after the run."""
+    """Files of a run were changed after the run."""
 
     code = "PRO-033"
     action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
@@ -39,7 +39,7 @@ Line = Mapping[str, JournalValue]  # one line, as read back
 
 
 class Entry(StrEnum):
-    """Kinds of journal lines."""
+    """Kind of journal line."""
 
     OPENED = "opened"
     INTENT = "intent"
@@ -73,14 +73,14 @@ ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 def theatre_time_s(line: Line) -> float:
-    """Theatre time at which a line was written; 0 if it does not say."""
+    """Return the theatre time of a journal line; 0 if it has none."""
     value = line.get("theatre_time_s")
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A journal's complete lines, their length in bytes, and the SHA-256 of the last one."""
+    """Complete lines of a journal, their length in bytes, and the SHA-256 of the last one."""
 
     lines: tuple[Line, ...] = ()
     size: int = 0
@@ -89,12 +89,12 @@ class Chain:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the journal ends with the line of a closed run."""
+        """Whether the last line of the journal closes the run."""
         return bool(self.lines) and self.lines[-1]["entry"] == Entry.CLOSED
 
 
 def read_chain(path: Path) -> Chain:
-    """Read a journal's lines in order, with the torn rest at its end; raises PRO-011 for a broken chain."""
+    """Read the lines of a journal in order, and its torn end; raises PRO-011 for a broken chain."""
     chain, broken = read_chain_until_break(path)
     if broken is not None:
         raise broken
@@ -102,7 +102,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
-    """Read the chain up to a broken line; returns it with the break, if any. Raises INP-001, OSError."""
+    """Read the chain up to a broken line, and return the break, if any. Raises INP-001, OSError."""
     content = read_json_lines(path, follow_links=False)
     lines: list[Line] = []
     size, broken = 0, None
@@ -119,13 +119,13 @@ def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
 
 
 def read_journal(path: Path) -> Iterator[Line]:
-    """The lines of a journal in order, without a torn end; raises PRO-011 where the chain is broken."""
+    """Read the lines of a journal in order, without a torn end; raises PRO-011 for a broken chain."""
     for line, _ in _iterate_lines(read_json_lines(path, follow_links=False), path.name):
         yield line
 
 
 def _iterate_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
-    """Each line that follows its predecessor, with the offset of its end."""
+    """Yield each line that follows its predecessor in the chain, with the offset of its end."""
     number, begin, previous = 0, 0, FIRST
     while begin < len(content):
         end = content.find(b"\n", begin) + 1
@@ -153,7 +153,7 @@ def _parse_line(line: bytes) -> dict[str, JournalValue] | None:
 
 
 def _is_torn(rest: bytes) -> bool:
-    """Whether a crash can have left this after the last complete line."""
+    """Return whether a crash can have left these bytes after the last complete line."""
     *whole, last = rest.split(b"\n", MOST_TORN_LINES)
     if b"\0" not in rest and (whole or not last):
         return False

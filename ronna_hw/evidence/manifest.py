@@ -1,4 +1,4 @@
-"""The manifest of a run: the names of its files with their SHA-256, written and read only here.
+"""Manifest of a run: its file names with their SHA-256. Only this module writes and reads it.
 
 It has two parts. The lines of the journal state the files that existed when they were written: inputs of the
 run and of its results, pictures, and the truth of a simulated theatre so far. The last line names every file
@@ -60,19 +60,19 @@ LARGEST_TRUTH_BYTES = 10_000_000  # ten times what the verifier reads
 
 
 def read_hashes(line: Line, field: str) -> dict[str, str]:
-    """File names and hashes in a field of a line; empty without the field."""
+    """Return the file names and hashes in a field of a journal line; an empty dict without the field."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
 
 
 def count_names(lines: Iterable[Line]) -> int:
-    """Count the files that the lines of a journal name."""
+    """Count the files named in the journal."""
     fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
     return sum(len(read_hashes(line, field)) for line in lines for field in fields)
 
 
 class StatedTruth(NamedTuple):
-    """Length and SHA-256 of a truth file as last stated, and whether a step has begun since."""
+    """Last stated length and SHA-256 of a truth file, and whether a step has begun since."""
 
     length: int
     sha256: str
@@ -80,7 +80,7 @@ class StatedTruth(NamedTuple):
 
 
 class Manifest:
-    """Files of a run by name, with the SHA-256 that its journal states for each.
+    """Files of a run by name, with the SHA-256 stated in the journal.
 
     `files` and `outside_files` are those of the last `closed` line, in the run's folder and elsewhere.
     `initial_inputs` are the inputs at the last opening of the run. `result_inputs` are those of the standing
@@ -138,7 +138,7 @@ class Manifest:
 
     @property
     def lasting_files(self) -> dict[str, str]:
-        """Files of an open run that must not have changed since the journal named them.
+        """Files of an open run that must be unchanged since the journal named them.
 
         Inputs of results are left out: resuming the run compares their content.
         """
@@ -151,14 +151,14 @@ class Manifest:
         }
 
     def find_exchanged_inputs(self) -> Iterator[tuple[str, str]]:
-        """Inputs of a closed run that differ between its standing results and its end, and how."""
+        """Find inputs of a closed run that changed between its standing results and its end."""
         at_end = self.files | self.outside_files
         for name, sha256 in (self.initial_inputs | self.result_inputs).items():
             if at_end.get(name, sha256) != sha256:
                 yield name, "exchanged while the run was open: its results were made from another file"
 
     def find_truth_problems(self, folder: Path) -> Iterator[tuple[str, str]]:
-        """Truth files of a run that do not match its journal, and how."""
+        """Find truth files of a run that do not match its journal."""
         for name in self.truth:
             try:
                 with open_regular(folder / name) as file:
@@ -172,7 +172,7 @@ class Manifest:
                     yield name, what
 
     def describe_truth_difference(self, name: str, content: bytes) -> str:
-        """Describe the difference of a truth file from the journal; empty if it matches or is not named."""
+        """Describe how a truth file differs from the journal; an empty text if it matches or is not named."""
         if name not in self.truth:
             return ""
         size, sha256, step_begun = self.truth[name]
@@ -188,7 +188,7 @@ def _hash_of(name: str, sha256: JournalValue) -> dict[str, str]:
 
 
 def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
-    """Hashes for the end of a run; files that were not as left keep their earlier hash.
+    """Return the hashes for the end of a run, keeping earlier ones of files that were not as left.
 
     A file that never had one is omitted: it counts as added until somebody removes it.
     """
@@ -197,7 +197,7 @@ def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | 
 
 
 def sha256_of(path: Path) -> str:
-    """Hash a file. Raises OSError, also for anything but a regular file and for one too large for a run."""
+    """Hash a file. Raises OSError, also if it is not a regular file or too large for a run."""
     found = hashlib.sha256()
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -212,7 +212,7 @@ def sha256_of(path: Path) -> str:
 
 
 def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file of a run with its name, except journal, seal and exports.
+    """Yield every file of a run with its name, except journal, seal and exports.
 
     Also lists unexpected folders: too deep or unreadable ones, below which nothing is listed, and empty ones
     that no run makes.
@@ -227,22 +227,22 @@ def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def list_unchecked_folders(folder: Path) -> list[str]:
-    """Unchecked folders inside a run's folder, which are not part of the run."""
+    """List the folders inside a run's folder that are not part of the run and not checked."""
     return [name for name in APART if (folder / name).is_dir()]
 
 
 def is_written_later(name: str) -> bool:
-    """Whether a file with this name is also written after the run is closed."""
+    """Return whether a file with this name is also written after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
 
 
 def is_regenerated(name: str) -> bool:
-    """Whether a file belongs to the report and follows from the rest of the run."""
+    """Return whether a file belongs to the report and can be regenerated from the rest of the run."""
     return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
 
 
 def list_theatre_files(folder: Path) -> list[Path]:
-    """Files that describe the theatre in a run's folder; constant while the run is open."""
+    """List the files in a run's folder that describe the theatre, constant while the run is open."""
     return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
 
 
@@ -252,7 +252,7 @@ def hash_files_at_closing(folder: Path) -> dict[str, str]:
 
 
 def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hash files and whole folders outside a run that it worked with, by path."""
+    """Hash the files and whole folders outside a run that it used, by path."""
     hashes = {}
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
@@ -263,7 +263,7 @@ def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """Hash the input files of a run as far as they are readable.
+    """Hash the readable input files of a run.
 
     Files in the run's folder are named relative to it, others by their whole path.
     """
@@ -276,7 +276,7 @@ def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
-    """Journal field with length and hash of the truth files so far; empty without a simulated theatre."""
+    """Build the journal field with length and hash of the truth files. A real theatre has none."""
     known: dict[str, JournalValue] = {}
     for name in TRUTH_FILES:
         with suppress(OSError), open_regular(folder / name) as file:
@@ -302,7 +302,7 @@ class Seal(BaseModel):
         return self.own_sha256 == self._own()
 
     def with_own_hash(self) -> Seal:
-        """A copy that contains its own hash."""
+        """Return a copy that includes its own hash."""
         return self.model_copy(update={"own_sha256": self._own()})
 
     def _own(self) -> str:
@@ -311,7 +311,7 @@ class Seal(BaseModel):
 
 
 def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
-    """Seal every file that is neither in `closed`, the last line of the journal, nor in `apart`.
+    """Seal every file that is in neither `closed` (the last journal line) nor `apart`.
 
     Raises OSError.
     """
@@ -336,13 +336,13 @@ def read_seal(folder: Path) -> Seal | None:
 
 
 def is_sealed(folder: Path) -> bool:
-    """Whether the seal covers the journal at its present length."""
+    """Return whether the seal covers the journal at its current length."""
     found = read_seal(folder)
     return found is not None and found.journal_bytes == (folder / JOURNAL_FILE).stat().st_size
 
 
 def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Files that the run itself can have written; anything else was added."""
+    """Yield files that the run itself can have written; anything else was added."""
     for name, path in iterate_files(folder):
         status = path.lstat()
         regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES
@@ -351,7 +351,7 @@ def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name is UTF-8; others have no form in the JSON of the seal."""
+    """Return whether a name is UTF-8; others cannot be written in the JSON of the seal."""
     try:
         name.encode()
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""Files of a killed run that had no seal when it was resumed: nothing vouches for them since the kill.
+"""Unsealed files of a killed and resumed run, which nothing vouches for since the kill.
 
 The next seal also covers the log of the killed program, and would hide that it could have been changed in
 between. So the journal lists the files that lay there without a seal.
@@ -20,7 +20,7 @@ REPORT = "report"  # made anew at every end
 
 
 def unsealed(found: Inspection) -> dict[str, int]:
-    """Files that neither journal nor seal confirms, with their length, except those reported as problems."""
+    """Return the files, with lengths, confirmed by neither journal nor seal, except reported problems."""
     if not found.chain.lines:
         return {}
     manifest = found.manifest
@@ -39,7 +39,7 @@ def unsealed(found: Inspection) -> dict[str, int]:
 
 
 def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
-    """Describe in sentences the files that the seal covers without vouching for them."""
+    """Describe the files that the seal covers without vouching for them, in sentences."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
@@ -50,7 +50,7 @@ def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
 
 
 def _name_files(files: Mapping[str, object]) -> Iterator[str]:
-    """Files with their length; several in one folder by their number."""
+    """Name files; several in one folder are only counted."""
     folders: dict[str, list[str]] = {}
     for name in map(str, files):
         folders.setdefault(str(PurePosixPath(name).parent), []).append(name)

@@ -1,1 +1,1 @@
-"""The computer the code runs on: processes, memory, files, networks and ports."""
+"""Host computer: processes, memory, files, networks and ports."""

@@ -1,4 +1,4 @@
-"""Commands as child processes: awaited until READY or to their end, always ended, checked for hanging.
+"""Commands as child processes: awaited until READY or their end, always terminated, watched for hanging.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
 dies. The end of its standard error is kept for the message if it fails. Even on a busy computer a working
@@ -44,19 +44,19 @@ class ChildNotReady(LinkTimeout):
 
 
 def timeout_error(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
-    """Build the error of a process that took `late_s`, or with None used no processor time for `idle_s`."""
+    """Build the error of a process that ran for `late_s`, or if None, used no processor time for `idle_s`."""
     if late_s is not None:
         return ChildNotReady(what, limit=f"{late_s:g} s", action=TOO_SLOW)
     return ChildNotReady(what, limit=f"{idle_s:g} s without using the processor", action=HANGS)
 
 
 def command(module: str, *arguments: str) -> list[str]:
-    """Command line of one of our modules, run by this Python, independent of the path."""
+    """Return the command line of one of our modules, run by this Python regardless of the path."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 class ChildProcess:
-    """A child process. `ready` is the content of its READY line."""
+    """Running child process. `ready` is the content of its READY line."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class ChildProcess:
         inherited: Sequence[int] = (),
         on_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the process and wait until it is ready; raises PRC-001. `on_message` receives its messages.
+        """Start the process and wait until ready; raises PRC-001. `on_message` receives its messages.
 
         `inherited` are descriptors passed to it. With `timeout_s` None there is no wait, so that several can
         start in parallel: `await_ready` must follow.
@@ -106,7 +106,7 @@ class ChildProcess:
         since: float | None = None,
         idle_s: float = IDLE_TIMEOUT_S,
     ) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the child's last messages, ending it within `stop_s`.
+        """Wait for the READY line; raises PRC-001 with the last messages, ending the child within `stop_s`.
 
         `since` is the monotonic time from which the limit counts, for children that share one; by default
         now. A child without processor time for `idle_s` has failed.
@@ -138,12 +138,12 @@ class ChildProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """Whether the process is running."""
         return self.process.poll() is None
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Last lines of its standard error."""
+        """Last lines of standard error."""
         return tuple(self._messages)
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
@@ -188,7 +188,7 @@ class ChildProcess:
 
 
 def run_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end, whatever its exit code. Raises PRC-001 like `await_end`."""
+    """Run a command to completion, whatever its exit code. Raises PRC-001 like `await_end`."""
     with shield_children():
         process = subprocess.Popen(
             arguments,
@@ -228,7 +228,7 @@ def await_end(
 
 
 class ProcessorUse:
-    """Processor time of a process and its descendants, observed from now on."""
+    """Observer of the processor time used by a process and its descendants."""
 
     def __init__(self, number: int) -> None:
         self._number = number  # of the process
@@ -236,7 +236,7 @@ class ProcessorUse:
         self._changed_s = self._next_s = time.monotonic()
 
     def idle_s(self) -> float:
-        """Host time since the process or a descendant was last seen to use the processor."""
+        """Return the host time in s since the process or a descendant last used the processor."""
         now_s = time.monotonic()
         if now_s >= self._next_s:
             self._next_s = now_s + POLL_S
@@ -259,7 +259,7 @@ def _processor_time_s(number: int) -> float:
 
 
 def descendants_of(number: int) -> list[psutil.Process]:
-    """Descendants of a process; ask before it ends, afterwards they are orphans.
+    """List the descendants of a process; call before it ends, since they become orphans afterwards.
 
     A halted process reacts only to SIGKILL, not even to the death of its parent.
     """
@@ -273,7 +273,7 @@ def descendants_of(number: int) -> list[psutil.Process]:
 
 
 def kill_all(processes: list[psutil.Process]) -> None:
-    """Kill processes; never raises, not even for one that has ended."""
+    """Kill processes; never raises, even for those that have ended."""
     import psutil
 
     for process in processes:

@@ -1,4 +1,4 @@
-"""Files and folders that another user may have tampered with, and what this process may do with files.
+"""Handling of files and folders that other users may have tampered with, and of file permissions.
 
 A run folder contains a patient's CT, plan, journal and report, so others may not read what a command writes.
 """
@@ -42,7 +42,7 @@ DEEPEST_LEVEL = 16  # of folders; a run has three
 
 
 class WalkedPath(NamedTuple):
-    """A path below the walked folder."""
+    """Path below a walked folder."""
 
     path: Path
     is_folder: bool  # not a link to one
@@ -50,7 +50,7 @@ class WalkedPath(NamedTuple):
 
 
 def walk(folder: Path, *, excluded: Collection[str] = ()) -> Iterator[WalkedPath]:
-    """Iterate without recursion over everything below a folder, except top-level folders named in `excluded`.
+    """List everything below a folder without recursion, except top-level folders in `excluded`.
 
     Links are not followed. Folders at `DEEPEST_LEVEL` and unreadable ones are listed but not entered.
     """
@@ -72,7 +72,7 @@ def walk(folder: Path, *, excluded: Collection[str] = ()) -> Iterator[WalkedPath
 
 
 def remove_folder(folder: Path) -> bool:
-    """Remove a folder with its content; returns whether that succeeded."""
+    """Remove a folder with its content; returns whether it succeeded."""
     with suppress(OSError, RecursionError):  # the second for a chain of folders without end
         shutil.rmtree(folder)
     return not folder.exists()
@@ -84,7 +84,7 @@ _UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 07
 
 @contextmanager
 def restrict_new_files() -> Iterator[None]:
-    """Create files in the block, also in child processes, for this user only, whatever the umask.
+    """Restrict new files in the block, also those of child processes, to this user whatever the umask.
 
     `RONNA_ACCESS=group` also admits the folder's group, for a folder that a lab shares. Raises ValueError for
     any other word.
@@ -100,14 +100,14 @@ def restrict_new_files() -> Iterator[None]:
 
 
 class TooFewOpenFiles(RonnaError):
-    """The system allows this program too few open files and sockets for its task."""
+    """The system limits open files and sockets to fewer than this task needs."""
 
     code = "PRC-002"
     action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
 
 
 def require_open_files(needed: int) -> None:
-    """Raise PRC-002 if so many files may not be open; raises a soft limit as far as necessary."""
+    """Raise PRC-002 if this many files cannot be open; raises a soft limit as far as necessary."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return

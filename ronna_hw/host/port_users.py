@@ -1,4 +1,4 @@
-"""Users of a serial port, network port or lock of this computer, as far as this user may see them.
+"""Processes that use a serial port, network port or lock, as far as this user may see them.
 
 Who may use a serial port is stated in the words of its mode, owner and group.
 """
@@ -26,7 +26,7 @@ _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to eac
 
 @dataclass(frozen=True)
 class PortUser:
-    """A process that has a port or lock open."""
+    """Process that has a port or lock open."""
 
     pid: int
     name: str  # its command line
@@ -37,7 +37,7 @@ class PortUser:
 
 
 def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
-    """Other processes with this port open, except the one on the master side of a pseudo-terminal."""
+    """List other processes with this port open, except the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
     except OSError:
@@ -52,7 +52,7 @@ def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
 
 
 def find_udp_port_user(address: str, port: int) -> PortUser | None:
-    """Process of this computer bound to a UDP port; None if there is none, or it is hidden."""
+    """Find the local process bound to a UDP port; None if there is none, or it is hidden."""
     for connection in psutil.net_connections(kind="udp4"):
         if connection.pid and connection.laddr.port == port and connection.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(connection.pid, _describe_process(connection.pid))
@@ -60,7 +60,7 @@ def find_udp_port_user(address: str, port: int) -> PortUser | None:
 
 
 def find_tcp_listener(address: str, port: int) -> PortUser | None:
-    """Process of this computer listening on a TCP port; None if there is none, or it is hidden."""
+    """Find the local process listening on a TCP port; None if there is none, or it is hidden."""
     for connection in psutil.net_connections(kind="tcp4"):
         listens = connection.status == psutil.CONN_LISTEN and connection.laddr.port == port
         if connection.pid and listens and connection.laddr.ip in (address, ANY_ADDRESS):
@@ -69,7 +69,7 @@ def find_tcp_listener(address: str, port: int) -> PortUser | None:
 
 
 def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
-    """Other processes of this computer that are connected to a TCP port, here or elsewhere."""
+    """Find other local processes connected to a TCP port, here or elsewhere."""
     try:
         there = (socket.gethostbyname(host), port)
     except OSError:
@@ -87,7 +87,7 @@ def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
 
 
 def find_lock_holder(file: int) -> PortUser | None:
-    """Process that holds the `flock` of an open file, with its terminal; None if it is hidden.
+    """Find the process that holds the `flock` of an open file, with its terminal; None if hidden.
 
     psutil does not know locks.
     """
@@ -105,7 +105,7 @@ def find_lock_holder(file: int) -> PortUser | None:
 
 
 def _open_devices(pid: int) -> Iterator[Path]:
-    """Open devices of a process, as links below /proc: psutil's `open_files` lists regular files only."""
+    """List open devices of a process from /proc, since psutil's `open_files` lists regular files only."""
     with contextlib.suppress(OSError):
         for file in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
@@ -120,7 +120,7 @@ def _is_device(file: Path, device: int) -> bool:
 
 
 def _is_master_of(file: Path, device: int) -> bool:
-    """Whether it is the master side of the pseudo-terminal `device`."""
+    """Return whether a process has the master side of the pseudo-terminal `device`."""
     if not _FIRST_MAJOR <= os.major(device) <= _LAST_MAJOR:
         return False
     index = (os.major(device) - _FIRST_MAJOR) * 256 + os.minor(device)
@@ -144,7 +144,7 @@ def _describe_process(pid: int) -> str:
 
 
 def describe_permissions(path: str) -> str:
-    """Mode, owner and group of a port, as `ls -l` shows them."""
+    """Return mode, owner and group of a port, in the form of `ls -l`."""
     try:
         status = os.stat(path)
     except OSError as error:
@@ -153,7 +153,7 @@ def describe_permissions(path: str) -> str:
 
 
 def advise_on_permission(path: str) -> str:
-    """Say who may use a port, and how to get that permission."""
+    """Explain who may use a port, and how to obtain permission."""
     try:
         status = os.stat(path)
     except OSError:

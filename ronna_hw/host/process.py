@@ -1,4 +1,4 @@
-"""This process: its start, its parent, its packages and threads, and the signals that end it.
+"""Current process: start, parent, packages, threads, and termination signals.
 
 Import it before anything heavy: an import may outlast the parent, whose number is noted here.
 
@@ -34,7 +34,7 @@ def suspend_garbage_collection() -> None:
 
 
 def resume_garbage_collection() -> None:
-    """Exclude all present objects from later collections, and collect again."""
+    """Exempt all existing objects from later collections, and resume collecting."""
     gc.freeze()
     gc.enable()
 
@@ -43,19 +43,19 @@ INIT = 1
 
 
 class ParentProcess(NamedTuple):
-    """The parent at the start of this process."""
+    """Parent process at the start of this process."""
 
     pid: int
     gone_at_start: bool = False
 
     @property
     def is_gone(self) -> bool:
-        """Whether the parent has died, possibly before it was noted; an orphan is adopted by init."""
+        """Whether the parent has died, possibly before it was noted; init adopts orphans."""
         return self.gone_at_start or os.getppid() != self.pid
 
 
 def note_parent() -> ParentProcess:
-    """Note the current parent.
+    """Record the current parent.
 
     A service started by init leads its own process group or belongs to that of init. A child of init in any
     other group is an orphan whose parent died before this call.
@@ -70,7 +70,7 @@ OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
 
 
 class ForeignPackage(ConfigurationError):
-    """One of our packages is shadowed by another of the same name on the path."""
+    """Another package of the same name on the path shadows one of ours."""
 
     code = "CFG-003"
     action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
@@ -87,7 +87,7 @@ def require_own_packages() -> None:
 
 
 def find_foreign_packages() -> tuple[str, ...]:
-    """Our package names that Python would not load from the folder of `ronna_hw`."""
+    """List our package names that Python would not load from the folder of `ronna_hw`."""
     home = Path(__file__).resolve().parents[2]
     foreign = []
     for name in OWN_PACKAGES:
@@ -105,13 +105,13 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def limit_to_one_thread() -> None:
-    """Keep this process and its children to one thread. Call before NumPy is imported."""
+    """Limit this process and its children to one thread. Call before NumPy is imported."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 
 @contextmanager
 def limit_children_to_one_thread() -> Iterator[None]:
-    """Keep processes started in the block to one thread."""
+    """Limit processes started in the block to one thread."""
     before = {name: os.environ.get(name) for name in _THREADS}
     limit_to_one_thread()
     try:
@@ -129,7 +129,7 @@ ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, an or
 
 @contextmanager
 def defer_interruption() -> Iterator[None]:
-    """Defer the signals that end a program to the end of the block; for work bounded in time.
+    """Defer termination signals to the end of the block, whose work must be bounded in time.
 
     Python delivers signals to the main thread only; in any other thread nothing is deferred.
     """
@@ -149,7 +149,7 @@ def defer_interruption() -> Iterator[None]:
 
 @contextmanager
 def allow_interruption() -> Iterator[None]:
-    """Let the ending signals raise KeyboardInterrupt in the block, even if they are ignored around it."""
+    """Let termination signals raise KeyboardInterrupt in the block, even if ignored outside it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -163,7 +163,7 @@ def allow_interruption() -> Iterator[None]:
 
 @contextmanager
 def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Direct the ending signals to `handler` in the block; main thread only."""
+    """Route termination signals to `handler` in the block; main thread only."""
     before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
     try:
         yield
@@ -174,7 +174,7 @@ def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterato
 
 @contextmanager
 def shield_children() -> Iterator[None]:
-    """Start processes in the block that never receive SIGINT: they inherit it blocked.
+    """Block SIGINT in processes started within the block, by inheritance.
 
     Their own session, which hides the other signals of the terminal, begins only after the fork.
     """
@@ -186,7 +186,7 @@ def shield_children() -> Iterator[None]:
 
 
 def describe_exit(code: int) -> str:
-    """Say how a process ended: the signal that killed it, or its exit code."""
+    """Describe how a process ended: the signal that killed it, or its exit code."""
     if code >= 0:
         return f"exit code {code}"
     try:

@@ -1,4 +1,4 @@
-"""Scheduling and memory of a real-time process; the system may refuse any of it."""
+"""Scheduling and memory locking for a real-time process; the system may refuse either."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARENT_DEATH_SIGNAL = signal.SIGUSR1  # SIGTERM is an order to end
 
 
 def lock_memory() -> bool:
-    """Lock all pages in memory; returns whether that was granted."""
+    """Lock all pages in memory; returns whether the system granted it."""
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY and limit < ENOUGH_LOCKED_BYTES:
         return False  # if granted, it would make later allocations fail
@@ -29,7 +29,7 @@ def lock_memory() -> bool:
 
 
 def request_priority(priority: int) -> bool:
-    """Run ahead of all ordinary processes (SCHED_FIFO); returns whether granted.
+    """Request priority over all ordinary processes (SCHED_FIFO); returns whether granted.
 
     Priority 0 requests nothing.
     """
@@ -49,14 +49,14 @@ def make_sleep_precise() -> None:
 
 
 def stop_garbage_collection() -> None:
-    """Turn off garbage collection, for a control cycle that creates no reference cycles."""
+    """Turn off garbage collection for a control cycle that creates no reference cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
 def signal_on_parent_death() -> None:
-    """Request a signal when the thread that started us ends.
+    """Request a signal when the thread that started this process ends.
 
     Its handler must check the parent process.
     """
@@ -68,7 +68,7 @@ SURE_AFTER_TELEGRAMS = 2  # consecutive, on the same other processor; a single o
 
 
 class ProcessorAffinity:
-    """Places the calling thread beside a paced sender, or away from one that works in lock-step with it.
+    """Placement of the calling thread: beside a paced sender, or away from a sender in lock-step.
 
     `follow`: waking up on the processor that receives the telegrams needs no interrupt to another, possibly
     halted, processor, and the telegram is still in the caches. `avoid`: with priority over all others the
@@ -85,7 +85,7 @@ class ProcessorAffinity:
         self._consecutive = 0
 
     def follow(self, processor: int) -> None:
-        """Note a telegram received on this processor (-1: unknown), and move there once it is settled."""
+        """Note the processor that received a telegram (-1: unknown), and move there once it is stable."""
         if processor == self._pinned_to or not self._follows:
             return
         self._consecutive = self._consecutive + 1 if processor == self._last else 1
@@ -95,7 +95,7 @@ class ProcessorAffinity:
             self._pinned_to, self._avoided = processor, None
 
     def avoid(self, processor: int) -> None:
-        """Leave the processor on which the sender works (-1: unknown) to it."""
+        """Keep off the sender's processor (-1: unknown)."""
         if not self._follows or processor == self._avoided or processor not in self._allowed:
             return
         self._restrict(self._allowed - {processor})

@@ -1,4 +1,4 @@
-"""A block of shared memory: its locations, tables of `NamedTuple` rows, and a ring of bytes.
+"""Shared memory block with assigned locations, tables of `NamedTuple` rows, and a byte ring.
 
 None of the locations overlap, and no offset is written by hand. Each has one writer. Single words are aligned
 and need nothing more. A checked row or text has a checksum: a reader that finds it half written retries, and
@@ -34,7 +34,7 @@ RowT = TypeVar("RowT", bound=tuple[Any, ...])
 
 
 class MemoryMap:
-    """Assigns locations in a block, which begins with a mark that identifies its owner.
+    """Allocator of locations in a block, which starts with a mark identifying its owner.
 
     `size_bytes` grows with every location.
     """
@@ -44,15 +44,15 @@ class MemoryMap:
         self.size_bytes = _align(len(mark))
 
     def mark_memory(self, memory: Any) -> None:
-        """Write our mark."""
+        """Write the owner's mark."""
         memory[: len(self.mark)] = self.mark
 
     def is_marked(self, memory: Any) -> bool:
-        """Whether the memory carries our mark."""
+        """Return whether the memory carries the owner's mark."""
         return bool(memory[: len(self.mark)] == self.mark)
 
     def word(self, code: str = "Q") -> Word:
-        """Assign one aligned number of a struct code."""
+        """Assign one aligned number with a struct code."""
         return Word(code, self._take(ALIGNMENT_BYTES))
 
     def rows(self, row: type[RowT], count: int = 1) -> Rows[RowT]:
@@ -94,7 +94,7 @@ def _align(size_bytes: int) -> int:
 
 
 class Word:
-    """An aligned number, which is never read half written."""
+    """Aligned number, which is never read half written."""
 
     def __init__(self, code: str, offset: int) -> None:
         self._struct = struct.Struct(f"<{code}")
@@ -111,7 +111,7 @@ class Word:
 
 
 class Rows(Generic[RowT]):
-    """Plain rows of one type, in sequence; `index` 0 for a single one."""
+    """Sequence of plain rows of one type; use `index` 0 for a single row."""
 
     def __init__(self, row: type[RowT], offset: int, count: int) -> None:
         self._codec = RowCodec(row)
@@ -129,7 +129,7 @@ class Rows(Generic[RowT]):
 
 
 class CheckedRow(Generic[RowT]):
-    """A row behind a checksum."""
+    """Row protected by a checksum."""
 
     def __init__(self, row: type[RowT], offset: int) -> None:
         self._codec = RowCodec(row)
@@ -146,7 +146,7 @@ class CheckedRow(Generic[RowT]):
 
 
 class CheckedBytes:
-    """Bytes of variable length behind a checksum."""
+    """Bytes of variable length protected by a checksum."""
 
     def __init__(self, offset: int, capacity_bytes: int) -> None:
         self._offset = offset
@@ -182,20 +182,20 @@ class _ChecksummedBlock:
 
 
 class Counters:
-    """A row of counters, accessed as one typed view of the memory."""
+    """Row of counters, accessed as one typed view of the memory."""
 
     def __init__(self, offset: int, count: int) -> None:
         self._offset = offset
         self.size_bytes = count * ALIGNMENT_BYTES
 
     def view(self, memory: Any) -> memoryview[int]:
-        """Unsigned 64-bit counters; release the view before the memory is closed."""
+        """Return a view of unsigned 64-bit counters; release it before the memory is closed."""
         with memoryview(memory) as whole, whole[self._offset : self._offset + self.size_bytes] as bytes_:
             return bytes_.cast("Q")
 
 
 class Bytes:
-    """Plain bytes, laid out by the user."""
+    """Plain bytes in a layout chosen by the user."""
 
     def __init__(self, offset: int, size_bytes: int) -> None:
         self.offset = offset
@@ -203,7 +203,7 @@ class Bytes:
 
 
 class RingPart(NamedTuple):
-    """Result of one read."""
+    """Result of one read of a byte ring."""
 
     content: bytes
     end: int  # where to continue
@@ -211,7 +211,7 @@ class RingPart(NamedTuple):
 
 
 class ByteRing:
-    """A ring of bytes with one writer that never waits and one reader that may be too late.
+    """Ring of bytes for a writer that never waits and a reader that may be too late.
 
     Entries follow each other without gaps; the reader finds their ends in the entries themselves. An
     overtaken reader skips what it missed and learns how much that was. `longest` is the longest entry: the
@@ -219,7 +219,7 @@ class ByteRing:
     """
 
     def __init__(self, written: Word, place: Bytes, longest: int) -> None:
-        """`written` counts all bytes ever written."""
+        """Create a view; `written` counts all bytes ever written."""
         self._written = written
         self._place = place
         self._longest = longest
@@ -236,7 +236,7 @@ class ByteRing:
         self._written.write(memory, total + len(entry))
 
     def read(self, memory: Any, begin: int) -> RingPart:
-        """Read everything since `begin`, which is 0 or the end of the last part."""
+        """Read everything since `begin`, which is 0 or the end of the previous part."""
         offset, capacity = self._place.offset, self._place.size_bytes
         end = self._written.read(memory)
         if end - begin > capacity - self._longest:
@@ -252,7 +252,7 @@ class ByteRing:
 
 
 class FieldCode(NamedTuple):
-    """A struct code, with conversions for a value that is not a number."""
+    """Struct code with conversions for non-numeric values."""
 
     code: str
     encode: Callable[[Any], Any] | None = None
@@ -260,12 +260,12 @@ class FieldCode(NamedTuple):
 
 
 def one_of(choices: Sequence[str]) -> FieldCode:
-    """Field for one of a few words, stored as its index in a byte."""
+    """Build a field for one of a few words, stored as its index in a byte."""
     return FieldCode("B", choices.index, choices.__getitem__)
 
 
 def text(capacity_bytes: int) -> FieldCode:
-    """Field for a short text in UTF-8; anything longer is cut off."""
+    """Build a field for a short UTF-8 text; longer text is truncated."""
 
     def encode(value: str) -> bytes:
         return value.encode()[:capacity_bytes]
@@ -282,10 +282,10 @@ IPV4_HOST = FieldCode(  # "" for none
 
 
 class RowCodec(Generic[RowT]):
-    """Struct, pack and unpack of one `NamedTuple` class, little endian and without padding."""
+    """Codec of one `NamedTuple` class as a packed little-endian struct."""
 
     def __init__(self, row: type[RowT]) -> None:
-        """Raises TypeError for a field without a struct code."""
+        """Prepare the codec; raises TypeError for a field without a struct code."""
         namespace: dict[str, Any] = {"row_type": row}
         codes, packed, unpacked = ["<"], [], []
         at = 0
@@ -314,11 +314,11 @@ class RowCodec(Generic[RowT]):
         self._unpack, self._unpack_from = layout.unpack, layout.unpack_from
 
     def unpack(self, data: bytes) -> RowT:
-        """Restore a row from `pack`; raises struct.error for another length."""
+        """Decode a row from `pack`; raises struct.error for another length."""
         return self._make(self._unpack(data))
 
     def unpack_from(self, memory: Any, offset: int) -> RowT:
-        """Restore the row at an offset in memory."""
+        """Decode the row at an offset in memory."""
         return self._make(self._unpack_from(memory, offset))
 
 

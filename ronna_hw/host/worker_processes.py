@@ -1,4 +1,4 @@
-"""Worker processes of a computation: freshly started, ended with this process, and checked for hanging."""
+"""Worker processes for computations: freshly started, ended with this process, watched for hanging."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Start so many worker processes, which end with this one. A fork would inherit locks of library threads.
+    """Start `count` workers that end with this process. A fork would inherit locks of library threads.
 
     An error or interruption in the block kills them: their work may never end by itself.
     """
@@ -34,7 +34,7 @@ def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
-    """Results of workers that only compute, in order; raises PRC-001 when none uses the processor."""
+    """Return the results of compute-only workers, in order; raises PRC-001 if none uses the processor."""
     uses = [ProcessorUse(process.pid) for process in active_children() if process.pid is not None]
     for future in waiting:
         while not wait([future], POLL_S).done:

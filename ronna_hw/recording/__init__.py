@@ -1,1 +1,1 @@
-"""Traffic on the links of a theatre, recorded for later analysis."""
+"""Recording of link traffic in a theatre for later analysis."""

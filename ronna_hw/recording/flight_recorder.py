@@ -1,4 +1,4 @@
-"""The flight recorder: the bytes of all links, written by a separate thread and read back.
+"""Flight recorder for the bytes of all links, with its own writing thread, and its reader.
 
 A caller only pays for one append to a queue. If the disk does not keep up, bytes are dropped and counted, and
 a note in the link's file says how many; nobody ever waits. Each link has two files, written alternately: disk
@@ -58,7 +58,7 @@ class _Entry(NamedTuple):
 
 
 class FlightRecorder:
-    """A `ByteSink` that stores the traffic of a run in a folder."""
+    """`ByteSink` that stores the traffic of a run in a folder."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class FlightRecorder:
         file_bytes: int = FILE_BYTES,
         queue_length: int = QUEUE_LENGTH,
     ) -> None:
-        """`now_s` is theatre time. Raises OSError when the folder cannot be created."""
+        """Start recording; `now_s` returns theatre time. Raises OSError if the folder cannot be created."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._now_s = now_s
@@ -88,11 +88,11 @@ class FlightRecorder:
         self._writer.start()
 
     def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
-        """Record bytes that have just passed."""
+        """Record bytes as they are transferred."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
 
     def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
-        """Record earlier traffic; theatre time is interpolated since the last call for this link."""
+        """Record earlier traffic, interpolating theatre time since the last call for this link."""
         now_ns, now_s = time.monotonic_ns(), self._theatre_s()
         before_ns, before_s = self._last_queries.get(link, (now_ns, now_s))
         self._last_queries[link] = now_ns, now_s
@@ -106,7 +106,7 @@ class FlightRecorder:
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), None, b"", facts))
 
     def close(self) -> None:
-        """Write what is queued and close the files. Bounded in time; never raises."""
+        """Write queued entries and close the files. Bounded in time; never raises."""
         self._ending.set()
         if self._writer is not threading.current_thread():
             self._writer.join(CLOSE_LIMIT_S)
@@ -154,7 +154,7 @@ class FlightRecorder:
         return encode_bytes(epoch_ns, entry.theatre_time_s, entry.direction, entry.data)
 
     def _write(self, link: str, lines: bytes) -> bool:
-        """Write lines; returns whether that worked. A failed link is tried again each time."""
+        """Write lines; returns whether it succeeded. A failed link is retried each time."""
         files = self._files.get(link)
         try:
             if files is None:
@@ -173,10 +173,10 @@ class FlightRecorder:
 
 
 class AlternatingFiles:
-    """The two files of a link. When one is full, the other is emptied and written."""
+    """Two alternating files of a link: when one is full, the other is emptied and written."""
 
     def __init__(self, folder: Path, link: str, limit_bytes: int) -> None:
-        """Continue the files that an earlier process of the same run has left. Raises OSError."""
+        """Continue the files left by an earlier process of the same run. Raises OSError."""
         self._paths = [folder / name.format(link=link) for name in FILE_NAMES]
         self._limit_bytes = limit_bytes
         newest = max(self._paths, key=lambda path: path.stat().st_mtime_ns if path.exists() else 0)
@@ -198,7 +198,7 @@ class AlternatingFiles:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the current file."""
         os.close(self._file)
 
     def _open(self, open_flags: int) -> int:
@@ -206,12 +206,12 @@ class AlternatingFiles:
 
 
 def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
-    """Line for bytes that passed at `epoch_ns`."""
+    """Encode a line for bytes transferred at `epoch_ns`."""
     return f'{_format_moment(epoch_ns, theatre_time_s)}{_HEX[direction]}{data.hex()}"}}\n'
 
 
 def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
-    """Line for a note."""
+    """Encode a line for a note."""
     return f'{_format_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
 
 
@@ -228,7 +228,7 @@ def _format_second(second: int) -> str:
 
 @dataclass(frozen=True)
 class LinkLine:
-    """Bytes or a note of a link."""
+    """Recorded bytes or note of a link."""
 
     link: str
     host_time: datetime
@@ -239,13 +239,13 @@ class LinkLine:
 
 
 def list_links(folder: Path) -> tuple[str, ...]:
-    """Names of the links with bytes in a folder."""
+    """List the links with recorded bytes in a folder."""
     names = {path.name.rsplit(".", 3)[0] for path in folder.glob("*.jsonl.gz")}
     return tuple(sorted(names))
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
-    """Read everything stored of a link, oldest first.
+    """Read all recorded traffic of a link, oldest first.
 
     Raises INP-001 for a file that is too large, packed or unpacked, and OSError.
     """

@@ -1,4 +1,4 @@
-"""Coding of device answers: which calls are recorded, answers as plain JSON, and packed pixels.
+"""Encoding of device answers: recorded calls, answers as plain JSON, and packed pixels.
 
 Pixels are coded without loss, small and cheap: each row as differences, entropy-coded. The noise of a camera
 leaves little for a search for repetitions, so there is none, and coding takes milliseconds. For wide pixels
@@ -52,14 +52,14 @@ IDENTIFYING_CALLS = ("connect", "configure")
 
 @runtime_checkable
 class RecordsCalls(Protocol):
-    """A device of another kind: calls of its own that a replay repeats, with the type of each answer."""
+    """Device with additional calls to record and replay, each with the type of its answer."""
 
     @property
     def recorded_calls(self) -> Mapping[str, Any]: ...
 
 
 def list_recorded_calls(device: object) -> Mapping[str, Any]:
-    """Recorded calls of a device, with the type of each answer."""
+    """List the recorded calls of a device, with the type of each answer."""
     return {**device.recorded_calls, **ANSWERS} if isinstance(device, RecordsCalls) else ANSWERS
 
 
@@ -85,7 +85,7 @@ def as_plain(value: Any, put: PutPixels) -> Any:
 
 
 def as_recorded(kind: Any, value: Any, get: GetPixels) -> Any:
-    """Restore a value of a declared type. Raises ValueError, KeyError or TypeError if it is not one."""
+    """Decode a value of a declared type. Raises ValueError, KeyError or TypeError for invalid data."""
     return _adapter(kind).validate_python(_with_pixels(value, get))
 
 
@@ -112,7 +112,7 @@ CENTRE = 0x80  # small differences of either sign around it: their high byte is 
 
 
 def pack_pixels(pixels: Pixels) -> bytes:
-    """Pack a 2-D array of 8 or 16 bits."""
+    """Pack a 2-D array with 8 or 16 bits per pixel."""
     rows = pixels.copy()
     rows[:, 1:] -= pixels[:, :-1]  # wraps around, and back again
     rows += rows.dtype.type(CENTRE)
@@ -123,7 +123,7 @@ def pack_pixels(pixels: Pixels) -> bytes:
 
 
 def unpack_pixels(packed: bytes, shape: tuple[int, int], kind: str) -> Pixels:
-    """Restore the array, read-only. Raises ValueError if the bytes do not form one."""
+    """Unpack a read-only array. Raises ValueError for invalid data."""
     if kind not in TYPES:
         raise ValueError(f"{kind} is not a pixel type")
     wanted = np.dtype(TYPES[kind])

@@ -1,4 +1,4 @@
-"""The tape: every device's answers to a procedure, in order, for replay.
+"""Tape of all device answers to a procedure, in order, for replay.
 
     RUN/readings/readings.jsonl   one line per answer, in sections
     RUN/readings/pixels.bin       the pixels that these lines refer to, each packed separately
@@ -41,7 +41,7 @@ NO_SECTION = -1
 
 
 class RecordedCall(NamedTuple):
-    """Answer to a device call: a value or the error raised, and the resulting state."""
+    """Answer to a device call: a value or a raised error, and the resulting state."""
 
     section: int
     device: str
@@ -54,7 +54,7 @@ class RecordedCall(NamedTuple):
 
 
 class ReadingTape:
-    """The tape of one run.
+    """Tape of one run.
 
     `opening` is the first line: what a replay needs in addition to the answers.
     """
@@ -67,7 +67,7 @@ class ReadingTape:
         *,
         most_bytes: int = MOST_BYTES,
     ) -> None:
-        """Continue the tape that an earlier process of the run has left. Raises OSError."""
+        """Continue the tape left by an earlier process of the run. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = (folder / READINGS_FILE).open("ab")
         self._pixels = (folder / PIXELS_FILE).open("ab")
@@ -89,16 +89,16 @@ class ReadingTape:
         self._writer.start()
 
     def begin(self, section: int) -> None:
-        """Assign this thread's answers from now on to the section with that number."""
+        """Assign this thread's answers from now on to the section with this number."""
         self._section, self._thread = section, threading.get_ident()
 
     def end(self) -> None:
-        """End the section."""
+        """End the current section."""
         self._section = NO_SECTION
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """Keep readings within the block out of the section."""
+        """Keep readings within the block out of the current section."""
         self._beside += 1
         try:
             yield
@@ -107,7 +107,7 @@ class ReadingTape:
 
     @property
     def is_listening(self) -> bool:
-        """Whether an answer to this thread should be kept."""
+        """Whether answers to the current thread are recorded."""
         return self._section != NO_SECTION and not self._beside and threading.get_ident() == self._thread
 
     def keep(
@@ -119,7 +119,7 @@ class ReadingTape:
         error: RonnaError | None = None,
         properties: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
-        """Keep an answer that was just given. Never blocks, never raises."""
+        """Queue an answer for recording. Never blocks, never raises."""
         answer = RecordedCall(self._section, device, call, state, self._now_s(), value, error, properties)
         if self._count_waiting(_pixel_bytes(value)) > MOST_WAITING_BYTES:
             self._full = True
@@ -127,18 +127,18 @@ class ReadingTape:
             self._queue.append(answer)
 
     def _count_waiting(self, more_bytes: int) -> int:
-        """Bytes of waiting pixels after a change; engine and writer both count."""
+        """Update and return the bytes of queued pixels; both engine and writer call this."""
         with self._counting:
             self._waiting_bytes += more_bytes
             return self._waiting_bytes
 
     def close(self) -> None:
-        """Write what is queued and close the files. Bounded in time; never raises."""
+        """Write queued answers and close the files. Bounded in time; never raises."""
         self._ending.set()
         self._writer.join(CLOSE_LIMIT_S)
 
     def settle(self) -> None:
-        """Write everything kept so far: a kill after this loses none of it. Never raises."""
+        """Write all queued answers, so that a later kill loses none of them. Never raises."""
         with self._writing:
             if self._lines.closed:
                 return
@@ -206,7 +206,7 @@ def _pixel_bytes(value: object) -> int:
 
 
 def tape_device(device: Device, tape: ReadingTape) -> Device:
-    """Wrap a device so that its answers are taped; the wrapper has exactly the public names of the device."""
+    """Wrap a device to record its answers. The wrapper has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     calls = list_recorded_calls(device)
     members = {name: _make_member(name, calls) for name in names}
@@ -214,7 +214,7 @@ def tape_device(device: Device, tape: ReadingTape) -> Device:
 
 
 class _TapedDevice:
-    """Wrapper with the members of the wrapped device."""
+    """Recording wrapper with the members of the wrapped device."""
 
     def __init__(self, device: Device, tape: ReadingTape) -> None:
         self._device = device

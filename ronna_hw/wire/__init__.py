@@ -1,1 +1,1 @@
-"""Protocol vocabulary shared by both sides of a wire: constants, CRCs, layouts. No I/O, no decoding."""
+"""Protocol constants, CRCs and layouts shared by both ends of a link. No I/O, no decoding."""

@@ -1,4 +1,4 @@
-"""The RSI context: the content of a telegram, the input fed by each channel, the controller's limits.
+"""RSI context: telegram content, channel wiring, and the controller's limits.
 
 `load_context()` reads our own description, `kuka_rsi_context.toml` next to this module;
 `load_context(path)` another one in the same form. The driver, the generator of the controller's files and
@@ -57,7 +57,7 @@ class _Table(BaseModel):
 
 
 class SendElement(_Table):
-    """An ELEMENT that the controller sends; `indx` is a channel or "INTERNAL" for a DEF_ keyword."""
+    """ELEMENT sent by the controller; `indx` is a channel, or "INTERNAL" for a DEF_ keyword."""
 
     tag: Annotated[str, Field(min_length=1)]
     type: ElementType
@@ -65,7 +65,7 @@ class SendElement(_Table):
 
 
 class ReceiveElement(_Table):
-    """An ELEMENT that the controller receives; with `holdon` 1 a missing reply keeps the last value."""
+    """ELEMENT received by the controller; `holdon` 1 keeps the last value if a reply is missing."""
 
     tag: Annotated[str, Field(min_length=1)]
     type: ElementType
@@ -74,7 +74,7 @@ class ReceiveElement(_Table):
 
 
 class Wire(_Table):
-    """Output `indx` of the ETHERNET object feeds `input` of `object`."""
+    """Wiring of output `indx` of the ETHERNET object to `input` of `object`."""
 
     indx: Channel
     object: Literal["AXISCORR", "POSCORR", "STOP", "MAP2DIGOUT"]
@@ -82,7 +82,7 @@ class Wire(_Table):
 
 
 class Feedback(_Table):
-    """Output `Stat` of `object` feeds input `indx` of the ETHERNET object, which the controller sends."""
+    """Wiring of output `Stat` of `object` to input `indx` of the ETHERNET object, for sending."""
 
     indx: Channel
     object: Literal["AXISCORR", "POSCORR"]
@@ -90,7 +90,7 @@ class Feedback(_Table):
 
 
 class Program(_Table):
-    """Request of the KRL program to RSI_ON, and the arm it is written for."""
+    """Parameters of RSI_ON in the KRL program, and the arm it is written for."""
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]
@@ -118,7 +118,7 @@ class AxisCorrection(_Table):
 
 
 class AxisMonitor(_Table):
-    """AXISCORRMON: largest total correction in deg; beyond it RSI stops with an error."""
+    """Limit of AXISCORRMON: largest total correction in deg, beyond which RSI stops with an error."""
 
     limits: Literal["explicit", "software_end_switches"] = "explicit"
     max_deg: SixDegrees = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
@@ -134,20 +134,20 @@ class PositionCorrection(_Table):
 
 
 class PositionMonitor(_Table):
-    """POSCORRMON: largest total translation in mm and rotation in deg."""
+    """Limits of POSCORRMON: largest total translation in mm and rotation in deg."""
 
     max_translation_mm: float = POSCORRMON_DEFAULT_MAX_TRANSLATION_MM
     max_rotation_deg: float = POSCORRMON_DEFAULT_MAX_ROTATION_DEG
 
 
 class Stop(_Table):
-    """The STOP object; it reacts to the rising edge of its input."""
+    """STOP object, triggered by the rising edge of its input."""
 
     mode: Literal["InfoMessage", "PathNormal", "Velocity", "PathFast", "ExitMoveCorr"] = "ExitMoveCorr"
 
 
 class RsiContext(_Table):
-    """A complete context. Objects that are `None` are not in the context, and their defaults apply."""
+    """Complete context. Objects that are `None` are absent, and their defaults apply."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,18}$")]
@@ -184,7 +184,7 @@ class RsiContext(_Table):
         return self
 
     def find_wired_tag(self, object_name: str, input_name: str) -> str | None:
-        """Tag of the received element that feeds an object input, or None if nothing does."""
+        """Find the tag of the received element that feeds an object input; None if nothing does."""
         for wire in self.wiring:
             if (wire.object, wire.input) == (object_name, input_name):
                 return next(e.tag for e in self.receive if e.indx == wire.indx)
@@ -192,7 +192,7 @@ class RsiContext(_Table):
 
 
 def load_context(path: Path | None = None) -> RsiContext:
-    """Read a context; without a path, our own. Raises WIR-001 with every mistake in one line."""
+    """Read a context, by default our own. Raises WIR-001 with every mistake in one line."""
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
         if path is None:
@@ -213,7 +213,7 @@ def load_context(path: Path | None = None) -> RsiContext:
 
 
 def context_hash(context: RsiContext) -> str:
-    """First digits of the sha256 over the canonical description, without the PC's address.
+    """Return the first digits of the SHA-256 over the canonical description, without the PC's address.
 
     Canonical is JSON with sorted keys and no blanks, defaults written out, except for an unwired feedback:
     two files with the same meaning have the same hash.

@@ -1,4 +1,4 @@
-"""Names on the EKI channel of the project: elements, attributes, commands, codes and their meanings.
+"""Names on the project's EKI channel: elements, attributes, commands, codes and their meanings.
 
 The controller is the TCP server. A client writes `<Cmd Id= Name= ...></Cmd>`; every command is answered by
 `<Ack Id= Cmd= Code= Text=></Ack>`, STATUS by `<State ...><Axis .../><Pos .../></State>`, which is also sent
@@ -25,7 +25,7 @@ POS_ATTRIBUTES = ("X", "Y", "Z", "A", "B", "C", "S", "T")  # mm, deg, status and
 
 
 class CommandName(StrEnum):
-    """Value of the attribute Name of a Cmd."""
+    """Values of the attribute Name of a Cmd."""
 
     STATUS = "STATUS"
     RSI_START = "RSI_START"  # Cycle 4|12, Ref ABS|REL, Corr AXIS|POS
@@ -44,7 +44,7 @@ class CommandName(StrEnum):
 
 
 class AckCode(IntEnum):
-    """Value of the attribute Code of an Ack."""
+    """Values of the attribute Code of an Ack."""
 
     OK = 0
     REFUSED = 1  # in this state
@@ -57,7 +57,7 @@ class AckCode(IntEnum):
 
 
 class StateAttribute(StrEnum):
-    """Attributes of a State, in the order in which the controller writes them."""
+    """Attributes of a State, in the order written by the controller."""
 
     ID = "Id"
     MODE = "Mode"  # OperationMode
@@ -82,7 +82,7 @@ class StateAttribute(StrEnum):
 
 
 class OperationMode(StrEnum):
-    """Key switch of the controller."""
+    """Positions of the controller's mode switch."""
 
     T1 = "T1"
     T2 = "T2"
@@ -91,7 +91,7 @@ class OperationMode(StrEnum):
 
 
 class ProState(StrEnum):
-    """$PRO_STATE1."""
+    """Values of $PRO_STATE1."""
 
     FREE = "P_FREE"
     RESET = "P_RESET"
@@ -101,7 +101,7 @@ class ProState(StrEnum):
 
 
 class RsiState(IntEnum):
-    """State of the RSI program."""
+    """States of the RSI program."""
 
     IDLE = 0
     ON = 1  # streaming, corrections not effective yet
@@ -110,21 +110,21 @@ class RsiState(IntEnum):
 
 
 class Reference(StrEnum):
-    """Way in which corrections accumulate."""
+    """Accumulation of corrections: relative or absolute."""
 
     ABSOLUTE = "ABS"
     RELATIVE = "REL"
 
 
 class Correction(StrEnum):
-    """Object that is corrected."""
+    """Corrected quantity."""
 
     AXIS = "AXIS"
     POSITION = "POS"
 
 
 class StopRequest(StrEnum):
-    """Kind of a STOP."""
+    """Kinds of STOP."""
 
     PATH = "PATH"
     FAST = "FAST"

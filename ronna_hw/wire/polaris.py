@@ -46,7 +46,7 @@ _CRC16_LOW_TABLE: Final = tuple((crc >> 8) ^ CRC16_TABLE[crc & 0xFF] for crc in 
 
 
 def crc16(data: bytes, start: int = 0) -> int:
-    """CRC-16 of `data`, continuing from `start`. In binary replies it is stored low byte first.
+    """Compute the CRC-16 of `data`, continuing from `start`. Binary replies store it low byte first.
 
     Processes two bytes at a time, because every tracker reply waits for this.
     """
@@ -113,7 +113,7 @@ HANDLE_DIGITS: Final = 2
 
 
 class HandleQuery(IntEnum):
-    """Option of PHSR: which handles to list."""
+    """PHSR option: which handles to list."""
 
     ALL = 0x00
     TO_BE_FREED = 0x01
@@ -123,7 +123,7 @@ class HandleQuery(IntEnum):
 
 
 class TrackingPriority:
-    """Last character of the argument of PENA."""
+    """Tracking priority, the last character of the argument of PENA."""
 
     STATIC: Final = "S"
     DYNAMIC: Final = "D"
@@ -174,7 +174,7 @@ TX_SYSTEM_STATUS_DIGITS: Final = 4
 
 
 class PortStatus(IntFlag):
-    """Status of one handle in TX and BX; the low byte is that of PHSR and PHINF."""
+    """Status of a handle in TX and BX; the low byte is that of PHSR and PHINF."""
 
     OCCUPIED = 0x0001
     SWITCH_1 = 0x0002
@@ -190,7 +190,7 @@ class PortStatus(IntFlag):
 
 
 class SystemStatus(IntFlag):
-    """Last field of TX and BX."""
+    """System status, the last field of TX and BX."""
 
     SYNC_ERROR = 0x0001
     TOO_MUCH_INFRARED = 0x0002
@@ -205,14 +205,14 @@ class SystemStatus(IntFlag):
 
 
 class ToolInformation(IntFlag):
-    """First byte of the part that option 0002 adds."""
+    """Tool information, the first byte of the part that option 0002 adds."""
 
     BAD_FIT = 0x01
     TOO_FEW_MARKERS = 0x02
 
 
 class MarkerState(IntEnum):
-    """One digit per marker in the part that option 0002 adds."""
+    """Marker state: one digit per marker in the part that option 0002 adds."""
 
     MISSING = 0
     BEYOND_ANGLE = 1
@@ -221,7 +221,7 @@ class MarkerState(IntEnum):
 
 
 class Alert(IntFlag):
-    """Bits of Info.Status.Alerts and Info.Status.New Alerts (decimal in the reply)."""
+    """Alert bits of Info.Status.Alerts and Info.Status.New Alerts (decimal in the reply)."""
 
     FATAL_PARAMETER = 1 << 0
     SENSOR_PARAMETER = 1 << 1

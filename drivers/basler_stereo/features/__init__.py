@@ -1,1 +1,1 @@
-"""GenICam: a camera's features, mapped to registers by its own description."""
+"""GenICam features of a camera, mapped to registers by the camera's own description."""

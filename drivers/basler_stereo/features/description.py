@@ -1,4 +1,4 @@
-"""Description of a camera's features: fetch it, parse it as strict XML, decode its registers.
+"""GenICam description of a camera: download, strict XML parsing, register decoding.
 
 `feature_map` interprets the nodes.
 """
@@ -32,7 +32,7 @@ _FLOATS = {4: "f", 8: "d"}
 
 @dataclass(frozen=True)
 class Field:
-    """Child of a node: tag, text, attributes."""
+    """Child element of a node: tag, text, attributes."""
 
     tag: str
     text: str
@@ -41,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Node:
-    """Named node: its kind (the tag, such as IntReg) and its fields in order."""
+    """Named node with its kind (the tag, such as IntReg) and ordered fields."""
 
     kind: str
     name: str
@@ -50,16 +50,16 @@ class Node:
     conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
 
     def text(self, tag: str) -> str | None:
-        """Return the text of the first field with that tag, or None."""
+        """Return the text of the first field with this tag, or None."""
         return next((each.text for each in self.fields if each.tag == tag), None)
 
     def all(self, tag: str) -> Iterator[Field]:
-        """Return every field with that tag."""
+        """Return all fields with this tag."""
         return (each for each in self.fields if each.tag == tag)
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
-    """Fetch the description as XML from the first address on the camera itself.
+    """Download the description as XML from the first address stored on the camera.
 
     Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
     """
@@ -96,7 +96,7 @@ def unzip_description(data: bytes) -> bytes:
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
-    """Parse all named nodes, by name; raises GEV-009 for malformed XML or a document type."""
+    """Parse all nodes by name; raises GEV-009 for malformed XML or a document type declaration."""
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -107,7 +107,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
 
 
 def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
-    """Yield named elements, including those inside groups, and the entries of shared registers."""
+    """Yield named elements, including those in groups, and the entries of shared registers."""
     for element in group:
         kind = _local_name(element.tag)
         if kind == "Group":
@@ -119,7 +119,7 @@ def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """Yield the named parts of one register; a part inherits the fields that it lacks."""
+    """Yield the named parts of one register; each part inherits the fields that it lacks."""
     entries = [
         child for child in shared if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib
     ]
@@ -189,13 +189,13 @@ def register_length(node: Node) -> int:
 
 
 def shares_register(node: Node) -> bool:
-    """Test whether a node uses only some bits of its register: writing must preserve the others."""
+    """Return whether a node uses only some bits of its register, so that writing must preserve the others."""
     length = register_length(node)
     return register_bits(node, length)[1] < 8 * length
 
 
 def decode_register(node: Node, data: bytes) -> Number:
-    """Decode the value in the bytes of a register."""
+    """Decode a value from the bytes of a register."""
     if node.kind == "FloatReg":
         number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
         if not math.isfinite(number):
@@ -207,7 +207,7 @@ def decode_register(node: Node, data: bytes) -> Number:
 
 
 def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
-    """Encode a value for a register; `current` holds its present bytes, for the bits to preserve."""
+    """Encode a value for a register; `current` are its present bytes, whose other bits are preserved."""
     length = register_length(node)
     if node.kind == "FloatReg":
         try:

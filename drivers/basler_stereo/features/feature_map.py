@@ -1,4 +1,4 @@
-"""Features of a camera by name, through the nodes of its description down to registers.
+"""Camera features by name, resolved through the nodes of the description to registers.
 
 Supported nodes: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
 Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: a feature
@@ -39,7 +39,7 @@ _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest value and step; None where the description gives none."""
+    """Minimum, maximum and step of a value; None where the description gives none."""
 
     minimum: Number | None
     maximum: Number | None
@@ -47,7 +47,7 @@ class Limits:
 
 
 class RegisterMemory:
-    """Memory addressed by the description, through the control channel until `deadline_s`."""
+    """Register memory of the camera, through the control channel until `deadline_s`."""
 
     def __init__(self, control: ControlChannel) -> None:
         self._control = control
@@ -68,7 +68,7 @@ class RegisterMemory:
 
 
 class FeatureMap:
-    """Features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
+    """Features of one camera. Unknown names or values raise GEV-010, inconsistent nodes GEV-009."""
 
     def __init__(self, nodes: dict[str, Node], memory: RegisterMemory) -> None:
         self._nodes = nodes
@@ -77,12 +77,12 @@ class FeatureMap:
         self._budget = COST_LIMIT
 
     def has(self, name: str) -> bool:
-        """Test whether the camera has this feature and it is available now."""
+        """Return whether the camera has this feature and it is currently available."""
         self._budget = COST_LIMIT
         return name in self._nodes and self._is_available(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Return names and values of an enumeration's currently available entries."""
+        """Return names and values of the available entries of an enumeration."""
         self._budget = COST_LIMIT
         node = self._find_node(name)
         return {
@@ -92,7 +92,7 @@ class FeatureMap:
         }
 
     def number(self, name: str) -> Number:
-        """Read a feature."""
+        """Read a numeric feature."""
         self._budget = COST_LIMIT
         return self._read(name, 0)
 
@@ -101,7 +101,7 @@ class FeatureMap:
         return int(self.number(name))
 
     def choice(self, name: str) -> str:
-        """Read an enumeration; return the name of its entry."""
+        """Read an enumeration and return the name of its entry."""
         value = self.whole(name)
         for entry, number in self._find_node(name).entries.items():
             if number == value:
@@ -109,7 +109,7 @@ class FeatureMap:
         raise BadDescription(f"{name} has the value {value}, which is not among its entries")
 
     def set_number(self, name: str, value: Number) -> None:
-        """Set a feature; the camera checks the value."""
+        """Set a numeric feature; the camera checks the value."""
         self._budget = COST_LIMIT
         self._write(name, value, 0)
 
@@ -121,11 +121,11 @@ class FeatureMap:
         self._write(name, entries[entry], 0)
 
     def execute(self, name: str) -> None:
-        """Execute a command."""
+        """Execute a command feature."""
         self._memory.write(*self.command_write(name))
 
     def command_write(self, name: str) -> tuple[int, bytes]:
-        """Return the address and bytes that execute a command."""
+        """Return the address and bytes that execute a command feature."""
         self._budget = COST_LIMIT
         node = self._find_node(name)
         if node.kind != "Command":
@@ -138,7 +138,7 @@ class FeatureMap:
         )
 
     def limits(self, name: str) -> Limits:
-        """Return a feature's present limits: its own, within those of the nodes below it."""
+        """Return a feature's current limits: its own, within those of the nodes below it."""
         self._budget = COST_LIMIT
         node: Node | None = self._find_node(name)
         found: list[Number | None] = [None, None, None]
@@ -213,7 +213,7 @@ class FeatureMap:
         return self._final_register(self._value_node_name(node, depth) or "", depth + 1)
 
     def _is_available(self, name: str, depth: int) -> bool:
-        """Test a node's conditions, and those of the node with its value."""
+        """Return whether the conditions of a node and of the node holding its value are met."""
         node = self._visit(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
@@ -222,7 +222,7 @@ class FeatureMap:
         return child_name is None or self._is_available(child_name, depth + 1)
 
     def _value_node_name(self, node: Node, depth: int) -> str | None:
-        """Return the node with a node's value, selected by the index if there are several."""
+        """Return the name of the node holding a node's value, selected by the index if there are several."""
         index_node = None if node.kind in _REGISTERS else node.text("pIndex")
         if index_node is None:
             return node.text("pValue")
@@ -233,7 +233,7 @@ class FeatureMap:
         return node.text("pValueDefault")
 
     def _read_field_number(self, node: Node, tag: str, depth: int) -> Number | None:
-        """Return the number in a field, or in the node named by its twin `p...`; None without either."""
+        """Return the number in a field, or in the node named by its `p...` twin; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
             read = parse_real_number if node.kind == "Float" else parse_whole_number

@@ -1,4 +1,4 @@
-"""Known, verified state of a camera's features: trigger, exposure, gain, pixel format, area."""
+"""Known, verified camera settings: trigger, exposure, gain, pixel format, area."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FIXED_CHOICES = (
 
 
 class Features(Protocol):
-    """Features of a camera by name; unknown names and values raise GEV-010."""
+    """Camera features by name; unknown names and values raise GEV-010."""
 
     def has(self, name: str) -> bool: ...
 
@@ -60,7 +60,7 @@ def read_temperature_C(features: Features) -> float | None:
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """Apply all settings except the area; `camera` is named in messages.
+    """Apply all settings except the area; messages call the camera `camera`.
 
     Raises GEV-010 for missing features, GEV-011 for impossible values.
     """
@@ -86,7 +86,7 @@ def lock_transport(features: Features, locked: bool) -> None:
 
 
 def arm_trigger(features: Features, options: BaslerOptions) -> None:
-    """Arm one frame per trigger from the selected source, all other triggers off; raises GEV-010.
+    """Arm one frame per trigger from the selected source, with all other triggers off; raises GEV-010.
 
     Old firmware may lack the action trigger: then its name is not among the entries.
     """
@@ -154,7 +154,7 @@ def read_area(features: Features) -> AreaOfInterest:
 
 
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
-    """Return the bytes of one image; raises GEV-009 when the camera's payload size differs."""
+    """Return the bytes of one image; raises GEV-009 if the camera's payload size differs."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (reported_bytes := features.whole("PayloadSize")) != expected:
         raise BadDescription(
@@ -164,7 +164,7 @@ def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -
 
 
 def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
-    """Return the bytes of an image without padding."""
+    """Return the size of an image in bytes, without padding."""
     bits = pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
     return -(-area.width * area.height * bits // 8)
 

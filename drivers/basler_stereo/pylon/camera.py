@@ -1,4 +1,4 @@
-"""Camera through the vendor's library pypylon, an optional extra."""
+"""Camera access through the vendor's library pypylon, an optional extra."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ig
 
 
 def load_pylon() -> tuple[Any, Any]:
-    """Load the library's modules `pylon` and `genicam`; raises GEV-018."""
+    """Load the pypylon modules `pylon` and `genicam`; raises GEV-018."""
     try:
         with warnings.catch_warnings():
             # the binding warns about its own types; with warnings as errors that crashes the interpreter
@@ -49,7 +49,7 @@ def load_pylon() -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class PylonFrame:
-    """Image from the library; `pixels` is our own copy, None if the image is incomplete."""
+    """Image from pypylon; `pixels` is our own copy, None for an incomplete image."""
 
     block_id: int
     ticks: int
@@ -124,11 +124,11 @@ class PylonCamera:
 
     @property
     def features(self) -> PylonFeatures:
-        """Features; only while controlled."""
+        """Camera features; available only while controlled."""
         return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
 
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
-        """Choose the part of the sensor to read; not while streaming. Raises GEV-011."""
+        """Choose the part of the sensor to read, while not streaming. Raises GEV-011."""
         known_state.set_area(self.features, area)
         self.area = area
 
@@ -141,7 +141,7 @@ class PylonCamera:
         self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def stop(self) -> None:
-        """Stop the acquisition; images not yet taken are lost."""
+        """Stop the acquisition, losing images not yet taken."""
         self._camera.StopGrabbing()
 
     def trigger(self) -> None:
@@ -194,12 +194,12 @@ class PylonFeatures:
         self._genicam = genicam
 
     def has(self, name: str) -> bool:
-        """Test whether the camera has this feature and it is available now."""
+        """Return whether the camera has this feature and it is currently available."""
         node = self._nodes.GetNode(name)
         return node is not None and bool(self._genicam.IsAvailable(node))
 
     def number(self, name: str) -> Number:
-        """Read a feature."""
+        """Read a numeric feature."""
         value: Number = self._find_node(name).GetValue()
         return value
 
@@ -208,17 +208,17 @@ class PylonFeatures:
         return int(self._find_node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
-        """Return the names of an enumeration's currently available entries."""
+        """Return the names of the available entries of an enumeration."""
         return tuple(self._find_node(name).Symbolics)
 
     def limits(self, name: str) -> Limits:
-        """Return a feature's present limits."""
+        """Return a feature's current limits."""
         node = self._find_node(name)
         step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
         return Limits(node.GetMin(), node.GetMax(), step)
 
     def set_number(self, name: str, value: Number) -> None:
-        """Set a number; raises GEV-011."""
+        """Set a numeric feature; raises GEV-011."""
         node = self._find_node(name)
         try:
             node.SetValue(value)
@@ -235,7 +235,7 @@ class PylonFeatures:
             raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
 
     def execute(self, name: str) -> None:
-        """Execute a command."""
+        """Execute a command feature."""
         self._find_node(name).Execute()
 
     def _find_node(self, name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Two real Basler cameras through the vendor's library, as a `StereoPair`: an optional extra.
+"""Two Basler cameras through pypylon, an optional extra, as a `StereoPair`.
 
 [stereo]
 driver = "basler_pylon"
@@ -35,7 +35,10 @@ class PylonOptions(BaslerOptions):
 
 
 class PylonStereoPair(PairDevice[PylonCamera]):
-    """Pair of cameras. Calls are synchronous, one thread at a time; time limits are host time, in seconds."""
+    """Pair of pypylon cameras. Calls are synchronous, from one thread at a time.
+
+    Time limits are host seconds.
+    """
 
     wire_protocol = ""  # spoken by the vendor's library
 
@@ -48,7 +51,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         self._must_restart = False
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return the pair of that trigger.
+        """Trigger both cameras once and return the resulting pair.
 
         A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side sent
         one, and, with FAULT latched, GEV-014. After an incomplete pair the streams restart.

@@ -1,1 +1,1 @@
-"""GVSP: from stream packets to frames in shared memory, received in a separate process."""
+"""GVSP reception in a separate process: from stream packets to frames in shared memory."""

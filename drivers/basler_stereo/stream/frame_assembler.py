@@ -1,4 +1,4 @@
-"""Assembly of frames from GVSP packets that may be lost, repeated or out of order. No I/O, no clock access.
+"""Assembly of frames from lost, repeated or reordered GVSP packets. No I/O, no clock access.
 
 A frame is complete when leader, trailer and every payload packet have arrived. Missing packets are requested
 again at growing intervals; after the last, the frame is delivered incomplete.
@@ -37,7 +37,7 @@ _UNAVAILABLE = frozenset(
 
 
 class PacketHeader(NamedTuple):
-    """Header of every packet, eight bytes."""
+    """Eight-byte header of every stream packet."""
 
     status: int
     block_id: int
@@ -46,7 +46,7 @@ class PacketHeader(NamedTuple):
 
 
 class Leader(NamedTuple):
-    """Announcement of an image by the camera."""
+    """Leader packet that announces an image."""
 
     ticks: int
     pixel_format: int
@@ -58,14 +58,14 @@ class Leader(NamedTuple):
 
     @property
     def area(self) -> AreaOfInterest:
-        """Area of the sensor. Imported here: the receiver process needs neither readings nor numpy."""
+        """Sensor area. Imported here because the receiver process needs neither readings nor NumPy."""
         from ronna_hw.devices.readings import AreaOfInterest
 
         return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
 
 
 def decode_header(packet: memoryview) -> PacketHeader | None:
-    """Decode the header; None for bytes that are not a standard stream packet."""
+    """Decode a packet header; None for bytes that are not a standard stream packet."""
     if len(packet) < gev.GVSP_HEADER_BYTES:
         return None
     status, block_id, word = _PACKET_HEADER.unpack_from(packet)
@@ -76,7 +76,7 @@ def decode_header(packet: memoryview) -> PacketHeader | None:
 
 
 def decode_leader(content: memoryview) -> Leader | None:
-    """Decode the leader of an image; None for the leader of anything else."""
+    """Decode an image leader; None for the leader of anything else."""
     if len(content) < gev.GVSP_LEADER_BYTES:
         return None
     _, payload_type, ticks, pixel_format, width, height, x, y, padding_x, _ = _LEADER.unpack_from(content)
@@ -86,13 +86,13 @@ def decode_leader(content: memoryview) -> Leader | None:
 
 
 def next_block_id(block_id: int) -> int:
-    """Return the next block id; it wraps around and is never 0."""
+    """Return the block id after this one; ids wrap around and are never 0."""
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Received image: raw bytes and the leader (None when it never came)."""
+    """Received image: raw bytes and the leader (None if it never came)."""
 
     block_id: int
     leader: Leader | None
@@ -130,7 +130,7 @@ class _Block:
 
 
 class FrameAssembler:
-    """Assembler of one stream's frames, with known payload and packet size.
+    """Frame assembler for one stream with known payload and packet size.
 
     Frames are stored in the memory from `claim`, by default newly allocated.
     """
@@ -150,17 +150,17 @@ class FrameAssembler:
 
     @property
     def is_waiting(self) -> bool:
-        """True while a frame has begun and is incomplete."""
+        """Whether a frame has begun and is incomplete."""
         return bool(self._open)
 
     def expect(self, block_id: int, from_s: float) -> None:
-        """Expect a triggered block: request it from then on, even if none of its packets has arrived."""
+        """Expect a triggered block, and request it even if none of its packets has arrived."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
         self._open_block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
-        """Process one packet; return the frame that it completes, or one displaced by a newer block."""
+        """Process one packet; return the frame that it completes, or a frame displaced by a newer block."""
         self.counters.packets += 1
         if self._store_fast(packet, now_s):
             return None
@@ -200,7 +200,7 @@ class FrameAssembler:
         return [], None
 
     def _resend_pause_s(self, block: _Block) -> float:
-        """Return the pause after a block's last packet before it is requested again."""
+        """Return the delay after a block's last packet before it is requested again."""
         if self._is_fulfilled(block):
             return AFTER_TRAILER_S
         if block.rounds == 0 and block.remaining <= self._trailer_id:
@@ -210,7 +210,7 @@ class FrameAssembler:
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _expect_skipped(self, block_id: int, now_s: float) -> None:
-        """Expect the blocks between the newest one and this one: they have not begun."""
+        """Expect the blocks skipped between the newest block and this one."""
         newest, self._newest = self._newest, block_id
         skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
         if skipped >= OPEN_BLOCKS:
@@ -242,7 +242,7 @@ class FrameAssembler:
         return self._finish_block(next(iter(self._open.values())))
 
     def _store_fast(self, packet: memoryview, now_s: float) -> bool:
-        """Store nearly every packet on a fast path: full, new, of an open block that stays incomplete."""
+        """Store a packet on the fast path: full, new, and of an open block that stays incomplete."""
         if len(packet) != self._full_bytes:
             return False
         status, block_id, word = _UNPACK_HEADER(packet)
@@ -282,7 +282,7 @@ class FrameAssembler:
         block.remaining -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
-        """Store the content in its place; False if kind, position and length do not match."""
+        """Store the content of a packet; False if kind, position and length do not match."""
         packet_id = header.packet_id
         if packet_id == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
@@ -309,7 +309,7 @@ class FrameAssembler:
         return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
 
     def _payload_range(self, packet_id: int) -> tuple[int, int]:
-        """Return the range of a payload packet's bytes."""
+        """Return the byte range of a payload packet."""
         begin = (packet_id - 1) * self._data_bytes
         return begin, min(begin + self._data_bytes, self._payload_bytes)
 

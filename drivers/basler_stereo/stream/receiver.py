@@ -1,4 +1,4 @@
-"""Driver's end of a stream: its socket, the packet size that arrives, and the receiver process."""
+"""Driver side of a stream: socket, usable packet size, and receiver process."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PROBES = 2  # per size: one may be lost by chance
 
 
 class ReceiverProcess:
-    """Process for the streams of all cameras; it ends when `close` is called or its parent dies."""
+    """Receiver process for the streams of all cameras. It ends on `close` or when its parent dies."""
 
     def __init__(self) -> None:
         self._orders, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -71,7 +71,7 @@ class ReceiverProcess:
         packet_bytes: int,
         resend: bool,
     ) -> StreamReceiver:
-        """Receive a stream; resend requests are sent on `control`. Raises GEV-017."""
+        """Start receiving a stream, with resend requests sent on `control`. Raises GEV-017."""
         number = next(self._numbers)
         memory = FrameSlots.allocate(payload_bytes)
         try:
@@ -84,7 +84,7 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send keep-alives to a camera; return the number for ending them. Raises GEV-017."""
+        """Send keep-alives to a camera; return the number for stopping them. Raises GEV-017."""
         number = next(self._numbers)
         self.give_order(KeepAlive(number, period_s), control.fileno())
         return number
@@ -95,7 +95,7 @@ class ReceiverProcess:
             self.give_order(EndKeepAlive(number))
 
     def ended_error(self, got: OSError | None = None) -> ReceiverEnded:
-        """Return the error for a process that has ended, with its exit status."""
+        """Build the error for a process that has ended, with its exit status."""
         try:
             exit_text = describe_exit(self._process.wait(POLL_S))  # it ends shortly after its channels
         except subprocess.TimeoutExpired:
@@ -103,7 +103,7 @@ class ReceiverProcess:
         return ReceiverEnded("the receiver process has ended", got=exit_text)
 
     def close(self) -> None:
-        """End the process, within two seconds."""
+        """End the process within two seconds."""
         self._orders.close()
         try:
             self._process.wait(END_LIMIT_S)
@@ -120,7 +120,7 @@ class ReceiverProcess:
 
 
 class StreamReceiver:
-    """Frames of one stream, fetched from shared memory in the order of their completion."""
+    """Frames of one stream, fetched from shared memory in order of completion."""
 
     def __init__(
         self, process: ReceiverProcess, number: int, slots: FrameSlots, notes: socket.socket
@@ -137,7 +137,7 @@ class StreamReceiver:
 
     @property
     def has_begun(self) -> bool:
-        """True once an image packet has arrived since the stream was opened."""
+        """Whether an image packet has arrived since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
 
@@ -146,7 +146,7 @@ class StreamReceiver:
         self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
-        """Return the oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
+        """Return the oldest frame not yet taken, or None at the deadline (host monotonic).
 
         Also None as soon as `give_up()`. Raises GEV-017.
         """
@@ -207,7 +207,7 @@ def await_packet(stream: socket.socket, sender: str, packet_bytes: int, limit_s:
 def choose_packet_bytes(
     control: ControlChannel, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
 ) -> tuple[int, bool]:
-    """Find the packet size and set it in the camera; True if a test packet proved it.
+    """Choose the packet size and set it in the camera; True if a test packet proved it.
 
     Uses the largest candidate that arrives, or checks the wanted size. For a device that sends
     no test packets, the wanted or the default size is used. Raises GEV-012 when only sizes below
@@ -248,6 +248,6 @@ def _test_size(control: ControlChannel, stream: socket.socket, size: int, deadli
 
 
 def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
-    """Set the size; return the size that the camera accepted."""
+    """Set the packet size; return the size that the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

@@ -1,4 +1,4 @@
-"""Interface between the driver and its receiver process: orders one way, frames in shared memory the other.
+"""Interface between driver and receiver process: orders one way, frames in shared memory the other.
 
 An order is one datagram with the file descriptors it needs. The memory is anonymous and passed by file
 descriptor, so nothing is left behind whichever process dies. Frames rotate through a few slots. Each slot has
@@ -47,7 +47,7 @@ class CloseStream:
 
 @dataclass(frozen=True)
 class ExpectBlock:
-    """Order to request a triggered block if it has not begun after `patience_s`."""
+    """Order to request a triggered block that has not begun after `patience_s`."""
 
     stream: int
     block_id: int
@@ -78,13 +78,13 @@ _KINDS: dict[str, type[Order]] = {
 
 
 def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
-    """Send an order; raises OSError when the process is gone."""
+    """Send an order; raises OSError if the process is gone."""
     text = json.dumps({"order": type(order).__name__, **asdict(order)}).encode()
     socket.send_fds(channel, [text], list(descriptors))
 
 
 def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
-    """Receive the next order and its descriptors; None when the driver is gone."""
+    """Receive the next order and its descriptors; None if the driver is gone."""
     text, descriptors, _, _ = socket.recv_fds(channel, LONGEST_ORDER_BYTES, MOST_DESCRIPTORS)
     if not text:
         return None
@@ -102,7 +102,7 @@ def _unpack_leader(values: tuple[int, ...]) -> Leader | None:
 
 
 class _FrameNote(NamedTuple):
-    """Note about a finished frame, for fetching it."""
+    """Note about a finished frame, with what is needed to fetch it."""
 
     slot: Annotated[int, "I"]
     use_count: Annotated[int, "Q"]
@@ -118,7 +118,7 @@ NOTE_BYTES = _NOTE.size_bytes
 
 
 class FrameSlots:
-    """View of one stream's memory, for either side."""
+    """View of one stream's shared memory, for either side."""
 
     def __init__(self, fd: int, payload_bytes: int) -> None:
         self._payload_bytes = payload_bytes
@@ -130,13 +130,13 @@ class FrameSlots:
 
     @staticmethod
     def allocate(payload_bytes: int) -> int:
-        """Allocate memory for frames of that size; return its descriptor."""
+        """Allocate memory for frames of this size; return its descriptor."""
         fd = os.memfd_create("basler_stereo")
         os.ftruncate(fd, _memory_size(payload_bytes))
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
-        """Claim the least recently written slot for overwriting: its number and memory."""
+        """Claim the least recently written slot for overwriting; return its number and memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
         self._use_counts[slot] = self._claimed

@@ -42,7 +42,7 @@ NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 class _Stream:
-    """Stream of one camera: socket, assembler, memory, and the channel on which frames are announced."""
+    """Stream of one camera: socket, assembler, memory, and the channel that announces frames."""
 
     def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
         stream, control, memory, notes = descriptors
@@ -65,14 +65,14 @@ class _Stream:
 
     @property
     def should_gather(self) -> bool:
-        """True if packets may wait in the socket for a moment."""
+        """Whether packets may wait in the socket for a moment."""
         return self._may_gather and self._assembler.is_waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
         self._assembler.expect(block_id, from_s)
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
-        """Read the packets that have arrived, up to a limit; True if there may be more."""
+        """Read arrived packets, up to a limit; True if there may be more."""
         accept, receive = self._assembler.accept, self.socket.recvfrom_into
         now_s = time.monotonic()
         with contextlib.suppress(OSError):  # nothing more has arrived
@@ -89,7 +89,7 @@ class _Stream:
         return False
 
     def request_missing(self, now_s: float) -> None:
-        """Request missing packets again; give up frames that stay incomplete."""
+        """Request missing packets again, and abandon frames that stay incomplete."""
         ranges, abandoned = self._assembler.find_overdue(now_s)
         if self._resend:
             for block_id, first, last in ranges:
@@ -112,7 +112,7 @@ class _Stream:
 
 
 class _KeepAlive:
-    """Keep-alives to one camera.
+    """Keep-alive sender for one camera.
 
     They request no acknowledge: the driver's own heartbeat checks who is in control. They continue while the
     driver is busy or gets no CPU time.
@@ -140,7 +140,7 @@ class _KeepAlive:
 
 
 class ReceiverLoop:
-    """Loop of the process; waits only for packets and orders."""
+    """Main loop of the process, which waits only for packets and orders."""
 
     def __init__(self, orders: socket.socket) -> None:
         self._orders = orders

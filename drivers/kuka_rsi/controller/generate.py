@@ -1,4 +1,4 @@
-"""Generator of the controller's files from the context description of `ronna_hw.wire`."""
+"""Generator of the controller's files from the context description in `ronna_hw.wire`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ REAL_VALUES = (
 
 
 def render(context: RsiContext) -> dict[str, str]:
-    """Render every file, by name.
+    """Render all files, by name.
 
     Raises WIR-001 for a context that uses objects missing from these files, and jinja2's error when a
     template refers to something undefined.

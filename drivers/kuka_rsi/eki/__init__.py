@@ -1,1 +1,1 @@
-"""EKI channel: program control, status, tool and base; never for real-time control."""
+"""EKI channel for program control, status, tool and base; never for real-time control."""

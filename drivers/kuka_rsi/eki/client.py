@@ -1,4 +1,4 @@
-"""Client of the EKI channel: commands with answers, and the controller's state, also sent unsolicited.
+"""Client of the EKI channel: commands with answers, and requested or unsolicited controller states.
 
 A thread reads everything the controller sends, since it closes the connection if unsolicited telegrams are
 not read.
@@ -55,10 +55,10 @@ class Ack(NamedTuple):
 
 
 class Listener(Protocol):
-    """Listener to an EKI connection, called from the reader's thread: be quick."""
+    """Listener to an EKI connection, called from the reader thread and therefore to return quickly."""
 
     def on_state(self, state: ControllerState) -> None:
-        """Handle a state, requested or unsolicited."""
+        """Handle a requested or unsolicited state."""
         ...
 
     def on_silence(self) -> None:
@@ -66,12 +66,12 @@ class Listener(Protocol):
         ...
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Handle a broken connection; not called for one closed by us."""
+        """Handle a broken connection; not called when we close it."""
         ...
 
 
 class EkiClient:
-    """EKI connection. Calls may come from any thread."""
+    """Thread-safe EKI connection."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class EkiClient:
         timeout_s: float,
         on_bytes: Callable[[Direction, bytes], None] | None = None,
     ) -> None:
-        """Connect; raises EKI-001 if nothing answers at the address. `on_bytes` is called with all bytes."""
+        """Connect; raises EKI-001 if nothing answers at the address. `on_bytes` receives all traffic."""
         self._on_bytes = on_bytes
         self.where = f"tcp://{host}:{port}"
         try:
@@ -113,7 +113,7 @@ class EkiClient:
         return time.monotonic() - latest.received_s if latest is not None else 0.0
 
     def listen(self, listener: Listener) -> None:
-        """Register for every state, and for the loss of the connection."""
+        """Register a listener for every state and for loss of the connection."""
         self._listener = listener
         if self.failure is not None and not self._closing:
             listener.on_loss(self.failure)
@@ -126,11 +126,11 @@ class EkiClient:
         return state
 
     def request_state(self) -> int:
-        """Request the state without waiting for it; return the request's number. Raises EKI-002."""
+        """Request the state without waiting; return the request's number. Raises EKI-002."""
         return self._send(CommandName.STATUS, {})
 
     def find_reply(self, number: int) -> ControllerState | None:
-        """Return the state sent in reply to a request; None before it has come."""
+        """Return the state sent in reply to a request; None until it arrives."""
         return self._states.get(number)
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
@@ -154,7 +154,7 @@ class EkiClient:
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """Wait for a state that meets the condition; None after the time limit.
+        """Wait for a state that meets a condition; None after the time limit.
 
         States arrive unsolicited; one is nevertheless requested now and then.
         """
@@ -228,13 +228,13 @@ class EkiClient:
             self._listener.on_loss(failure)
 
     def _lost_error(self, how: str) -> ControllerLost:
-        """Return the error for a broken connection; without any state it was never really open."""
+        """Build the error for a broken connection. Without any state, it was never really open."""
         if self.latest is None:
             return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
     def _receive_bytes(self) -> bytes:
-        """Receive the next bytes; empty when the controller has closed the connection."""
+        """Receive the next bytes; empty if the controller has closed the connection."""
         while True:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
@@ -272,18 +272,18 @@ def _store_reply(store: dict[int, T], number: int, value: T) -> None:
 
 
 class ControllerCommands:
-    """Commands of `arm.controller`: tool, base and override, neither motion nor the RSI stream.
+    """Controller commands for tool, base and override, but neither motion nor the RSI stream.
 
     Each raises EKI-003 without an answer and EKI-008 when refused.
     """
 
     def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
-        """Take `eki`, which returns the open connection or raises EKI-001."""
+        """Create the commands; `eki` returns the open connection or raises EKI-001."""
         self._guard = guard
         self._eki = eki
 
     def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
-        """Request the controller's present state."""
+        """Request the controller's current state."""
         self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
         return self._eki().status(timeout_s)
 

@@ -1,4 +1,4 @@
-"""Telegrams of the EKI channel: split from the byte stream, and the controller's `State` read from them.
+"""EKI telegrams: splitting of the byte stream, and parsing of the controller's `State`.
 
 EKI has no framing: a telegram ends with its root element. A truncated one is detected by the first bytes of
 the next. Otherwise they would count as part of it, and nothing would be read until the buffer is full.
@@ -37,7 +37,7 @@ _NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
-    """Splitter of received bytes into complete root elements.
+    """Splitter of a byte stream into complete root elements.
 
     Padding and anything else before a root is skipped. A document type declaration is refused.
     """
@@ -115,7 +115,7 @@ def _tag_name(tag: bytes) -> bytes:
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
-    """Parse the root element; raises EKI-004 when the bytes are not well-formed."""
+    """Parse the root element; raises EKI-004 if the bytes are not well-formed."""
     try:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:
@@ -124,7 +124,7 @@ def parse_telegram(telegram: bytes) -> ElementTree.Element:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """Content of a `State`. The last seven are None if the controller does not report them."""
+    """Content of a `State`. The last seven fields are None if the controller does not report them."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -208,7 +208,7 @@ def require_matching_setup(
 def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
-    """Raise EKI-007 listing everything that forbids motion; `drives`: they must already be on."""
+    """Raise EKI-007 listing everything that forbids motion; `drives` requires them to be on already."""
     unmet = unmet_conditions(state, drives=drives, modes=modes)
     if unmet:
         raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
@@ -231,7 +231,7 @@ def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[Opera
 
 
 def _parse_number(text: str) -> float:
-    """Parse a number; reject NaN, for which every comparison would be false."""
+    """Parse a number, rejecting NaN, for which every comparison would be false."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(f"{text!r} is not a number")

@@ -1,1 +1,1 @@
-"""Real-time process of the link: answers the controller every cycle, and stops the arm on its own."""
+"""Real-time process that answers the controller every cycle and can stop the arm on its own."""

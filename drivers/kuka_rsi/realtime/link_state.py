@@ -1,4 +1,4 @@
-"""Vocabulary between the driver and its real-time process: settings, orders, commands, states, results."""
+"""Data exchanged by the driver and its real-time process: settings, orders, commands, states, results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """Settings of the process, one line of JSON on its standard input; it reads no files itself."""
+    """Settings of the process, one line of JSON on standard input. The process reads no files."""
 
     host: str
     port: int
@@ -52,7 +52,7 @@ class LinkSettings:
 
     @classmethod
     def from_json(cls, line: str) -> LinkSettings:
-        """Decode; raises TypeError or ValueError if the line is not from `to_json`."""
+        """Decode the settings; raises TypeError or ValueError if the line is not from `to_json`."""
         values = json.loads(line)
         for name in ("send_tags", "receive_tags", "axis_tags"):
             values[name] = tuple(values[name])
@@ -69,7 +69,7 @@ class CommandKind(IntEnum):
 
 
 class StopOrder(IntEnum):
-    """Kinds of stop, see `ronna_hw.devices.StopKind`; the weakest first."""
+    """Kinds of stop as in `ronna_hw.devices.StopKind`, weakest first."""
 
     HOLD = 1
     PROTECTIVE = 2
@@ -121,7 +121,7 @@ class Result(IntEnum):
 
 
 class Choice(IntEnum):
-    """Content of a reply."""
+    """Content of a reply: the set-point chosen."""
 
     GO = 0
     STOP = 1
@@ -130,7 +130,7 @@ class Choice(IntEnum):
 
 
 class Orders(NamedTuple):
-    """Words that the real-time process reads in every cycle."""
+    """Order words that the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int
@@ -138,7 +138,7 @@ class Orders(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Command to the process; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
+    """Command to the process. `plan` is only for MOVE, `limits` of the operating mode only for OPEN."""
 
     number: int
     kind: CommandKind
@@ -186,7 +186,7 @@ NO_STATE = LinkState()
 
 
 class RecordedCycle(NamedTuple):
-    """Cycle in the flight recorder. Host monotonic time."""
+    """Cycle in the flight recorder. Times are host monotonic."""
 
     cycle: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]

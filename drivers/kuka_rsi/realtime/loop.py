@@ -1,4 +1,4 @@
-"""Loop of the real-time process: receive, answer, then prepare the next answer.
+"""Main loop of the real-time process: receive, answer, then prepare the next answer.
 
 The controller sends first and clocks everything. Nothing is computed between receiving and sending that could
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
@@ -46,7 +46,7 @@ PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pa
 
 
 class LinkLoop:
-    """Loop of the process. `run` returns when the parent is gone and the arm is at rest."""
+    """Main loop of the process. `run` returns when the parent is gone and the arm is at rest."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class LinkLoop:
         self._rehearsal.close()
 
     def _receive(self) -> Received | None:
-        """Return the controller's newest telegram, or None if none arrived for a while."""
+        """Return the controller's newest telegram, or None if none arrived within the waiting time."""
         if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
             self._end_stream()
         received = self._receiver.next()
@@ -138,7 +138,7 @@ class LinkLoop:
         self._sockets.connect_to(peer)
 
     def _end_stream(self) -> None:
-        """Release the peer: the next stream may come from another port."""
+        """Release the controller: the next stream may come from another port."""
         self._peer = None
         self._sockets.disconnect()
         self._processor.free()
@@ -194,7 +194,7 @@ class LinkLoop:
         self._finish_cycle(data, telegram.ipoc, orders)
 
     def _match_prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
-        """Match a regular telegram; return the match, and the prepared reply if it is the right one."""
+        """Match a regular telegram; return the match, and the prepared reply if it fits."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
@@ -206,7 +206,7 @@ class LinkLoop:
         return found, ready
 
     def _rehearse(self) -> None:
-        """Run through the path from telegram to reply without effect."""
+        """Run the code path from telegram to reply without effect, to keep the caches warm."""
         self._rehearsal.exchange(self._last_data)
         self._match_prepared_reply(self._last_data)
 
@@ -269,7 +269,7 @@ class LinkLoop:
         self._publish()
 
     def _new_command(self, number: int) -> Command | None:
-        """Return the command if it is complete and not seen yet."""
+        """Return the latest command if complete and not seen yet."""
         if number == self._command_number:
             return None
         command = self._mailbox.read_command()

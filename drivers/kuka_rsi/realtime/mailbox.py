@@ -1,4 +1,4 @@
-"""Shared memory between the driver and its real-time process: orders in, state out, last cycles kept.
+"""Shared memory between driver and real-time process: orders in, state out, last cycles kept.
 
 The memory is anonymous and passed by an inherited file descriptor, so nothing is left behind whichever side
 dies. Every location in it has one writer; half-written rows are detected by their checksum.
@@ -77,7 +77,7 @@ _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
 
 
 class KeptHead(NamedTuple):
-    """Header of a kept telegram and its reply. Host monotonic time."""
+    """Header of a kept telegram and its reply. Times are host monotonic."""
 
     received_ns: Annotated[int, "q"]
     sent_ns: Annotated[int, "q"]
@@ -89,7 +89,7 @@ _KEPT_HEAD = RowCodec(KeptHead)
 
 
 class KeptCycle(NamedTuple):
-    """Telegram and its reply, which is empty if there was none. Host monotonic time."""
+    """Telegram and its reply, which is empty if none was sent. Times are host monotonic."""
 
     received_ns: int
     sent_ns: int
@@ -98,11 +98,11 @@ class KeptCycle(NamedTuple):
 
 
 class MailboxTorn(RuntimeError):
-    """Failure to read a complete row: the other side writes constantly, or the memory is not ours."""
+    """A complete row could not be read: the other side writes constantly, or the memory is foreign."""
 
 
 class Mailbox:
-    """View of the memory, for either side."""
+    """View of the shared memory, for either side."""
 
     def __init__(self, fd: int) -> None:
         self._memory = mmap.mmap(fd, _MAP.size_bytes)
@@ -114,7 +114,7 @@ class Mailbox:
 
     @staticmethod
     def initialise(fd: int) -> None:
-        """Give fresh anonymous memory its size, its mark and a first state."""
+        """Give new anonymous memory its size, mark and initial state."""
         os.ftruncate(fd, _MAP.size_bytes)
         os.pwrite(fd, _MAP.mark, 0)
         mailbox = Mailbox(fd)
@@ -160,7 +160,7 @@ class Mailbox:
         return Orders(_HEARTBEAT.read(memory), _STOP.read(memory), _COMMAND_NUMBER.read(memory))
 
     def stop_word(self) -> int:
-        """Read the one order that affects the very next reply."""
+        """Read the only order that affects the very next reply."""
         return _STOP.read(self._memory)
 
     def read_command(self) -> Command | None:
@@ -226,7 +226,7 @@ class Mailbox:
         raise MailboxTorn("the state row is never consistent")
 
     def read_alive_ns(self) -> int:
-        """Return the host monotonic time of the real-time process' last heartbeat; 0 before the first."""
+        """Read the host monotonic time of the real-time process' last heartbeat; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
     def read_histogram(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Responder of the real-time process: the answer to each telegram, without any I/O.
+"""Responder that computes the answer to each telegram, without any I/O.
 
 Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
 faults are checked, to decide between the point that continues and the first point of a stop. The measured
@@ -54,7 +54,7 @@ STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Responder:
-    """State of the link across cycles: `answer`, send, `finish_cycle`; else `monitor_silence`."""
+    """Link state across cycles: call `answer`, send, `finish_cycle`; without a telegram `monitor_silence`."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
@@ -93,12 +93,12 @@ class Responder:
 
     @property
     def moving(self) -> bool:
-        """True while set-points are changing."""
+        """Whether set-points are changing."""
         return self._points is not None and self._points.moving
 
     @property
     def sent_rad(self) -> JointVector:
-        """The last set-point sent."""
+        """Last set-point sent."""
         return self._points.last_rad if self._points else NO_STATE.commanded_rad
 
     @property
@@ -107,7 +107,7 @@ class Responder:
         return self._measured
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
-        """Return the reply up to its IPOC, or None if this telegram is not to be answered."""
+        """Return the reply up to its IPOC, or None if this telegram must not be answered."""
         self.ready = None
         self._axes_deg = telegram.axes_deg
         self._previous_ns, self._received_ns = self._received_ns, now_ns
@@ -147,7 +147,7 @@ class Responder:
         return self._replies.heads[self.choice]
 
     def note_answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
-        """Do the bookkeeping of `answer` for the expected telegram, whose prepared reply is out."""
+        """Update the state like `answer` for the expected telegram, whose prepared reply was sent."""
         self._axes_deg = telegram.axes_deg
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self.senders.foreign_sent_last = False
@@ -158,7 +158,7 @@ class Responder:
         self._check_heartbeat(orders.heartbeat, now_ns)
 
     def finish_cycle(self, command: Command | None) -> None:
-        """Judge the measured axes, accept a new command, prepare the next reply."""
+        """Check the measured axes, accept a new command, prepare the next reply."""
         points = self._points
         if points is None:
             return
@@ -183,13 +183,13 @@ class Responder:
         self._make_ready(points)
 
     def is_expected(self, telegram: Telegram) -> bool:
-        """Test whether this telegram may open the stream; otherwise it gets no reply."""
+        """Return whether this telegram may open the stream; otherwise it gets no reply."""
         self._axes_deg = telegram.axes_deg
         self._measure()
         return self.senders.matches_expected(telegram.axes_deg)
 
     def execute_command(self, command: Command) -> None:
-        """Act on a new command."""
+        """Execute a new command."""
         self.ready = None
         if command.number == self._command_number:
             return
@@ -211,7 +211,7 @@ class Responder:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def monitor_silence(self, orders: Orders, now_ns: int) -> None:
-        """Monitor silence and heartbeat, and act on stops, while nothing arrives."""
+        """Monitor silence and heartbeat, and execute stops, while nothing arrives."""
         self.ready = None
         self._check_heartbeat(orders.heartbeat, now_ns)
         if self.phase not in STREAMING_PHASES or self._points is None:
@@ -282,7 +282,7 @@ class Responder:
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
     def _begin_run(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
-        """Return the first reply of a run: corrections are relative to these axes, and the first is zero."""
+        """Return the first reply of a run: a zero correction, relative to these axes."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
@@ -347,7 +347,7 @@ class Responder:
         self._stopping = self.moving
 
     def _stop_replying(self, points: SetPoints) -> None:
-        """Stop replying: the controller holds the last point and ends the run by its Timeout."""
+        """Stop replying, so that the controller holds the last point and its Timeout ends the run."""
         self.phase = Phase.SILENT
         points.abandon()
         self._follow_motion(points)

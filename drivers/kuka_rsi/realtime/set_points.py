@@ -1,4 +1,4 @@
-"""Set-points of one stream: prepared between telegrams, judged, and one of them sent in a reply.
+"""Set-points of one stream: prepared and checked between telegrams, then sent in a reply.
 
 Generator and monitor meet only here. If the monitor rejects the path's own stop, another one replaces it,
 computed only from the points sent: onwards along the arm's present motion.
@@ -25,7 +25,7 @@ NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class SetPoints:
-    """Points of the next reply: call `prepare`, then `commit` with the choice that was sent."""
+    """Candidate points of the next reply: call `prepare`, then `commit` with the choice that was sent."""
 
     def __init__(
         self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
@@ -45,17 +45,17 @@ class SetPoints:
 
     @property
     def last_rad(self) -> JointVector:
-        """The last point sent."""
+        """Last point sent."""
         return self.monitor.last_rad
 
     @property
     def held_rad(self) -> JointVector:
-        """The controller's present point, according to its last report."""
+        """Current point of the controller, according to its last report."""
         return self.monitor.held_rad
 
     @property
     def moving(self) -> bool:
-        """True while a motion is under way."""
+        """Whether a motion is in progress."""
         return self._motion is not None
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
@@ -84,7 +84,7 @@ class SetPoints:
             self._motion.limit_speed(speed)
 
     def prepare(self) -> None:
-        """Compute and judge both points of the next reply."""
+        """Compute and check both candidate points of the next reply."""
         self._joint_stop = None
         motion = self._motion
         if motion is None:
@@ -130,7 +130,7 @@ class SetPoints:
             self._motion = None
 
     def abandon(self) -> None:
-        """Drop the motion: the arm has long been at rest at the last point."""
+        """Drop the motion after the arm has long been at rest at the last point."""
         if self._motion is not None:
             self.was_stopped_early = True
         self._motion = None
@@ -152,7 +152,7 @@ class SetPoints:
 
 
 class PreparedReply(NamedTuple):
-    """Complete reply to the next expected telegram, valid if that contains nothing new."""
+    """Complete reply to the next expected telegram, valid if that telegram contains nothing new."""
 
     delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
     stop_word: int  # no new stop
@@ -161,7 +161,7 @@ class PreparedReply(NamedTuple):
 
 
 class Replies:
-    """Replies of one stream; corrections are relative to the axes of `begin`, a head ends before the IPOC."""
+    """Replies of one stream. Corrections are relative to the axes of `begin`; a head ends before the IPOC."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._writer = ReplyWriter(
@@ -172,11 +172,11 @@ class Replies:
         self.heads = (b"", b"")  # to continue and to stop
 
     def begin(self, base_deg: JointVector) -> None:
-        """Start a run: the controller adds corrections to these axes."""
+        """Begin a run, whose corrections the controller adds to these axes."""
         self._base_deg = base_deg
 
     def prepare(self, points: SetPoints, *, ending: bool) -> None:
-        """Write the heads for the prepared points; `ending`: Stop is sent at rest."""
+        """Write the heads for the prepared points; with `ending`, Stop is sent at rest."""
         if points.moving:
             self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
         else:

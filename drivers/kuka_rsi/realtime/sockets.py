@@ -1,4 +1,4 @@
-"""Sockets of the link, and the wait for the next telegram with warm caches.
+"""Link sockets, and waiting for the next telegram with warm caches.
 
 A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
 controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
@@ -34,7 +34,7 @@ _NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Open the socket for the controller. No address reuse: a second listener would take telegrams."""
+    """Open the receiving socket without address reuse, since a second listener would take telegrams."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         link.bind((host, port))
@@ -46,7 +46,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """An unconnected socket, and during a stream one connected to its controller.
+    """Sockets of the link: an unconnected one, and one connected to the controller during a stream.
 
     A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
     reply. The kernel also records which processor received the last one.
@@ -58,7 +58,7 @@ class LinkSockets:
         self._peer: Address | None = None  # only while the stream has its own socket
 
     def connect_to(self, peer: Address) -> None:
-        """Open the socket of a stream with this controller."""
+        """Open the stream socket connected to this controller."""
         self.disconnect()
         own: Address = self._listening.getsockname()
         if own[0] == ANY_HOST:
@@ -80,13 +80,13 @@ class LinkSockets:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
     def disconnect(self) -> None:
-        """Close the socket of the stream: a telegram may come from anywhere again."""
+        """Close the stream socket, so that telegrams may come from anywhere again."""
         if self._peer is not None:
             self._line.close()
             self._line, self._peer = self._listening, None
 
     def receive(self, flags: int = 0) -> Received:
-        """Receive a datagram; raises OSError if none arrived for a while, or a reply was refused."""
+        """Receive a datagram; raises OSError if none arrived in time, or a reply was refused."""
         if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
@@ -104,11 +104,11 @@ class LinkSockets:
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
     def has_datagram(self) -> bool:
-        """Test for a datagram, more cheaply than by the exception of an empty socket."""
+        """Return whether a datagram is waiting, more cheaply than by the exception of an empty socket."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def foreign_sender(self) -> Address | None:
-        """Take a datagram that is not the stream's; return its sender, or None."""
+        """Receive a datagram from outside the stream and return its sender; None without any."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:
@@ -118,7 +118,7 @@ class LinkSockets:
         return address
 
     def processor(self) -> int:
-        """Return the number of the processor that received the last telegram; -1 when unknown."""
+        """Return the number of the processor that received the last telegram; -1 if unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 
@@ -128,7 +128,7 @@ def _set_receive_timeout(link: socket.socket) -> None:
 
 
 class TelegramReceiver:
-    """Receiver of one telegram after another."""
+    """Receiver of successive telegrams."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class TelegramReceiver:
         rehearse: Callable[[], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Call `rehearse` `lead_ns` before a telegram is due; never if that is 0."""
+        """Create a receiver that calls `rehearse` `lead_ns` before a telegram is due; 0 disables it."""
         self._sockets = sockets
         self._lead_ns = lead_ns
         self._rehearse = rehearse
@@ -149,7 +149,7 @@ class TelegramReceiver:
         self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
-        """Receive the next datagram, from any sender; None if none arrived for a while."""
+        """Receive the next datagram from any sender; None if none arrived in time."""
         try:
             self.was_queued = self._sockets.has_datagram()
             if self._lead_ns and not self.was_queued:
@@ -161,7 +161,7 @@ class TelegramReceiver:
         return received
 
     def note_paced(self) -> bool:
-        """Note that the last datagram came a whole cycle after the previous one; True at a known pace.
+        """Note that the last datagram came a whole cycle after the previous one; True if the pace is known.
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
@@ -170,7 +170,7 @@ class TelegramReceiver:
         return self._keeps_pace
 
     def note_lock_step(self) -> None:
-        """Note that the last datagram followed the reply at once: there is no schedule."""
+        """Note that the last datagram immediately followed the reply, so there is no schedule."""
         self._pace.forget()
         self._keeps_pace = False
 
@@ -181,7 +181,7 @@ class TelegramReceiver:
 
 
 class Pace:
-    """Prediction of the next telegram: the controller keeps an absolute schedule. Host time in ns.
+    """Predictor of the next telegram on the controller's absolute schedule. Host time in ns.
 
     The pace is learnt from arrivals alone. A telegram may be delayed on its way, but never arrives before it
     was sent: an early one corrects the schedule at once, a late one only slightly.
@@ -194,11 +194,11 @@ class Pace:
 
     @property
     def due_ns(self) -> int:
-        """Arrival of the next telegram unless delayed; 0 while no schedule is known."""
+        """Time at which the next telegram is due if not delayed, ns; 0 without a known schedule."""
         return int(self._scheduled_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
 
     def note_arrival(self, now_ns: int) -> None:
-        """Add an arrival."""
+        """Record the arrival of a telegram."""
         gap_ns, interval_ns = now_ns - self._scheduled_ns, self._interval_ns
         steps = round(gap_ns / interval_ns) if interval_ns else 0
         off_ns = gap_ns - steps * interval_ns

@@ -1,4 +1,4 @@
-"""Telegrams of the real-time link: read what the controller sends, write the reply.
+"""RSI telegrams: parsing of the controller's telegrams, and writing of replies.
 
 The reader is a regular expression compiled from the agreed elements. Other telegrams go through a strict XML
 parser, and are rejected if that fails. The reply is written in two parts: everything up to the IPOC can be
@@ -47,7 +47,7 @@ Found = re.Match[bytes]
 
 
 class Telegram(NamedTuple):
-    """Content of a telegram. `ipoc` is kept as text: it is echoed unchanged."""
+    """Content of a telegram. `ipoc` stays text, as it is echoed unchanged."""
 
     axes_deg: JointVector
     delay: int  # the controller's own count of late packets, -1 if it does not send it
@@ -55,7 +55,7 @@ class Telegram(NamedTuple):
 
 
 class Element(NamedTuple):
-    """Element on the wire: attributes, or text if there are none."""
+    """XML element of a telegram: attributes, or text if there are none."""
 
     name: str
     attributes: tuple[str, ...]
@@ -83,7 +83,7 @@ def group_elements(tags: tuple[str, ...]) -> tuple[Element, ...]:
 
 
 class TelegramReader:
-    """Reader of one context's telegrams."""
+    """Parser of telegrams in one context."""
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
@@ -107,7 +107,7 @@ class TelegramReader:
         self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
 
     def match(self, data: bytes) -> Found | None:
-        """Match a telegram in the usual form, for `extract_telegram`; None for one to be read strictly."""
+        """Match a telegram in the usual form, for `extract_telegram`; None if it needs the strict parser."""
         return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
@@ -128,7 +128,7 @@ def _match_nothing(_data: bytes) -> None:
 
 
 def read_strictly(data: bytes) -> Telegram:
-    """Read a telegram by an XML parser, in any order and spacing. Raises RSI-014, also for a DTD."""
+    """Parse a telegram as XML, in any order and spacing. Raises RSI-014, also for a DTD."""
     values: dict[tuple[str, str], str] = {}
     path: list[str] = []
     text: list[str] = []
@@ -184,7 +184,7 @@ def read_strictly(data: bytes) -> Telegram:
 
 
 class ReplyWriter:
-    """Writer of one context's replies: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
+    """Writer of replies in one context: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
 
     def __init__(
         self, sentype: str, receive_tags: tuple[str, ...], axis_tags: tuple[str, ...], stop_tag: str

@@ -1,1 +1,1 @@
-"""Collisions of the arm: bodies, distances, whole paths before motion, and live monitoring."""
+"""Collision avoidance for the arm: bodies, distances, path checks before motion, live monitoring."""

@@ -1,4 +1,4 @@
-"""Bodies that can collide, as plain values: the links of an arm, its tool, and its surroundings.
+"""Collision bodies as plain values: the links of an arm, its tool, and its surroundings.
 
 Capsules are the only shape: all points within a radius of a segment. Everything else is covered by capsules,
 so one closed formula gives every distance. The real-time loop uses it: no NumPy.
@@ -23,19 +23,19 @@ POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
 
 
 class Capsule(NamedTuple):
-    """Segment and radius, mm. Equal ends make a ball."""
+    """Capsule given by an axis segment and a radius, mm. Equal ends make a sphere."""
 
     start_mm: Vector3
     end_mm: Vector3
     radius_mm: float
 
     def moved(self, pose: Pose) -> Capsule:
-        """The capsule in the target frame of `pose`."""
+        """Return the capsule in the target frame of `pose`."""
         return Capsule(pose.apply(self.start_mm), pose.apply(self.end_mm), self.radius_mm)
 
 
 def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float:
-    """Distance of segments a-b and c-d: closest points of the lines, clamped in turn to the segments."""
+    """Return the distance in mm between the segments a-b and c-d."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
     wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
@@ -91,7 +91,10 @@ DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, 
 
 
 class Part(NamedTuple):
-    """A body of the tool, fixed to the flange. `enters_head`: it may enter the head along a corridor."""
+    """Collision body of the tool, fixed to the flange.
+
+    `enters_head`: it may enter the head along a corridor.
+    """
 
     name: str
     capsule: Capsule
@@ -99,7 +102,7 @@ class Part(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """A fixed body in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
+    """Fixed collision body in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
 
     name: str
     capsule: Capsule
@@ -107,14 +110,14 @@ class Obstacle(NamedTuple):
 
 
 class Corridor(NamedTuple):
-    """Straight passage into the head: from outside through the entry to slightly beyond the target."""
+    """Straight passage into the head, from outside through the entry to slightly beyond the target."""
 
     entry_mm: Vector3
     target_mm: Vector3
     radius_mm: float
 
     def holds(self, start_mm: Vector3, end_mm: Vector3) -> bool:
-        """Whether both ends of a segment, and therefore all of it, are inside."""
+        """Whether a segment lies entirely inside the corridor."""
         return self._contains_point(start_mm) and self._contains_point(end_mm)
 
     def _contains_point(self, point_mm: Vector3) -> bool:
@@ -135,14 +138,14 @@ class SpeedZone(NamedTuple):
     far_speed_mm_s: float
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """Speed limit at a distance; constant closer than `near_mm` and farther than `far_mm`."""
+        """Return the speed limit in mm/s at a distance; constant below `near_mm` and above `far_mm`."""
         share = (distance_mm - self.near_mm) / (self.far_mm - self.near_mm)
         share = min(max(share, 0.0), 1.0)
         return self.near_speed_mm_s + share * (self.far_speed_mm_s - self.near_speed_mm_s)
 
 
 class ArmRadii(NamedTuple):
-    """Radii of the bodies of the arm about their axes; our own conservative estimates (U)."""
+    """Radii of the arm's bodies about their axes; our own conservative estimates (U)."""
 
     column_mm: float = 150.0
     upper_arm_mm: float = 85.0
@@ -151,7 +154,7 @@ class ArmRadii(NamedTuple):
     hand_mm: float = 45.0
 
     def of(self, part: ArmPart) -> float:
-        """Radius of a part."""
+        """Return the radius of a part, mm."""
         return self[_PARTS.index(part)]
 
 
@@ -162,7 +165,7 @@ DEFAULT_RADII = ArmRadii()
 
 @dataclass(frozen=True)
 class Surroundings:
-    """All bodies, and the rules: least distance on a planned path, least distance live, speed zone."""
+    """Collision bodies around the arm, with the minimum distances (planned and live) and the speed zone."""
 
     tool: tuple[Part, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
@@ -173,7 +176,7 @@ class Surroundings:
     corridor: Corridor | None = None
 
     def moved(self, by: Pose) -> Surroundings:
-        """Move everything that is fixed in the room."""
+        """Transform everything that is fixed in the room."""
         corridor = self.corridor
         return replace(
             self,
@@ -185,16 +188,16 @@ class Surroundings:
         )
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """Speed limit of anything that moves at a distance from the head; infinite without a zone."""
+        """Return the speed limit in mm/s at a distance from the head; infinite without a speed zone."""
         return inf if self.zone is None else self.zone.cap_mm_s(distance_mm)
 
     def to_json(self) -> str:
-        """Encode as one line, for the real-time process."""
+        """Encode as one line of JSON for the real-time process."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str) -> Surroundings:
-        """Decode `to_json`; raises KeyError, TypeError or ValueError for any other line."""
+        """Decode a line from `to_json`; raises KeyError, TypeError or ValueError for any other line."""
         values: dict[str, Any] = json.loads(line)
         corridor, zone = values["corridor"], values["zone"]
         return cls(
@@ -221,7 +224,7 @@ def _vector3(values: Any) -> Vector3:
 
 
 class Pair(NamedTuple):
-    """Two bodies that must keep their distance: index of the moving one, and of the other.
+    """Two bodies that must keep their distance, by index: a moving body and another one.
 
     A non-negative `other` is the index of a fixed body; -1 - k is the moving body k.
     """
@@ -234,13 +237,13 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """Moving bodies: the links, then parts of the tool. Fixed bodies: the column, then obstacles."""
+    """All collision bodies. Moving: links, then tool parts. Fixed: column, then obstacles."""
 
     arm: ArmBodies
     surroundings: Surroundings
 
     def names(self, pair: Pair) -> tuple[str, str]:
-        """Names of the two bodies of a pair."""
+        """Return the names of the two bodies of a pair."""
         if pair.other < 0:
             other = self.moving_names[-1 - pair.other]
         elif pair.other == 0:
@@ -268,7 +271,10 @@ class Bodies:
 
     @cached_property
     def fixed(self) -> tuple[Capsule, ...]:
-        """The fixed bodies; the column extends from the base to slightly below the first moving one."""
+        """Fixed bodies: the column, then the obstacles.
+
+        The column ends slightly below the first moving body.
+        """
         radius_mm = self.surroundings.radii.of(ArmPart.COLUMN)
         top_mm = max(self.arm.column_height_mm - radius_mm, 0.0)
         column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top_mm), radius_mm)
@@ -276,7 +282,7 @@ class Bodies:
 
     @cached_property
     def pairs(self) -> tuple[Pair, ...]:
-        """Every pair that can collide. Bodies that touch by construction are left out."""
+        """Pairs of bodies that can collide. Bodies that touch by construction are omitted."""
         links, tool = self.arm.links, self.surroundings.tool
         obstacles = self.surroundings.obstacles
         count = len(links)

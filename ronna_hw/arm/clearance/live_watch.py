@@ -1,4 +1,4 @@
-"""Live check of set-points: the distances of all bodies, their speed, and their speed near the head.
+"""Live check of set-points for clearance, body speed, and speed near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the closed form of the arm,
 distances are the scalar ones. A pair is measured again only once its bodies may have moved far enough towards
@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector, joint_vector
 
 
 class ViolationKind(StrEnum):
-    """Limit that was exceeded: of an axis, of a moving body, or, the last two, of a pair of bodies."""
+    """Limit that was exceeded: of an axis, a moving body, or (the last two) a pair of bodies."""
 
     RANGE = "range"
     TOTAL_CORRECTION = "total correction"
@@ -47,7 +47,7 @@ _BODY_UNITS = {
 
 
 class Violation(NamedTuple):
-    """A limit that a set-point or a measured pose exceeds, with value and limit in rad, mm and seconds.
+    """Limit exceeded by a set-point or a measured pose. Value and limit in rad, mm and seconds.
 
     `axis` counts from 1. For `BODY_SPEED` it is the index in `Bodies.moving_names`, for `CLEARANCE` and
     `ZONE_SPEED` that in `Bodies.pairs`.
@@ -60,11 +60,11 @@ class Violation(NamedTuple):
 
     @property
     def is_axis_violation(self) -> bool:
-        """True if an axis is at fault rather than two bodies."""
+        """Whether an axis is at fault rather than one or two bodies."""
         return self.kind not in _BODY_UNITS
 
     def format_value(self, value: float) -> str:
-        """Format a value of this kind for people."""
+        """Format a value of this kind, with its unit, for display."""
         if not self.is_axis_violation:
             return f"{value:.1f} {_BODY_UNITS[self.kind]}"
         unit = _ANGLE_UNITS.get(self.kind)
@@ -84,7 +84,7 @@ LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning
 
 
 class PlacedBodies:
-    """Axes of all moving bodies in the robot base at joint angles, in the order of `Bodies.moving_names`.
+    """Axes of all moving bodies in the robot base for given joint angles, ordered as `Bodies.moving_names`.
 
     Each is computed when it is first asked for.
     """
@@ -99,7 +99,7 @@ class PlacedBodies:
         return (self[number] for number in range(len(self._bodies.moving_names)))
 
     def __getitem__(self, number: int) -> Segment:
-        """Axis of one body."""
+        """Return the axis of one body."""
         if self._flange is None:
             links, self._flange = self._bodies.arm.link_segments(self._joints)
             self._axes = [*links, *(None for _ in self._bodies.surroundings.tool)]
@@ -112,7 +112,7 @@ class PlacedBodies:
 
 
 class _MeasuredStep(NamedTuple):
-    """A step of the joints that moved the bodies by a known distance, as the scale for other steps.
+    """Joint step whose body motion was measured, used to bound the motion of similar steps.
 
     With a step `e` from `q0` that moves the farthest point by `m`, a step `l e + r` from `q` moves no point
     by more than `l m + l B(e) (|q - q0| + |l - 1| |e|) + B(r)`. `B` is the sum of lever times angle over the
@@ -128,7 +128,7 @@ class _MeasuredStep(NamedTuple):
     moved_mm: float
 
     def bound_of(self, levers_mm: JointVector, from_rad: JointVector, to_rad: JointVector) -> float:
-        """Upper bound of the motion of any point for another step, mm; infinite for one backwards."""
+        """Bound the motion of any point in another step, mm; infinite for a reversed step."""
         a, b, c, d, e, f = self.step_rad
         p1, p2, p3, p4, p5, p6 = to_rad
         q1, q2, q3, q4, q5, q6 = from_rad
@@ -152,7 +152,7 @@ class _MeasuredStep(NamedTuple):
 
 
 class _Group:
-    """Pairs whose distance only the joints from `first` on can change, and how far those have moved.
+    """Pairs whose distance depends only on joints from `first` outwards, with a motion odometer.
 
     `first` is 0 for pairs with a body fixed in the room. Otherwise both bodies move: seen from the link that
     turns with joint `first - 1`, the other body moves with the joints beyond.
@@ -166,14 +166,14 @@ class _Group:
         self._queue: list[tuple[float, int]] = []  # earliest first, among former ones
 
     def clear_until(self, reading_mm: float, number: int) -> None:
-        """Skip a pair until the odometer reads this, or what is already known of it if that is more."""
+        """Skip a pair until the odometer reaches this reading, or a later one already known."""
         if reading_mm > self._readings.get(number, -inf):
             self._readings[number] = reading_mm
             heappush(self._queue, (reading_mm, number))
             self._find_earliest()
 
     def take_due(self, moved_mm: float) -> list[int]:
-        """Take out the pairs that must be measured if their bodies move this far.
+        """Remove and return the pairs that must be measured if their bodies move this far.
 
         Each must be given to `clear_until` again.
         """
@@ -192,7 +192,7 @@ class _Group:
 
 
 class _Trial(NamedTuple):
-    """A set-point that was checked."""
+    """Set-point that was checked but not yet sent."""
 
     joints_rad: JointVector
     motions: list[float]  # of any point from the last set-point, at most, by first joint of a group
@@ -201,7 +201,7 @@ class _Trial(NamedTuple):
 
 
 class LiveWatch:
-    """Watch over one stream in its surroundings.
+    """Clearance and speed watch over one stream of set-points.
 
     `check` does not count a set-point as sent; `sent` does.
     """
@@ -213,7 +213,7 @@ class LiveWatch:
         joints_rad: JointVector,
         body_speed_mm_s: float = inf,
     ) -> None:
-        """`joints_rad` is the arm's position at rest; whatever starts too close may only move away.
+        """Start at rest at `joints_rad`. Bodies that start too close together may only move apart.
 
         `body_speed_mm_s` is the operating mode's limit for everything that moves.
         """
@@ -271,7 +271,7 @@ class LiveWatch:
         return found if slow or found else self._find_speed_violation(placed, motions[0])
 
     def sent(self, joints_rad: JointVector) -> None:
-        """Record a set-point that was sent, or is the current position of the arm."""
+        """Record a set-point as sent, or as the current position of the arm."""
         if joints_rad is self._joints:
             return
         trial = next((item for item in self._trials if item.joints_rad is joints_rad), None)
@@ -287,7 +287,10 @@ class LiveWatch:
         self._trials.clear()
 
     def _bound_motions_mm(self, from_rad: JointVector, to_rad: JointVector) -> list[float]:
-        """Upper bounds of any point's motion between joint angles, mm, by the joints from each one on."""
+        """Bound the motion of any point between two joint vectors, mm.
+
+        Item i counts joints from i outwards.
+        """
         a, b, c, d, e, f = self._levers
         p1, p2, p3, p4, p5, p6 = to_rad
         q1, q2, q3, q4, q5, q6 = from_rad
@@ -299,18 +302,18 @@ class LiveWatch:
         return [a * abs(p1 - q1) + from_2, from_2, from_3, from_4, from_5, from_6, 0.0]
 
     def _is_slow(self, most: float) -> bool:
-        """Whether a motion of at most `most` mm exceeds no speed cap."""
+        """Return whether a motion of at most `most` mm stays below every speed cap."""
         if most <= self._slowest_mm:
             return True
         return most <= self._allowed_mm(self._least_bound - self._room.odometer_mm - most)
 
     def _allowed_mm(self, distance_mm: float) -> float:
-        """Longest motion in a cycle at a distance from the head."""
+        """Return the longest motion allowed per cycle at a distance from the head, mm."""
         cap_mm_s = min(self._surroundings.cap_mm_s(distance_mm), self._body_speed_mm_s)
         return cap_mm_s * SPEED_MARGIN * self._cycle_s
 
     def _measure(self, joints_rad: JointVector, moved_mm: float) -> None:
-        """Keep this step and its exact motion as the scale of the next ones."""
+        """Keep this step and its exact motion as the reference for bounding later steps."""
         step = tuple(new - old for new, old in zip(joints_rad, self._joints, strict=True))
         square = sum(angle * angle for angle in step)
         if square > SMALLEST_STEP_RAD**2:
@@ -337,7 +340,7 @@ class LiveWatch:
         return found
 
     def _room_left_mm(self, number: int, group: _Group, trial: _Trial) -> float:
-        """Room that a pair has at least at a set-point, if it was measured at the one checked before."""
+        """Return the least remaining room of a pair, mm; 0 if the previous check did not measure it."""
         if not self._trials or number not in self._trials[-1].rooms_mm:
             return 0.0
         before = self._trials[-1]
@@ -370,14 +373,14 @@ class LiveWatch:
         return Violation(ViolationKind.ZONE_SPEED, nearest_pair, speed, limit)
 
     def _motions_mm(self, placed: PlacedBodies) -> list[float]:
-        """Largest motion of an end of each body since the last set-point."""
+        """Return the larger motion of the two ends of each body since the last set-point, mm."""
         return [
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(placed, self._placed, strict=True)
         ]
 
     def _gap(self, number: int, placed: PlacedBodies) -> float:
-        """Distance between the surfaces of a pair; infinite where a corridor allows contact."""
+        """Return the surface distance of a pair, mm; infinite where a corridor allows contact."""
         pair = self._pairs[number]
         corridor = self._surroundings.corridor
         if (
@@ -390,13 +393,13 @@ class LiveWatch:
         return self._distance(number, placed)
 
     def _room_mm(self, number: int, gap: float) -> float:
-        """Reading of the odometer that a pair allows until it is measured again."""
+        """Return the odometer travel, mm, after which a pair must be measured again."""
         if gap == inf:  # in its corridor, which it may leave sideways at any time
             return 0.0
         return (gap - self._floors[number]) / self._share[number]
 
     def _lever_share(self, moving: int, first: int) -> float:
-        """Largest share of what the joints from `first` on may move any body that they may move this one."""
+        """Return the largest ratio of a body's levers to those of any body, for joints from `first` on."""
         part = moving - len(self._bodies.arm.links)
         if not first or part < 0:  # the motion in the room may have been measured: it is of any body
             return 1.0
@@ -411,5 +414,5 @@ class LiveWatch:
 
 
 def _outwards(levers_mm: JointVector) -> JointVector:
-    """Levers of which none is shorter than one of a joint farther out, as `_MeasuredStep` needs them."""
+    """Raise each lever to at least that of every joint farther out, as `_MeasuredStep` requires."""
     return joint_vector(max(levers_mm[number:]) for number in range(len(levers_mm)))

@@ -1,4 +1,4 @@
-"""Clearance of a planned path over its whole length: distances of all pairs of bodies, with NumPy.
+"""Clearance of a planned path over its whole length: distances between all pairs of bodies, with NumPy.
 
 The path is sampled. Between two samples a pair cannot come closer than half of the sum of both distances
 minus the motion in between. Where that bound is not enough, the interval is halved, down to `FINEST_MM` of
@@ -36,7 +36,7 @@ ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 
 @dataclass(frozen=True)
 class ClosestPair:
-    """Smallest distance on a path: the two bodies, their distance, and the place on the path (0..1)."""
+    """Smallest distance on a path: the two bodies, their distance, and the position on the path (0..1)."""
 
     first: str
     second: str
@@ -46,7 +46,9 @@ class ClosestPair:
 
 @dataclass(frozen=True)
 class SweepSamples:
-    """`gaps_mm` (n, pairs) between surfaces, infinite where a corridor allows contact; `to_head_mm` (n).
+    """Body positions and distances at n samples of a path.
+
+    `gaps_mm` (n, pairs) are surface distances, infinite where a corridor allows contact; `to_head_mm` is (n).
 
     `ends_mm` (n, bodies, 2, 3): both ends of every moving body's axis in $ROBROOT. `to_head_mm` is the
     smallest distance between the head and anything that moves, not negative, and infinite without a head.
@@ -59,7 +61,7 @@ class SweepSamples:
 
 @dataclass(frozen=True)
 class SweptPath:
-    """Samples of a path and the distances there; fractions (n) from 0 to 1, joints (n, axes)."""
+    """Sampled path with its distances; fractions (n) from 0 to 1, joints (n, axes)."""
 
     bodies: Bodies
     fractions: Array
@@ -68,7 +70,7 @@ class SweptPath:
 
     @property
     def closest(self) -> ClosestPair | None:
-        """Smallest distance of any pair; None if there is nothing to collide with."""
+        """Closest pair on the path; None if there is nothing to collide with."""
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
@@ -76,7 +78,7 @@ class SweptPath:
 
     @property
     def refused(self) -> ClosestPair | None:
-        """Pair that comes too close, at its closest; None if the path is clear.
+        """Pair that violates its minimum distance most; None if the path is clear.
 
         A pair that is too close at the start must not come any closer.
         """
@@ -107,7 +109,7 @@ class SweptPath:
 def sweep_path(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, search_closest: bool = True
 ) -> SweptPath:
-    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 if the path has no solution.
+    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 for an unreachable path.
 
     A path that is not clear is searched for its closest point, for the message; without `search_closest` only
     until the result is certain.
@@ -151,17 +153,17 @@ def sweep_path(
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
-    """Minimum distance of each pair (pairs,) on a path that starts with these distances."""
+    """Return the minimum distance of each pair (pairs,) for a path that starts at these distances."""
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
 def motion_mm(swept: SweepSamples) -> Array:
-    """Upper bound of each body's motion between neighbouring samples, (n - 1, bodies)."""
+    """Bound the motion of each body between neighbouring samples, (n - 1, bodies)."""
     return _end_motions_mm(swept) * ARC_FACTOR
 
 
 def _first_smallest(distances_mm: Array) -> int:
-    """Flat index of the first distance that is smallest up to rounding.
+    """Return the flat index of the first distance that is smallest up to rounding.
 
     Bodies that rotate together keep their distance: the last digits must not decide the position on the path.
     """
@@ -169,7 +171,7 @@ def _first_smallest(distances_mm: Array) -> int:
 
 
 def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> NDArray[np.bool_]:
-    """Mask of the intervals (n - 1) that may hide a distance below its minimum."""
+    """Return a mask of the intervals (n - 1) that may hide a distance below its minimum."""
     moved = motion_mm(found)
     pairs = bodies.pairs
     own = np.array([pair.other < 0 for pair in pairs])
@@ -198,7 +200,7 @@ def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions
 
 
 def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
-    """Bodies and distances at joint vectors (n, axes)."""
+    """Compute body positions and distances at joint vectors (n, axes)."""
     joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
     ends = moving_ends(bodies, joints)
     pairs = bodies.pairs
@@ -231,7 +233,7 @@ def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
 
 
 def moving_ends(bodies: Bodies, joints: Array) -> Array:
-    """Ends of the axes of the arm's bodies and of the tool's, (n, bodies, 2, 3) mm."""
+    """Return the axis ends of all moving bodies, arm and tool, (n, bodies, 2, 3) mm."""
     chain = bodies.arm.chain
     origin = np.tile(np.array(chain.base_mm), (len(joints), 1))
     turn: Array | None = None
@@ -254,7 +256,7 @@ def moving_ends(bodies: Bodies, joints: Array) -> Array:
 
 
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distances (...) between the segments a-b and c-d, each (3, ...).
+    """Return the distances (...) between the segments a-b and c-d, each (3, ...).
 
     The smallest of five: between the lines, if their closest points are within both segments, and from each
     of the four ends to the other segment.
@@ -279,7 +281,7 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 @cache
 def _rotation_parts(axis: Vector3) -> tuple[Array, Array, Array]:
-    """Parts of a rotation about a unit vector: constant, scaled by cosine, scaled by sine, (3, 3, 1)."""
+    """Split a rotation about a unit vector into constant, cosine and sine parts, (3, 3, 1) each."""
     x, y, z = axis
     along = np.outer(axis, axis)
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -287,13 +289,13 @@ def _rotation_parts(axis: Vector3) -> tuple[Array, Array, Array]:
 
 
 def _rotation(axis: Vector3, angles: Array) -> Array:
-    """Rotation matrices (n, 3, 3) about one axis."""
+    """Return the rotation matrices (n, 3, 3) about one axis."""
     along, plane, across = _rotation_parts(axis)
     return np.moveaxis(along + np.cos(angles) * plane + np.sin(angles) * across, 2, 0)
 
 
 def _place_point(origin: Array, turn: Array, point_mm: Vector3) -> Array:
-    """A point of a moving frame in the robot base, (n, 3)."""
+    """Transform a point of a moving frame to the robot base, (n, 3)."""
     return origin + turn @ np.array(point_mm) if any(point_mm) else origin
 
 

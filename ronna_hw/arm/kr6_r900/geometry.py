@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class ArmVariant(StrEnum):
-    """Two arms with the name KR 6 R900; they differ by 10 mm at the elbow and at the flange."""
+    """Variant of the KR 6 R900; the two differ by 10 mm at the elbow and at the flange."""
 
     SIXX = "kr6_r900_sixx"
     R900_2 = "kr6_r900_2"
@@ -43,7 +43,7 @@ class Dimensions:
 
     @cached_property
     def elbow_to_wrist_mm(self) -> float:
-        """Straight distance from A3 to the wrist centre."""
+        """Straight-line distance from A3 to the wrist centre, mm."""
         return math.hypot(self.forearm_mm, self.elbow_offset_mm)
 
     @cached_property
@@ -53,11 +53,11 @@ class Dimensions:
 
     @cached_property
     def reach_mm(self) -> float:
-        """Largest distance of the wrist centre from the axis of A1, at the height of A2."""
+        """Largest distance of the wrist centre from the axis of A1, mm, at the height of A2."""
         return self.shoulder_offset_mm + self.upper_arm_mm + self.elbow_to_wrist_mm
 
     def wrist_ahead_mm(self, A2: float, A3: float) -> float:
-        """Signed distance of the wrist centre from the axis of A1; negative overhead."""
+        """Signed distance of the wrist centre from the axis of A1, mm; negative overhead."""
         return (
             self.shoulder_offset_mm
             + self.upper_arm_mm * math.cos(A2)

@@ -1,4 +1,4 @@
-"""Inverse kinematics of the KR 6 R900 in closed form, branch by branch.
+"""Closed-form inverse kinematics of the KR 6 R900, branch by branch.
 
 The wrist is spherical, so A1..A3 follow from the wrist centre (two sides of A1, two bends of the elbow) and
 A4..A6 from the remaining orientation (two flips of the wrist). A4 and A6 turn more than a full circle: each
@@ -30,7 +30,7 @@ FLIPPED = 4  # A5 not positive
 
 
 def branch(*, overhead: bool, elbow: bool, flipped: bool) -> Branch:
-    """The branch with these bits."""
+    """Return the branch with these status bits."""
     return Branch(OVERHEAD * overhead + ELBOW * elbow + FLIPPED * flipped)
 
 
@@ -43,14 +43,14 @@ BRANCHES = tuple(
 
 
 def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
-    """The branch of a joint vector."""
+    """Return the branch of a joint vector."""
     _, A2, A3, _, A5, _ = joints_rad
     overhead = arm.wrist_ahead_mm(A2, A3) < 0.0
     return branch(overhead=overhead, elbow=arm.stretched_A3_rad <= A3, flipped=A5 <= 0.0)
 
 
 def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
-    """All joint vectors within range that reach the flange pose, branch by branch.
+    """Return all joint vectors within range that reach the flange pose, branch by branch.
 
     Raises ARM-001 when the wrist centre is out of reach; ARM-002 when A1, A4 and A6 or the bend of the elbow
     are undefined in a branch within the ranges; ARM-003 when no branch fits the joint ranges.
@@ -85,7 +85,7 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
 
 
 def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-    """The one solution in `branch` with the turns nearest to `near`; for use along a path.
+    """Return the solution in `branch` with the whole turns nearest to `near`, for following a path.
 
     Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
     """
@@ -148,7 +148,7 @@ def _bend(arm: Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, flo
 
 
 def _into_range(arm: Dimensions, first: tuple[float, float, float]) -> tuple[float, float, float] | None:
-    """A1..A3 brought into their ranges by whole turns, or None. Their ranges are shorter than a circle."""
+    """Bring A1..A3 into range by whole turns; None if impossible. These ranges are shorter than a turn."""
     result = []
     for axis, angle in enumerate(first):
         low, high = arm.lower_rad[axis] - RANGE_SLACK_RAD, arm.upper_rad[axis] + RANGE_SLACK_RAD

@@ -1,4 +1,4 @@
-"""The KR 6 R900 as an arm's `Kinematics`, in closed form.
+"""`Kinematics` of the KR 6 R900 in closed form.
 
 The positions of the bodies are written out for the real-time loop.
 """
@@ -41,7 +41,7 @@ ORIGIN: Vector3 = (0.0, 0.0, 0.0)
 
 
 class Kr6R900:
-    """A variant of the arm. Its branches are KUKA's status S."""
+    """Kinematics of one KR 6 R900 variant. Branches are numbered like KUKA's status S."""
 
     axis_names = AXIS_NAMES
     home_rad = HOME_RAD
@@ -59,7 +59,7 @@ class Kr6R900:
         self.column_height_mm = dimensions.base_height_mm
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        """Pose of the flange in $ROBROOT; z points out of the flange.
+        """Return the pose of the flange in $ROBROOT; z points out of the flange.
 
         The chain is Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg), multiplied out.
         """
@@ -152,7 +152,9 @@ class Kr6R900:
         return inverse.solve_branch(self.dimensions, pose, branch, near)
 
     def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
-        """`wrist` is |sin A5|, `elbow` the sine of the bend from upper arm to the line to the wrist centre.
+        """Return the distances from singularity.
+
+        `wrist` is |sin A5|, `elbow` the sine of the bend between upper arm and the line to the wrist centre.
 
         `shoulder` is the distance of the wrist centre from the axis of A1 as a share of the reach.
         """
@@ -162,11 +164,11 @@ class Kr6R900:
         return SingularMeasure(abs(sin(A5)), abs(sin(A3 - arm.stretched_A3_rad)), shoulder)
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
-        """|A5|, which is below half a turn."""
+        """Return |A5|, which is below half a turn."""
         return abs(joints_rad[4])
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
-        """A4."""
+        """Return A4."""
         return joints_rad[3]
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
@@ -203,7 +205,7 @@ def _combine(u: Vector3, a: float, v: Vector3, b: float) -> Vector3:
 
 
 def _chain(arm: Dimensions) -> Chain:
-    """Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg)."""
+    """Build the chain Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg)."""
     return Chain(
         base_mm=(0.0, 0.0, arm.base_height_mm),
         joints=(
@@ -219,7 +221,7 @@ def _chain(arm: Dimensions) -> Chain:
 
 
 def _links(arm: Dimensions) -> tuple[Link, ...]:
-    """Upper arm, forearm with its drives, slim wrist, and the hand between wrist centre and flange."""
+    """Build the links: upper arm, forearm with drives, slim wrist, and hand from wrist centre to flange."""
     slim = (FOREARM_SHARE * arm.forearm_mm, 0.0, 0.0)
     return (
         Link(UPPER_ARM, ArmPart.UPPER_ARM, 1, ORIGIN, (arm.upper_arm_mm, 0.0, 0.0), (COLUMN_NAME,)),
@@ -233,5 +235,5 @@ _ARMS = {variant: Kr6R900(dimensions) for variant, dimensions in DIMENSIONS.item
 
 
 def kr6_r900(variant: ArmVariant | str = ArmVariant.SIXX) -> Kr6R900:
-    """The arm of a variant; an unknown name raises ValueError."""
+    """Return the arm of a variant; raises ValueError for an unknown name."""
     return _ARMS[ArmVariant(variant)]

@@ -1,1 +1,1 @@
-"""Motion of the arm: limits, paths, plans, and set-points cycle by cycle."""
+"""Arm motion: limits, paths, plans, and cyclic set-points."""

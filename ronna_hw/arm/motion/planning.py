@@ -1,4 +1,4 @@
-"""Joint moves and straight lines, planned and checked over the whole path: branch, ranges, joint speeds.
+"""Planning of joint moves and straight lines, checked over the whole path: branch, ranges, joint speeds.
 
 A path is geometry over a parameter s from 0 to 1, independent of time.
 """
@@ -28,15 +28,15 @@ DEGREES_ADVICE = "Joint angles are in radians; were these degrees? ronna_hw.arm.
 
 
 class Path(Protocol):
-    """Geometry from the start of a motion to its target."""
+    """Geometric path from the start of a motion to its target."""
 
     def joints(self, s: float, near: JointVector) -> JointVector:
-        """Joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
+        """Return the joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
         ...
 
 
 class JointPath:
-    """A straight line in joint space: all axes start and end together."""
+    """Straight line in joint space: all axes start and stop together."""
 
     def __init__(self, start_rad: JointVector, target_rad: JointVector) -> None:
         self.start_rad = start_rad
@@ -56,7 +56,7 @@ class JointPath:
 
 
 class LinePath:
-    """A straight line of the tool centre point, orientation by slerp, in the branch of the start."""
+    """Straight line of the tool centre point with slerped orientation, in the branch of the start."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class LinePath:
         self.angle_rad = begin.angle_rad(target)
 
     def flange(self, s: float) -> Pose:
-        """Pose of the flange at `s`."""
+        """Return the pose of the flange at `s`."""
         a, b = self._from_mm, self._to_mm
         r = 1.0 - s
         if self._half_angle:
@@ -106,7 +106,7 @@ class LinePath:
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A checked motion in plain numbers, as passed to the real-time loop. `target` None: a joint move.
+    """Checked motion in plain numbers, for the real-time loop. `target` None means a joint move.
 
     `speed_steps`, if any, say where along the path it must be slower than `limits`.
     """
@@ -119,7 +119,7 @@ class MotionPlan:
     speed_steps: tuple[SpeedStep, ...] = ()
 
     def path(self, kinematics: Kinematics) -> JointPath | LinePath:
-        """The path of this plan."""
+        """Return the path of this plan."""
         if self.target is None:
             return JointPath(self.start_rad, self.target_rad)
         return LinePath(kinematics, self.start_rad, self.target, self.tool_in_flange_mm)
@@ -133,7 +133,7 @@ class MotionPlan:
 def plan_joint_move(
     arm: JointRanges, start_rad: JointVector, target_rad: JointVector, limits: MotionLimits
 ) -> MotionPlan:
-    """All joints straight to the target, together. Raises ARM-003 when an end is out of range.
+    """Plan a joint move in which all axes start and stop together. Raises ARM-003 if an end is out of range.
 
     The ranges form a box, so a straight line between two vectors within them stays inside. The target keeps
     the limits' margin from their ends.
@@ -151,7 +151,7 @@ def plan_line(
     limits: MotionLimits,
     tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0),
 ) -> MotionPlan:
-    """A straight line of the tool centre point to the flange pose `target`, in the branch of the start.
+    """Plan a straight line of the tool centre point to the flange pose `target`, in the branch of the start.
 
     The whole line is slowed so that every joint respects its speed, acceleration and jerk limits. Raises
     ARM-001, ARM-002, ARM-003 if any point of it has no solution, ARM-005 when it would have to be slower than
@@ -184,7 +184,7 @@ def plan_line(
 
 
 def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
-    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
+    """Raise ARM-003 naming the first axis out of range, or ARM-006 for a non-numeric value.
 
     With `limits`, a motion from anywhere may end there: their margin is kept too.
     """
@@ -220,7 +220,7 @@ def _require_within(
 
 
 def _joint_move_limits(travel: list[float], limits: MotionLimits) -> PathLimits:
-    """Limits of s for joints that travel `travel` rad over s = 0..1, so that each respects its own."""
+    """Return limits of s (0..1) under which joints that travel `travel` rad respect their own limits."""
     longest = [max(r, STANDSTILL_RAD) for r in travel]
     return PathLimits(
         min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
@@ -239,7 +239,7 @@ def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
 def _limit_for_joints(
     points: list[JointVector], count: int, wanted_limits: PathLimits, limits: MotionLimits
 ) -> PathLimits:
-    """The limits of s, slowed by one factor until every joint respects its speed, acceleration and jerk.
+    """Return limits of s, slowed by one factor until every joint respects its speed, acceleration and jerk.
 
     With derivatives q1, q2, q3 of a joint by s (from differences) and limits v, a, j of s, its speed is at
     most |q1| v, its acceleration |q1| a + |q2| v², its jerk |q1| j + 3 |q2| v a + |q3| v³. Slowing time by k

@@ -1,4 +1,4 @@
-"""The path parameter over time: from 0 to 1, jerk-limited, within the speed allowed at each point.
+"""Jerk-limited profile of the path parameter over time, from 0 to 1, within the speed allowed at each point.
 
 A path may be slower in places (`SpeedStep`): near the head, or where joints move fast. A lower speed is
 reached before its section begins; acceleration to a higher one starts once its section has begun.
@@ -22,7 +22,7 @@ Values = Sequence[float]
 
 
 class State(NamedTuple):
-    """Position, velocity and acceleration: one value per axis each."""
+    """Position, velocity and acceleration, with one value per axis each."""
 
     position: list[float]
     velocity: list[float]
@@ -30,13 +30,13 @@ class State(NamedTuple):
 
     @classmethod
     def resting(cls, position: Values) -> State:
-        """State of rest at a position."""
+        """Build a state at rest at a position."""
         still = [0.0] * len(position)
         return cls(list(position), still, list(still))
 
 
 class Bounds(NamedTuple):
-    """Largest speed, acceleration and jerk per axis; all above zero."""
+    """Maximum speed, acceleration and jerk per axis, all positive."""
 
     velocity: list[float]
     acceleration: list[float]
@@ -44,20 +44,20 @@ class Bounds(NamedTuple):
 
 
 class MotionProfile:
-    """A computed profile. Sampling costs well below a microsecond."""
+    """Computed motion profile. Sampling takes well below a microsecond."""
 
     def __init__(self, axes: int) -> None:
         self.raw = Trajectory(axes)
         self.duration_s = 0.0
 
     def sample(self, time_s: float) -> State:
-        """State at a time; clamped to the profile's start and end."""
+        """Return the state at a time, clamped to the start and end of the profile."""
         position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
         return State(position, velocity, acceleration)
 
 
 class MotionProfiler:
-    """Computes profiles for a fixed number of axes."""
+    """Calculator of profiles for a fixed number of axes."""
 
     def __init__(self, axes: int) -> None:
         self.axes = axes
@@ -77,7 +77,7 @@ class MotionProfiler:
         self._braking_input.target_acceleration = [0.0] * axes
 
     def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
-        """Move all axes to rest at `target` simultaneously, from any state. Raises ARM-006.
+        """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
 
         The profile may overshoot start and target if it starts in motion.
         """
@@ -86,11 +86,11 @@ class MotionProfiler:
         return self._calculate(self._move, start, bounds)
 
     def stop(self, start: State, bounds: Bounds) -> MotionProfile:
-        """Bring each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
+        """Bring each axis from any state to rest as fast as its bounds allow. Raises ARM-006."""
         return self._calculate(self._stop, start, bounds)
 
     def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
-        """Bring each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
+        """Slow each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
         self._check(velocity)
         self._braking_input.target_velocity = list(velocity)
         return self._calculate(self._braking_input, start, bounds)
@@ -118,7 +118,7 @@ ROUNDING = 1e-9  # relative: a speed reached by braking is exact only to the las
 
 
 class PathLimits(NamedTuple):
-    """Largest first, second and third derivatives of the path parameter, per s, s², s³."""
+    """Maximum first, second and third derivatives of the path parameter, per s, s², s³."""
 
     velocity: float
     acceleration: float
@@ -126,38 +126,41 @@ class PathLimits(NamedTuple):
 
 
 class SpeedStep(NamedTuple):
-    """Limit `velocity` per s of the path parameter, from `start` (0..1) to the next step."""
+    """Speed limit of the path parameter, `velocity` per s, from `start` (0..1) to the next step."""
 
     start: float
     velocity: float
 
 
 class StopPrediction(NamedTuple):
-    """Duration and final path parameter of a stop that begins now."""
+    """Duration and final path parameter of a stop that would begin now."""
 
     duration_s: float
     parameter: float
 
 
 class _Leg(NamedTuple):
-    """Profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
+    """Profile in progress, with its speed limit and whether it leads to the end of the path."""
 
     profile: MotionProfile
     velocity: float
     leads_to_end: bool
 
     def sample(self, time_s: float) -> State:
-        """State at a time; after braking it continues at the lower speed."""
+        """Return the state at a time. A braking leg continues at the lower speed."""
         if self.leads_to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
         return State(*self.profile.raw.at_time(time_s))
 
 
 class PathProgress:
-    """The parameter's set-points, one per cycle, each paired with the first one of a stop."""
+    """Cyclic values of the path parameter, each paired with the first value of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """`steps` are the slower sections. Raises ARM-006 if the limits permit no profile."""
+        """Start at rest at 0; `steps` are the slower sections.
+
+        Raises ARM-006 if the limits permit no profile.
+        """
         self._limits = limits
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
@@ -178,13 +181,13 @@ class PathProgress:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the last point taken is the end, or the end of a stop."""
+        """Whether the end of the path or of a stop has been reached."""
         if self._halt is not None:
             return self._time_s >= self._halt.duration_s
         return self._leg.leads_to_end and self._time_s >= self._leg.profile.duration_s
 
     def prepare(self) -> tuple[State, State]:
-        """The next states for going on and for stopping; the same object twice while stopping."""
+        """Return the next states for going on and for stopping; while stopping, both are the same object."""
         if self._halt is not None:
             go = self._halt.sample(self._time_s + self._cycle_s)
             self._next = (go, self._leg, self._time_s + self._cycle_s)
@@ -196,7 +199,7 @@ class PathProgress:
         return go, stop
 
     def take_go(self) -> None:
-        """Record that the go state was used."""
+        """Record that the go state was sent."""
         if self._next is None:
             return
         self._before = self.state
@@ -206,7 +209,7 @@ class PathProgress:
             self._ceiling = None
 
     def take_stop(self) -> None:
-        """Record that the stop state was used; from now on only the stop continues."""
+        """Record that the stop state was sent; from then on, only the stop continues."""
         if self._halt is not None:
             self.take_go()
         elif self._next_halt is not None:
@@ -216,7 +219,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def predict_stop(self) -> StopPrediction:
-        """The stop that would begin with the next point, or the rest of the one in progress."""
+        """Predict the stop that would begin with the next point, or the rest of the current one."""
         profile, elapsed_s = self._halt, self._time_s
         if profile is None:
             profile, elapsed_s = self._plan_stop(self.state), 0.0
@@ -224,13 +227,13 @@ class PathProgress:
         return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly; a stop is not affected."""
+        """Continue at `fraction` of the planned speed, braking smoothly. No effect during a stop."""
         if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """Continue from rest: the arm was stopped elsewhere, at the last state or the one before it."""
+        """Continue from rest at the last state, or at the one before, after a stop outside this profile."""
         sample = self._before if one_back else self.state
         self.state = self._before = State.resting([min(max(sample.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
@@ -241,7 +244,7 @@ class PathProgress:
             self._leg = self._plan_leg(self._speed_at(self.state.position[0]))
 
     def _choose_state(self) -> State:
-        """The fastest next state from which every slower step ahead, and the end, can still be reached."""
+        """Return the fastest next state from which the end and every slower section can still be reached."""
         velocity = self._speed_at(self.state.position[0])
         if self._ceiling is not None:
             velocity = min(velocity, self._ceiling.velocity * self._fraction)
@@ -258,7 +261,7 @@ class PathProgress:
             self._ceiling, velocity = missed, missed.velocity * self._fraction
 
     def _choose_leg(self, velocity: float) -> tuple[_Leg, float]:
-        """Choose the leg to the end, or the braking leg down to a speed, with the time of its next point.
+        """Choose the leg to the end or the braking leg to a lower speed, and the time of its next point.
 
         If the end is too close to slow down first, the present leg is kept.
         """
@@ -271,7 +274,7 @@ class PathProgress:
         return braking, self._cycle_s
 
     def _find_missed_step(self, go: State, velocity: float) -> SpeedStep | None:
-        """The slowest step ahead that could no longer be respected after `go`, or None."""
+        """Return the slowest step ahead that could no longer be respected after `go`, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
         for step in self._steps:
@@ -327,13 +330,13 @@ class PathProgress:
 
 
 def _peak_speed(state: State, jerk: float) -> float:
-    """Lower bound of the speed reached before an acceleration is reduced to zero."""
+    """Return the least speed reached by the time the acceleration is reduced to zero."""
     (v,), (a,) = state.velocity, state.acceleration
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
 def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
-    """States of a path driven from rest to rest, one per cycle, found by stepping through it."""
+    """Return the states of a path driven from rest to rest, one per cycle."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []
     while not progress.is_finished:

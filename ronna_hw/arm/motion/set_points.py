@@ -1,4 +1,4 @@
-"""Set-points cycle by cycle. Each preparation yields the next point and the first point of a stop.
+"""Cyclic set-points. Each preparation yields the next point and the first point of a stop.
 
 The caller sends one of the two and reports which: `take_go` or `take_stop`. So nothing is left to compute at
 the moment of sending, and a stop is never a jump.
@@ -39,14 +39,14 @@ LONGER_TOGETHER = 2.0  # a stop that stays on course may take this many times as
 
 
 class Prepared(NamedTuple):
-    """The two set-points of which the next reply may carry one."""
+    """The two candidate set-points for the next reply: going on, and stopping."""
 
     go_rad: JointVector
     stop_rad: JointVector
 
 
 class PathMotion:
-    """Follows a path from rest to rest; stops and speed changes stay on the path."""
+    """Motion along a path from rest to rest; stops and speed changes stay on the path."""
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class PathMotion:
         cycle_s: float,
         steps: tuple[SpeedStep, ...] = (),
     ) -> None:
-        """`steps` are the slower sections of the path. Raises ARM-006 when no profile exists."""
+        """Start at rest; `steps` are the slower sections of the path. Raises ARM-006 if no profile exists."""
         self._path = path
         self._along = PathProgress(limits, steps, cycle_s)
         self._joints = start_rad
@@ -68,11 +68,11 @@ class PathMotion:
 
     @property
     def was_stopped_early(self) -> bool:
-        """Whether it was stopped before its end."""
+        """Whether the motion was stopped before the end of its path."""
         return self._along.is_stopping
 
     def prepare(self) -> Prepared:
-        """Compute the next set-points; raises an error of `arm.errors` when the path has no solution."""
+        """Compute the next set-points; raises an error of `arm.errors` where the path has no solution."""
         go, stop = self._along.prepare()
         go_rad = self._joints_at(go)
         self._next = Prepared(go_rad, go_rad if stop is go else self._joints_at(stop))
@@ -86,24 +86,24 @@ class PathMotion:
             self._next = None
 
     def take_stop(self) -> None:
-        """Record that the stop point was sent; from now on both points are those of the stop."""
+        """Record that the stop point was sent; from then on, both points belong to the stop."""
         if self._next is not None:
             self._along.take_stop()
             self._joints = self._next.stop_rad
             self._next = None
 
     def predict_stop(self) -> tuple[float, JointVector]:
-        """Duration in s and resting joints of a stop that would begin with the next point."""
+        """Return the duration in s and the resting joints of a stop that would begin with the next point."""
         duration_s, parameter = self._along.predict_stop()
         return duration_s, self._path.joints(min(max(parameter, 0.0), 1.0), self._joints)
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly; a stop is not affected."""
+        """Continue at `fraction` of the planned speed, braking smoothly. No effect during a stop."""
         self._next = None
         self._along.limit_speed(fraction)
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """Continue from rest: the arm was stopped elsewhere, at the last point.
+        """Continue from rest at the last point, after a stop outside this motion.
 
         With `one_back` it is at rest at the point before the last one.
         """
@@ -115,7 +115,7 @@ class PathMotion:
 
 
 class StopMotion:
-    """Comes to rest from any state without relying on a path: onwards along the present course.
+    """Stop from any state of motion along the current course, without relying on a path.
 
     If the joints cannot brake together in reasonable time, which never follows from a planned motion, each
     brakes independently.
@@ -137,7 +137,7 @@ class StopMotion:
         return self._time_s >= self._profile.duration_s
 
     def predict_stop(self) -> tuple[float, JointVector]:
-        """Remaining duration in s, and the joints at rest."""
+        """Return the remaining duration in s, and the joints at rest."""
         duration_s = self._profile.duration_s
         return max(duration_s - self._time_s, 0.0), self._joints_at(duration_s)
 
@@ -157,7 +157,7 @@ class StopMotion:
 
 
 def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
-    """State of motion at the last of four set-points, newest first: that of the cubic through them.
+    """Estimate the state of motion at the newest of four set-points by a cubic through them.
 
     The third difference matters: without it the acceleration is one cycle old, and a stop gains too much
     speed.
@@ -173,19 +173,19 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
 
 
 def joint_bounds(limits: MotionLimits) -> Bounds:
-    """Limits of the joints as bounds of a profile for all axes."""
+    """Convert joint limits to the bounds of a profile over all axes."""
     return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
 
 
 class Parabola(NamedTuple):
-    """A path through joint space parameterised by its length in rad; at 0 it is the arm's position."""
+    """Path through joint space parameterised by its length in rad, starting at the position of the arm."""
 
     origin_rad: Sequence[float]
     direction: Sequence[float]
     bend_per_rad: Sequence[float]
 
     def sample(self, length_rad: float) -> JointVector:
-        """The joints at this length along it."""
+        """Return the joints at this length along the path."""
         half = 0.5 * length_rad * length_rad
         return joint_vector(
             q + u * length_rad + k * half
@@ -194,18 +194,18 @@ class Parabola(NamedTuple):
 
 
 class Halt(NamedTuple):
-    """A path, and a one-axis profile along it from the present speed to rest."""
+    """Stop along a path: the path, and a one-axis profile from the current speed to rest."""
 
     curve: Parabola
     profile: MotionProfile
 
     def sample(self, time_s: float) -> JointVector:
-        """The joints after a time."""
+        """Return the joints at a time after the start of the stop."""
         return self.curve.sample(self.profile.sample(time_s).position[0])
 
 
 def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
-    """Stop along the present course, as short as the joint limits allow.
+    """Plan the shortest stop along the current course that the joint limits allow.
 
     None if the arm has no direction, its curvature alone uses up the limits, or a joint would first become
     too fast. Motions within the limits never cause this.
@@ -232,7 +232,7 @@ def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
 def _braking_bounds(
     direction: Sequence[float], bend: Sequence[float], speed: float, limits: MotionLimits
 ) -> Bounds | None:
-    """Deceleration and jerk along a path that respect every joint's limits, for the shortest stop."""
+    """Return the deceleration and jerk for the shortest stop along a path within every joint's limits."""
     most = min(
         (SHARE * limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
         for i in range(len(direction))
