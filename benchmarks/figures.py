@@ -54,7 +54,7 @@ class Figure:
 def compare_samples(
     what: str, unit: str, samples: Mapping[str, Sequence[float]], baseline: str, *, scale: float = 1.0
 ) -> list[Figure]:
-    """Medians of the contestants' samples, and the median of the ratios round by round.
+    """Return medians of the contestants' samples, and the median of the ratios round by round.
 
     A machine that stalls does so for every contestant in the round: ratios within a round preserve what
     medians over the run lose.
@@ -95,7 +95,7 @@ def run_contest(
 
 
 def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
-    """CPU time of this process per call, seconds, over all its threads."""
+    """Return CPU time of this process per call, seconds, over all its threads."""
     began = time.process_time()
     for _ in range(repeats):
         work()
@@ -103,7 +103,7 @@ def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
 
 
 def measure_rate(work: Callable[[], object], duration_s: float) -> tuple[float, float]:
-    """Calls per second of wall time over a period, and CPU seconds per call."""
+    """Return calls per second of wall time over a period, and CPU seconds per call."""
     count = 0
     cpu, began = time.process_time(), time.perf_counter()
     ending = began + duration_s
@@ -124,7 +124,7 @@ def family_cpu_s(pid: int) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """CPU time used so far by another process, seconds, with the resolution of the system clock's tick."""
+    """Return CPU time used so far by another process, seconds, with the resolution of the system clock's tick."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     fields = text[text.rindex(")") + 2 :].split()
     user, system = (int(value) for value in fields[UTIME_FIELD - 2 : UTIME_FIELD])

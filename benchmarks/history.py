@@ -53,7 +53,7 @@ class Point:
     more_is_better: bool | None
 
     def change_since(self, earlier: Point) -> float | None:
-        """Relative change, of the ratio if both have one; None between machines, and from zero."""
+        """Return the relative change, of the ratio if both have one; None between machines, and from zero."""
         if self.ratio is not None and earlier.ratio is not None:
             return self.ratio / earlier.ratio - 1.0 if earlier.ratio else None
         if self.machine != earlier.machine or not earlier.value:
@@ -61,7 +61,7 @@ class Point:
         return self.value / earlier.value - 1.0
 
     def is_loss(self, change: float | None) -> bool:
-        """Whether a change of this figure is a loss of 10 % or more."""
+        """Return whether a change of this figure is a loss of 10 % or more."""
         if change is None or self.more_is_better is None:
             return False
         return round(-change if self.more_is_better else change, DIGITS) >= LOSS
@@ -93,7 +93,7 @@ def _shorten(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_history(path: Path) -> dict[Key, list[Point]]:
-    """Points of each figure by date; none before the first result."""
+    """Return points of each figure by date; none before the first result."""
     points: dict[Key, list[Point]] = defaultdict(list)
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     for record in sorted(map(json.loads, lines), key=lambda one: str(one["date"])):

@@ -86,7 +86,7 @@ def agreement(
 
 
 def path_check_passes(case: CartCase, move: CartMove) -> bool:
-    """Whether the path check passes there, without knowledge of other places."""
+    """Return whether the path check passes there, without knowledge of other places."""
     setting = case.setting_at(move)
     return choose_free_angles(setting, case.trajectories, case.fiducials_mm, case.sight).check.passed
 

@@ -197,7 +197,7 @@ def _measure_pairing_goals(runs: Runs) -> list[Figure]:
 
 
 def _measure_sides_apart(count: int) -> list[Figure]:
-    """Three markers with side differences as required by the plan's check: shares without a unique answer."""
+    """Return three markers with side differences as required by the plan's check: shares without a unique answer."""
     figures = []
     for noise in NoiseReading:
         random = np.random.default_rng(SEED)
@@ -227,7 +227,7 @@ def _share_figure(what: str, method: Method, outcome: str, total: dict[str, floa
 
 
 def _measure_exact_fits(cases: int) -> list[Figure]:
-    """The largest rotation error on exact data."""
+    """Return the largest rotation error on exact data."""
     random = np.random.default_rng(SEED)
     worst = 0.0
     for _ in range(cases):

@@ -60,7 +60,7 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
 
 
 def _list_kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
-    """Type, meaning and, if any, largest value of each parameter."""
+    """Return the type, meaning and, if any, largest value of each parameter."""
     hints = get_type_hints(parameters, include_extras=True)
     return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
 

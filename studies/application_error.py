@@ -45,14 +45,14 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """A condition per depth, marker type and position."""
+        """Return a condition per depth, marker type and position."""
         conditions = [
             f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES
         ]
         return [unit for condition in conditions for unit in blocks(condition, self.arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|target."""
+        """Return the length of every error in mm: strategy|spheres|arm|target."""
         depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
         drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
@@ -104,7 +104,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
-    """Errors (arms, n) in mm, arm by arm."""
+    """Return errors (arms, n) in mm, arm by arm."""
     found: dict[Series, dict[int, list[float]]] = {}
     for condition, content in sums.items():
         depth, markers, _ = condition.split("|")

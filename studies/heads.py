@@ -37,7 +37,7 @@ class NoiseReading(StrEnum):
 
 
 def sites_mm(patient: int) -> Array:
-    """The eight sites (8, 3) of a patient."""
+    """Return the eight sites (8, 3) of a patient."""
     random = np.random.default_rng([SITES_SEED, patient])
     sites: list[Array] = []
     while len(sites) < SITES:
@@ -50,7 +50,7 @@ def sites_mm(patient: int) -> Array:
 
 
 def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -> Array:
-    """Uniform points in a ball about the origin, (count, 3)."""
+    """Return the uniform points in a ball about the origin, (count, 3)."""
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction * radius_mm * random.uniform(size=(count, 1)) ** (1.0 / 3.0))
@@ -59,7 +59,7 @@ def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -
 def draw_noise(
     shape: tuple[int, ...], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
 ) -> Array:
-    """Noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
+    """Return noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
     if reading is NoiseReading.PER_AXIS:
         return np.asarray(random.normal(size=shape) * sigma_mm)
     direction = random.normal(size=shape)
@@ -73,7 +73,7 @@ def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
 
 
 def variance_from_thesis_mm2(noise: NoiseReading) -> float:
-    """Variance per axis of both sets together, from the errors stated in the thesis."""
+    """Return the variance per axis of both sets together, from the errors stated in the thesis."""
     return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
 
 
@@ -103,7 +103,7 @@ def draw_readings(
     random: np.random.Generator,
     displaced_mm: float = DISPLACED_MM,
 ) -> Readings:
-    """`runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
+    """Return `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
     sites = len(sites_mm)
     displaced = sites_mm + uniform_in_ball(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
     chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
@@ -123,7 +123,7 @@ def draw_readings(
 def _shuffle_with_outliers(
     points: Array, outliers: int, random: np.random.Generator
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Points and outliers about their centre, in random order, and the permutation."""
+    """Return points and outliers about their centre, in random order, and the permutation."""
     runs, count, _ = points.shape
     strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
     everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)

@@ -63,7 +63,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
 
 
 def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """The method that `text` names, after two equal answers to one problem. Raises STU-012 to STU-014."""
+    """Return the method that `text` names, after two equal answers to one problem. Raises STU-012 to STU-014."""
     method = find_plugin(kind, text)
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:
@@ -79,7 +79,7 @@ def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
 def select_methods(
     names: Sequence[str], tell: Tell = lambda text: None
 ) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
-    """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
+    """Return the known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
 
     `tell` is called with the name of a user method that does not respond.
     """

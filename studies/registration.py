@@ -53,12 +53,12 @@ class RegistrationStudy:
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """Cells in the order kind of error, fiducials."""
+        """Return cells in the order kind of error, fiducials."""
         conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
         return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Sums of squares (mm2) and counts over the runs."""
+        """Return sums of squares (mm2) and counts over the runs."""
         kind, count = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -207,7 +207,7 @@ def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
+    """Return the simulated target error next to the prediction of eq. 39, by number of fiducials."""
     lines: dict[str, list[Point]] = {"simulated": [], "eq. 39": []}
     for condition, total in sums.items():
         kind, count = condition.split("|")

@@ -66,7 +66,7 @@ class TipCell(FrameCell):
         self.head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
 
     def readings(self, count: int, validation: int, tilt_rad: float = TILT_RAD) -> TipLooks:
-        """Views and readings as taken by the steps."""
+        """Return views and readings as taken by the steps."""
         ball = np.round(self.scene.stand.ball_mm)
         reference = tool_orientation(DOWN, ball, 0.0)
         total = count + validation
@@ -177,7 +177,7 @@ def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
-    """Errors relative to the head's measurement and to the true tool centre, and the stated one, mm."""
+    """Return errors relative to the head's measurement and to the true tool centre, and the stated one, mm."""
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(READINGS, VALIDATION))
     true = cell.true_tip_mm

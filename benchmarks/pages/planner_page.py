@@ -111,7 +111,7 @@ def _measure_scroll_ms(page: Any, steps: int) -> float:
 
 
 def _arm_options(place: Path, scene_name: str) -> list[str]:
-    """The arm of the scene, with the head where it truly is."""
+    """Return the arm of the scene, with the head where it truly is."""
     scene = draw_scene(scene_name, seed=3)
     write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), place / "theatre.toml")
     head = scene.head.robot_from_ct

@@ -102,7 +102,7 @@ class ControllerProbe:
         return self._link.recv(LONGEST)
 
     def block(self, count: int, pace_s: float) -> list[float]:
-        """Turnarounds in seconds of `count` telegrams, `pace_s` apart on an absolute schedule."""
+        """Return turnarounds in seconds of `count` telegrams, `pace_s` apart on an absolute schedule."""
         found: list[float] = []
         due_s = time.perf_counter()
         for _ in range(count):
@@ -123,7 +123,7 @@ class ControllerProbe:
         return found
 
     def share(self, share: float) -> float:
-        """Turnaround in seconds that `share` (0..1) of the telegrams stay below."""
+        """Return the turnaround in seconds that `share` (0..1) of the telegrams stay below."""
         return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
 
     def close(self) -> None:

@@ -119,7 +119,7 @@ def _measure_lock_step(measure: str, rounds: int) -> list[Figure]:
 
 
 def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
-    """Cycles with a changed set-point per second of host time; 0 without such cycles."""
+    """Return cycles with a changed set-point per second of host time; 0 without such cycles."""
     gaps_ns = [
         later.received_ns - earlier.received_ns
         for earlier, later in pairwise(cycles)

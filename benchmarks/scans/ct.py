@@ -60,7 +60,7 @@ class BallScan:
 
 
 def least_errors_mm(scan: BallScan) -> tuple[float, float]:
-    """Smallest possible 3-D rms errors: with all voxels weighted equally, and with known noise spectrum."""
+    """Return the smallest possible 3-D rms errors: with all voxels weighted equally, and with known noise spectrum."""
     derivatives = np.array([np.fft.fftn(one).ravel() for one in _derivatives(scan)])
     derivatives /= sqrt(derivatives.shape[1])
     power = _noise_power(scan).ravel()
@@ -78,7 +78,7 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 
 def _derivatives(scan: BallScan) -> list[Array]:
-    """Derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
+    """Return derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
     along = sqrt(SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
     across = sqrt(PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])
@@ -100,7 +100,7 @@ def _derivatives(scan: BallScan) -> list[Array]:
 
 
 def _cover(places: list[Array], unknowns: Array) -> Array:
-    """Share of a voxel covered by the ball; parameters: centre, radius, blur along and across (6,)."""
+    """Return the share of a voxel covered by the ball; parameters: centre, radius, blur along and across (6,)."""
     z, y, x = np.meshgrid(*places, indexing="ij", sparse=True)
     dz, dy, dx = z - unknowns[0], y - unknowns[1], x - unknowns[2]
     distance = np.sqrt(dz**2 + dy**2 + dx**2)
@@ -112,7 +112,7 @@ def _cover(places: list[Array], unknowns: Array) -> Array:
 
 
 def _noise_power(scan: BallScan) -> Array:
-    """The spectrum of the phantom's noise, HU² per voxel: white, smoothed by three taps along two axes."""
+    """Return the spectrum of the phantom's noise, HU² per voxel: white, smoothed by three taps along two axes."""
     side = exp(-0.5 * (scan.pixel_mm / PLANE_SIGMA_MM) ** 2)
     gains = [
         (1.0 + 2.0 * side * np.cos(2.0 * np.pi * np.fft.fftfreq(count))) ** 2 / (1.0 + 2.0 * side**2)

@@ -86,7 +86,7 @@ def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instr
 
 
 def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
-    """Distance of the tips (of the axes for a hole), of the axes at the entry, mm; between the axes, deg."""
+    """Return the distance of the tips (of the axes for a hole), of the axes at the entry, mm; between the axes, deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
     entry_offset_mm = np.subtract(found.entry_mm, tip)
     at_entry = float(np.linalg.norm(entry_offset_mm - (entry_offset_mm @ outwards) * outwards))

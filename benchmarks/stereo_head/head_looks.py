@@ -94,7 +94,7 @@ class TrueHead:
         )
 
     def _with_its_arm(self, nominal: np.ndarray) -> tuple[JointVector, np.ndarray]:
-        """Joint angles of a nominal flange pose, and where the flange of the true arm then is."""
+        """Return the joint angles of a nominal flange pose, and where the flange of the true arm then is."""
         truth = self.scene.arm
         model, home = kr6_r900(truth.variant), [math.radians(angle) for angle in truth.home_deg]
         near = (home[0], home[1], home[2], home[3], home[4], home[5])
@@ -124,7 +124,7 @@ class TrueHead:
         )
 
     def tool_centre_error_mm(self, record: StereoHeadCalibration) -> float:
-        """Error of the position that a record gives for a ball truly at the tool centre, on the flange."""
+        """Return the error of the position that a record gives for a ball truly at the tool centre, on the flange."""
         pixels = []
         for camera in (self.scene.left, self.scene.right):
             x, y, z = matrix_of(camera.camera_from_tool)[:3, 3]
@@ -155,5 +155,5 @@ def observation_set(head: TrueHead, observations: Iterable[Observation]) -> Obse
 
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
-    """The orientations of the self-check, if all of them are reachable."""
+    """Return the orientations of the self-check, if all of them are reachable."""
     return tuple(self_check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))

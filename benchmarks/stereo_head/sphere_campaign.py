@@ -119,7 +119,7 @@ def triangulate_linearly(cameras: tuple[Camera, Camera], centres_px: tuple[Array
 
 
 def least_error_px(sphere: SphereImage, bright_grey: float, dark_grey: float, gain: float) -> float:
-    """Cramér-Rao bound of the centre along one axis, px, at shot, read and rounding noise.
+    """Return Cramér-Rao bound of the centre along one axis, px, at shot, read and rounding noise.
 
     sigma_x = (sigma / C) sqrt(2 sqrt(pi) s / (pi R)) for a disc of contrast C and radius R behind a blur of
     standard deviation s, noise sigma per pixel; grain, post and unknown grey levels are ignored.
@@ -184,7 +184,7 @@ def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
 def _bound_mm(
     outlines: tuple[SphereImage, SphereImage], cameras: tuple[Camera, Camera], place_mm: Array
 ) -> float:
-    """Smallest possible 3-D rms error, with each centre coordinate at its bound."""
+    """Return the smallest possible 3-D rms error, with each centre coordinate at its bound."""
     gain = GAIN_RAW / UNITY_GAIN_RAW
     scale = EXPOSURE_US * 255.0 / 11900.0 * gain
     bright, dark = LIMB * FILM_ELECTRONS_PER_US * scale, BACKGROUND_ELECTRONS_PER_US * scale

@@ -67,7 +67,7 @@ SIX_ZEROS = (0.0,) * 6
 
 
 def with_ideal_arm(scene: Scene) -> Scene:
-    """The scene with the nominal arm; the repeatability error remains: 0.015 mm per axis."""
+    """Return the scene with the nominal arm; the repeatability error remains: 0.015 mm per axis."""
     exact = {
         "links": (NO_LINK_ERROR,) * 6,
         "joint_offset_rad": SIX_ZEROS,
@@ -191,7 +191,7 @@ class StereoCell:
         )
 
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
-        """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
+        """Return a random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
 
         A servo begins where the path check found both lines of sight clear, so only such sides are drawn.
         Without `in_sight` only refused sides are drawn: another sphere is in the way.
@@ -235,11 +235,11 @@ class StereoCell:
         return self._workcell.look()
 
     def true_offset_mm(self, found: CentredSphere, fiducial: int) -> Array:
-        """Recorded point minus true position of the sphere, robot frame (3,)."""
+        """Return the recorded point minus true position of the sphere, robot frame (3,)."""
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
 
     def rest_error_mm(self, joints_rad: JointVector, motion: int) -> Array:
-        """The repeatability error of that motion (3,)."""
+        """Return the repeatability error of that motion (3,)."""
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
@@ -258,7 +258,7 @@ class StereoCell:
 def _build_workcell(
     arm: CellArm, stereo: CellStereo, calibration: StereoHeadCalibration, folder: Path
 ) -> Workcell:
-    """The procedure's workcell over these devices, its journal in the folder."""
+    """Return the procedure's workcell over these devices, its journal in the folder."""
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
     file = parse_theatre({"theatre": "stereo cell"})  # its devices are passed in, without endpoints
     theatre = SimpleNamespace(
@@ -336,7 +336,7 @@ def servo_campaign(
 
 
 def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
-    """A cell with cameras calibrated without errors, on a mount that is assumed to be nominal."""
+    """Return a cell with cameras calibrated without errors, on a mount that is assumed to be nominal."""
     perfect = Studio(scene).calibration()
     nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
     return StereoCell(scene, nominal, folder)

@@ -93,7 +93,7 @@ class Studio:
     scene: Scene = field(default_factory=lambda: draw_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
-        """Pairs of a case, lazily: a full frame of each would be too much to keep."""
+        """Yield pairs of a case, lazily: a full frame of each would be too much to keep."""
         generator = np.random.default_rng(seed)
         cameras = (self.scene.left, self.scene.right)
         optics = [Optics(camera, self.scene.seed) for camera in cameras]
@@ -117,7 +117,7 @@ class Studio:
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
-        """The result of a laboratory without errors."""
+        """Return the result of a laboratory without errors."""
         now = datetime.now(UTC)
         identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         left, right = (
@@ -176,7 +176,7 @@ class Studio:
 
 
 def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
-    """Centre and mean radius, px, of the ellipse through the projected points of the outline."""
+    """Return the centre and mean radius, px, of the ellipse through the projected points of the outline."""
     outline = lens.project(sphere.outline_mm())
     middle = outline.mean(axis=0)
     x, y = (outline - middle).T
@@ -214,7 +214,7 @@ def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number:
 
 
 def _area_around(lens: Lens, sphere: Sphere, size_px: tuple[int, int], sensor_px: tuple[int, int]) -> Area:
-    """The area of that size around the image of a sphere's centre, inside the sensor."""
+    """Return the area of that size around the image of a sphere's centre, inside the sensor."""
     middle = lens.project(sphere.centre_mm[None])[0]
     x, y = (
         int(np.clip(round(at - size / 2), 0, whole - size))

@@ -81,7 +81,7 @@ class CameraFaults:
         return [int(number) for number in ids]
 
     def passes(self, packet_bytes: int) -> bool:
-        """Whether the network passes packets of this size."""
+        """Return whether the network passes packets of this size."""
         if self._board.empty:
             return True
         if self.active("unplug"):
@@ -90,7 +90,7 @@ class CameraFaults:
         return packet_bytes <= min(limits, default=packet_bytes)
 
     def active(self, kind: str) -> bool:
-        """Whether a fault of this kind is active on this camera."""
+        """Return whether a fault of this kind is active on this camera."""
         return bool(self._own_faults(kind))
 
     def happened(self, kind: str) -> bool:

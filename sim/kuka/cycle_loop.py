@@ -183,11 +183,11 @@ class CycleLoop:
         return answerable
 
     def _cycle_number(self) -> int:
-        """Number of the next telegram, or between runs of the last one; counted over all runs."""
+        """Return the number of the next telegram, or between runs of the last one; counted over all runs."""
         return self.cycles + (self._controller.run is not None)
 
     def _fault_time(self) -> tuple[float, int | None]:
-        """Theatre time, and the IPOC of the next telegram."""
+        """Return the none] | Theatre time, and the IPOC of the next telegram."""
         run = self._controller.run
         return self._clock.now_s(), run.ipoc if run is not None else None
 

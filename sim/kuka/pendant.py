@@ -34,39 +34,39 @@ class Message(NamedTuple):
 
 
 def rsi_timeout(late: int) -> Message:
-    """Message of too many late replies."""
+    """Return the message of too many late replies."""
     return Message(
         RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
     )
 
 
 def rsi_bad(object_name: str) -> Message:
-    """Message of an object without effect at its place."""
+    """Return the message of an object without effect at its place."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
 def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
-    """Message of a total correction beyond a monitor's range."""
+    """Return the message of a total correction beyond a monitor's range."""
     return Message(
         RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
     )
 
 
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
-    """Message of a commanded speed above the axis limit."""
+    """Return the message of a commanded speed above the axis limit."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
 
 
 def end_switch(number: int, axis: str, angle_deg: float) -> Message:
-    """Message of a command beyond a software end switch."""
+    """Return the message of a command beyond a software end switch."""
     sign = "+" if angle_deg > 0 else "-"
     return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
 
 
 def near_singularity() -> Message:
-    """Message of a Cartesian correction or path that the joints cannot follow."""
+    """Return the message of a Cartesian correction or path that the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
 
 

@@ -69,7 +69,7 @@ class Unit:
         self.user_parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
 
     def list_loaded_tools(self) -> list[str]:
-        """Part numbers of the tools that the host has loaded or plugged in."""
+        """Return the part numbers of the tools that the host has loaded or plugged in."""
         return [port.definition.part_number for port in self.ports if port.definition is not None]
 
     def initialise(self) -> None:
@@ -138,7 +138,7 @@ class Unit:
         return self.user_parameters.number(WATCH_DOG)
 
     def frame(self) -> Frame:
-        """The current frame; repeated requests do not measure it again."""
+        """Return the current frame; repeated requests do not measure it again."""
         faulty = self.frames.missed or not self.faults.empty
         if faulty and self._frame is not None and self._repeats_frame():
             return self._frame
@@ -176,7 +176,7 @@ class Unit:
         return frame
 
     def _next_number(self) -> int:
-        """Number of the frame that a request gets.
+        """Return the number of the frame that a request gets.
 
         If each request gets exactly one frame, a lost one is sent again; otherwise all later frames would
         have other noise.
@@ -233,7 +233,7 @@ class FrameCounter:
         self._begin = self.last = self._count_at(now_ns)
 
     def number(self) -> int:
-        """Number of the requested frame; waits for the next frame if the clock can be advanced."""
+        """Return the number of the requested frame; waits for the next frame if the clock can be advanced."""
         if self._clock.paced:
             self.last = self._measured_count(self._count_at(self._clock.now_ns()))
             return self.last
@@ -263,7 +263,7 @@ class FrameCounter:
         return not self._clock.paced and self._count_at(self._clock.now_ns()) <= self.last
 
     def since_start(self, frame: int) -> int:
-        """Frames since the start of tracking: counter of the noise."""
+        """Return frames since the start of tracking: counter of the noise."""
         return frame - self._begin
 
     def _measured_count(self, count: int) -> int:

@@ -72,7 +72,7 @@ class ShiftedRoom:
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
 
     def now(self) -> RoomShift:
-        """Current displacements; `NOTHING_MOVED` itself without faults."""
+        """Return the current displacements; `NOTHING_MOVED` itself without faults."""
         if self._board.empty:
             return NOTHING_MOVED
         shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
@@ -105,7 +105,7 @@ def rigid_move(turn_rad: Point, shift_mm: Point) -> Matrix:
 
 
 def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
-    """ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
+    """Return ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
     if not any((*room.guide_mm, *room.guide_rad)):
         return flange
     about_mm = (flange @ flange_from_marker)[:3, 3]
@@ -126,7 +126,7 @@ def list_cart_rolls_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
 
 
 def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
-    """Spheres as refitted in the theatre, in the order of the scene; CT frame, mm."""
+    """Return spheres as refitted in the theatre, in the order of the scene; CT frame, mm."""
     return tuple(_refit(one, scene) for one in scene.head.fiducials if not one.missing)
 
 

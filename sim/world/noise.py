@@ -13,7 +13,7 @@ WORD_MASK = 0xFFFFFFFFFFFFFFFF
 
 
 def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Generator:
-    """Random generator for one event of one device.
+    """Return the random generator for one event of one device.
 
     `counter` is the device's own: frames since TSTART, triggers since AcquisitionStart, motions. `lane`
     separates independent uses within one event.
@@ -38,7 +38,7 @@ class ReusedNoise:
         self._no_buffer = np.zeros(4, dtype=np.uint64)
 
     def at(self, counter: int, lane: int = 0) -> np.random.Generator:
-        """Random generator for one event, valid until the next call."""
+        """Return the random generator for one event, valid until the next call."""
         self._start[1:3] = lane, counter & WORD_MASK
         self._philox.state = {
             "bit_generator": "Philox",

@@ -57,7 +57,7 @@ class RobotDescription:
 
 
 def description(variant: Variant) -> RobotDescription:
-    """Machine data of a variant."""
+    """Return the machine data of a variant."""
     return _DESCRIPTIONS[variant]
 
 
@@ -91,7 +91,7 @@ _DESCRIPTIONS: dict[Variant, RobotDescription] = {
 
 
 def frame_of(pose: Matrix) -> list[float]:
-    """X Y Z (mm) A B C (deg) of a pose (4, 4); R = Rz(A) Ry(B) Rx(C). At B = 90 deg, A is set to 0."""
+    """Return X Y Z (mm) A B C (deg) of a pose (4, 4); R = Rz(A) Ry(B) Rx(C). At B = 90 deg, A is set to 0."""
     r00, _, _, x, r10, r11, r12, y, r20, r21, r22, z = pose[:3].ravel().tolist()
     cosine_B = (r00 * r00 + r10 * r10) ** 0.5
     if cosine_B < GIMBAL_LIMIT:
@@ -102,7 +102,7 @@ def frame_of(pose: Matrix) -> list[float]:
 
 
 def pose_of_frame(frame: Sequence[float]) -> Matrix:
-    """Pose (4, 4) of X Y Z (mm) A B C (deg)."""
+    """Return the pose (4, 4) of X Y Z (mm) A B C (deg)."""
     x, y, z, A, B, C = frame
     ca, sa = cos(radians(A)), sin(radians(A))
     cb, sb = cos(radians(B)), sin(radians(B))
@@ -118,7 +118,7 @@ def pose_of_frame(frame: Sequence[float]) -> Matrix:
 
 
 def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[int, int]:
-    """Status S and turn T. Bits of S: wrist root behind A1, A3 beyond the stretched arm, A5 not positive."""
+    """Return the status S and turn T. Bits of S: wrist root behind A1, A3 beyond the stretched arm, A5 not positive."""
     A2, A3, A5 = axes_deg[1], axes_deg[2], axes_deg[4]
     shoulder_mm = arm.joints[1].origin_mm[0]
     upper_mm = arm.joints[2].origin_mm[0]
@@ -138,7 +138,7 @@ def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[i
 def axes_of_posture(
     arm: RobotDescription, flange: Matrix, status: int, turn: int, near_deg: Sequence[float]
 ) -> list[float] | None:
-    """Axes (deg) of a flange pose (4, 4, in $ROBROOT) in the posture S T.
+    """Return axes (deg) of a flange pose (4, 4, in $ROBROOT) in the posture S T.
 
     None if the pose is out of reach, or an axis of that turn is beyond its end switch. `near_deg` decides A4
     if the wrist is straight.
@@ -158,7 +158,7 @@ def axes_of_posture(
 def axes_of_status(
     arm: RobotDescription, flange: Matrix, status: int, near_A4: float = 0.0
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Axes (rad, up to whole turns) of a flange pose (4, 4, in $ROBROOT) with status S.
+    """Return axes (rad, up to whole turns) of a flange pose (4, 4, in $ROBROOT) with status S.
 
     None if the pose is out of reach; end switches are not checked. `near_A4` decides A4 if the wrist is
     straight.
@@ -185,7 +185,7 @@ def axes_of_status(
 
 
 def _solve_wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, float, float]:
-    """A4, A5, A6 (rad) of a rotation Rx(-A4) Ry(A5) Rx(-A6)."""
+    """Return A4, A5, A6 (rad) of a rotation Rx(-A4) Ry(A5) Rx(-A6)."""
     sine = hypot(wrist[1, 0], wrist[2, 0])
     if sine < STRAIGHT_WRIST:
         both = atan2(-wrist[2, 1], wrist[1, 1])

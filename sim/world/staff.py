@@ -137,7 +137,7 @@ class Staff:
         return tuple(_round_to_scale(float(value), DIAL_MM) for value in read)
 
     def _touch(self, direction: Sequence[float]) -> Readings:
-        """Position of a pointer that touches the patient's head on that side, robot frame."""
+        """Return the position of a pointer that touches the patient's head on that side, robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
         skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
         place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
@@ -145,7 +145,7 @@ class Staff:
         return tuple(_round_to_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
-        """Pose of the calibrated mandrel's end, with the arm there, when the gauge was zeroed."""
+        """Return the pose of the calibrated mandrel's end, with the arm there, when the gauge was zeroed."""
         from sim.world.true_arm import TrueArm
 
         arm = TrueArm(self._world.scene.arm, self._world.scene.seed)

@@ -62,7 +62,7 @@ class TrueArm:
         )
 
     def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
-        """Pose (4, 4) while moving.
+        """Return the pose (4, 4) while moving.
 
         `flanks` is each joint's position in its backlash, -1 to 1; `moved_s` the time in motion so far.
         """
@@ -74,7 +74,7 @@ class TrueArm:
     def at_rest(
         self, encoders_rad: Sequence[float], flanks: Sequence[float], motion_number: int, moved_s: float = 0.0
     ) -> Matrix:
-        """Pose (4, 4) at rest after the motion with this number."""
+        """Return the pose (4, 4) at rest after the motion with this number."""
         pose = self.moving(encoders_rad, flanks, moved_s)
         # a shift of the flange: any mounted tool is displaced alike
         pose[:3, 3] += noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
@@ -110,14 +110,14 @@ class JointChain:
         self._q = np.zeros(AXES)
 
     def flange(self, joints_rad: Sequence[float] | Matrix) -> Matrix:
-        """Pose (4, 4) of the flange."""
+        """Return the pose (4, 4) of the flange."""
         self._q[:] = joints_rad
         pin.framesForwardKinematics(self._model, self._data, self._q)
         pose: Matrix = self._data.oMf[self._flange].homogeneous
         return pose
 
     def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:
-        """Joint angles of a flange pose, starting from nearby ones; None without convergence.
+        """Return the joint angles of a flange pose, starting from nearby ones; None without convergence.
 
         Damped least squares, which may not converge near a singularity.
         """
@@ -160,6 +160,6 @@ def _placement_error(link: LinkError) -> pin.SE3:
 
 
 def rotation_vector(rotation: Matrix) -> Matrix:
-    """Axis times angle (rad) of a rotation (3, 3)."""
+    """Return the axis times angle (rad) of a rotation (3, 3)."""
     vector: Matrix = pin.log3(rotation)
     return vector

@@ -128,14 +128,14 @@ class TrueGuide:
         self._seat_offset_mm = (-1, np.zeros(3))  # by the number of mountings
 
     def tip_frame(self, flange: Matrix | None = None) -> Matrix:
-        """Pose at the end of the calibrated mandrel, of a bent guide.
+        """Return the pose at the end of the calibrated mandrel, of a bent guide.
 
         `flange` is its pose without a push, by default the present one.
         """
         return self.bore_frame(flange) @ self._bend()
 
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
-        """Pose without the bend, for parts above the bore."""
+        """Return the pose without the bend, for parts above the bore."""
         flange = self._world.arm().robot_from_flange if flange is None else flange
         pose = yielding_flange(flange, self._flange_from_marker, self._room.now()).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
@@ -144,12 +144,12 @@ class TrueGuide:
         return pose @ self._tip_at_calibration @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
-        """Pose at the end of the mandrel in use."""
+        """Return the pose at the end of the mandrel in use."""
         longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_MANDREL))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
-        """Tip (3,) of an instrument inserted up to its depth stop, drawn within the bore's play."""
+        """Return the tip (3,) of an instrument inserted up to its depth stop, drawn within the bore's play."""
         guide = self._scene.mount.guide
         beyond_mm = stop_mm - guide.bore_mm
         upper, lower = _draw_in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
@@ -187,7 +187,7 @@ class TrueGuide:
 
 
 def tip_at_calibration(world: World) -> Matrix:
-    """FLANGE <- tip (4, 4), true at the time of the calibration records."""
+    """Return FLANGE <- tip (4, 4), true at the time of the calibration records."""
     mount = world.scene.mount
     pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
     return pose

@@ -175,18 +175,18 @@ class World:
         return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
-        """True pose (4, 4) of the stereo head's tool centre point, moving with the arm."""
+        """Return the true pose (4, 4) of the stereo head's tool centre point, moving with the arm."""
         pose: NDArray[np.float64] = self.arm().robot_from_flange @ matrix_of(
             self.scene.mount.flange_from_tool_true
         )
         return pose
 
     def mounted_tool(self) -> int:
-        """Number of the mounted tool."""
+        """Return the number of the mounted tool."""
         return _TOOL.read(self._memory)
 
     def mountings(self) -> int:
-        """Number of times the guide was mounted, each with a slightly different seat."""
+        """Return the number of times the guide was mounted, each with a slightly different seat."""
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
@@ -200,7 +200,7 @@ class World:
         _MOUNTINGS.write(self._memory, mountings)
 
     def on_stand(self) -> OnStand:
-        """Content of the calibration stand."""
+        """Return the content of the calibration stand."""
         return tuple(OnStand)[_STAND.read(self._memory)]
 
     def put_on_stand(self, content: OnStand) -> None:
@@ -208,7 +208,7 @@ class World:
         _STAND.write(self._memory, tuple(OnStand).index(content))
 
     def step(self) -> tuple[str, int]:
-        """Name of the running step and the theatre time of its start in ns."""
+        """Return the name of the running step and the theatre time of its start in ns."""
         row = _STEP.read(self._memory)
         return row.name, row.started_ns
 
@@ -217,11 +217,11 @@ class World:
         _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
 
     def fault_version(self) -> int:
-        """Version of the fault script; it changes with every change of the text."""
+        """Return the version of the fault script; it changes with every change of the text."""
         return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
-        """Version and text of the fault script.
+        """Return the version and text of the fault script.
 
         Raises SIM-002 if it was left half written.
         """

@@ -43,7 +43,7 @@ class Postures:
     target_arrival: Array  # (t, 6)
 
     def set_of(self, target: int) -> int:
-        """Number of the localization set that serves a target."""
+        """Return the number of the localization set that serves a target."""
         return target if self.sets > 1 else 0
 
 
@@ -85,7 +85,7 @@ def plan_postures(
 
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
-    """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
+    """Return joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
     joints = [arm.guide_joints(pose) for pose in poses]
     signs = [
         arrival_signs(ARM, pose, joint_vector, TOOL) for pose, joint_vector in zip(poses, joints, strict=True)
@@ -102,7 +102,7 @@ def _best_turn(
     *,
     with_target: bool,
 ) -> Trajectory:
-    """The trajectory at the best turn with everything in reach."""
+    """Return the trajectory at the best turn with everything in reach."""
     for turn in strategy.turns_rad(along, phantom.spheres_mm, robot_from_ct, arm):
         turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
         try:
@@ -120,7 +120,7 @@ def _best_turn(
 def _nearest_turn(
     trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
 ) -> Trajectory:
-    """The trajectory at the free angle nearest to the wanted one with the target in reach."""
+    """Return the trajectory at the free angle nearest to the wanted one with the target in reach."""
     for turn in OUTWARDS_RAD:
         turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
         try:

@@ -58,7 +58,7 @@ class RandomArms:
 
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
-        """The arms with these numbers."""
+        """Return the arms with these numbers."""
         return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
@@ -99,7 +99,7 @@ class RandomArms:
         )
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
-        """True position of the tool, (a, p, 3) mm in the robot frame, without the repeatability error.
+        """Return the true position of the tool, (a, p, 3) mm in the robot frame, without the repeatability error.
 
         Encoder angles (a, p, 6); `flanks` (a, p, 6) give the side of its backlash on which each joint rests.
         """
@@ -118,7 +118,7 @@ class RandomArms:
         return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
     def _displace_point(self, link: int, point: Components) -> Components:
-        """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
+        """Return a point beyond a link's end, displaced by the link's error, in the frame before the link."""
         return translate(
             multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
@@ -139,7 +139,7 @@ class RandomArms:
 
 
 def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
-    """The true arm with this number, and its tool error (3,) mm."""
+    """Return the true arm with this number, and its tool error (3,) mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)
@@ -175,7 +175,7 @@ class PlannedPoses:
 def centre_on_spheres(
     arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
 ) -> tuple[Array, Array]:
-    """Joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
+    """Return joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
@@ -188,7 +188,7 @@ def centre_on_spheres(
 
 
 def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
-    """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
+    """Return joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
     joints, _ = solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
@@ -227,7 +227,7 @@ def solve_joints(
 
 
 def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Array, Array]:
-    """Tool points (..., 3) mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
+    """Return the tool points (..., 3) mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
 
     `joints_rad` is (..., n), `tool_mm` (3,) in the flange frame.
     """
@@ -245,7 +245,7 @@ def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Arr
 
 
 def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Components:
-    """Points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
+    """Return points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
     (x, y, z), (ax, ay, az) = point, joint.axis
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     along = (ax * x + ay * y + az * z) * (1.0 - cosine)
@@ -257,7 +257,7 @@ def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Com
 
 
 def multiply(matrix: Array, point: Components) -> Components:
-    """Points multiplied by matrices (..., 3, 3) whose leading axes broadcast against the points'."""
+    """Return points multiplied by matrices (..., 3, 3) whose leading axes broadcast against the points'."""
     x, y, z = point
     first, second, third = (
         matrix[..., row, 0] * x + matrix[..., row, 1] * y + matrix[..., row, 2] * z for row in range(3)
@@ -266,7 +266,7 @@ def multiply(matrix: Array, point: Components) -> Components:
 
 
 def translate(point: Components, offset: ArrayLike) -> Components:
-    """Points plus vectors (..., 3) that broadcast against them."""
+    """Return points plus vectors (..., 3) that broadcast against them."""
     vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -125,7 +125,7 @@ class Scenario:
     ct_mm: float = CT_FLE_MM
 
     def remaining_errors(self, strategy: str) -> ErrorSizes:
-        """The remaining errors of the arm."""
+        """Return the remaining errors of the arm."""
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
@@ -200,7 +200,7 @@ class Scene:
         return len(self.phantom.trajectories)
 
     def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
-        """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
+        """Return the poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or find_strategy(strategy)
         return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)
@@ -232,14 +232,14 @@ class Scene:
         return predict_target_error(spheres[:count], target_mm, sources)
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
-        """The random draws for arms with these numbers."""
+        """Return the random draws for arms with these numbers."""
         shape = self.targets, len(self.phantom.spheres_mm)
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 
     def errors_mm(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, *, any_side: bool = False
     ) -> Array:
-        """Error vectors (a, t, c, 3) mm, robot frame: tip minus target, for each number of spheres.
+        """Return the error vectors (a, t, c, 3) mm, robot frame: tip minus target, for each number of spheres.
 
         With `any_side`, the servo's last step leaves each joint on either side of its backlash at the
         spheres; without it, the line of approach to a sphere decides, or a strategy that controls it.
@@ -262,7 +262,7 @@ class Scene:
     def _localize_spheres(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, any_side: bool
     ) -> Array:
-        """Believed positions of the spheres, (a, s, n, 3) mm."""
+        """Return the believed positions of the spheres, (a, s, n, 3) mm."""
         spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
         count, sets = len(spheres), planned.sets
         sides = np.broadcast_to(planned.arrival, (len(arms), *planned.arrival.shape))
@@ -306,7 +306,7 @@ class Scene:
         scan_again: bool = False,
         any_side: bool = False,
     ) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|target."""
+        """Return the length of every error in mm: strategy|spheres|arm|target."""
         drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms, scan_again=scan_again)
         found: Sums = {}
         outcomes = self.outcomes(strategies, drawn, chance, scenario, any_side=any_side)

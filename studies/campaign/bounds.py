@@ -35,7 +35,7 @@ class Bounded:
 
 
 def column(of: str) -> str:
-    """Heading of the bounds of another column."""
+    """Return the heading of the bounds of another column."""
     return f"{of}, {CAPTION}"
 
 
@@ -45,7 +45,7 @@ def cells(name: str, estimate: Bounded, of: str = "") -> dict[str, float | str]:
 
 
 def percent(count: float, of: float) -> Bounded:
-    """Share of independent runs, per cent. With no runs: 0 without bounds."""
+    """Return the share of independent runs, per cent. With no runs: 0 without bounds."""
     number, runs = round(count), round(of)
     if not runs:
         return Bounded(0.0, None, None)
@@ -61,7 +61,7 @@ def percent(count: float, of: float) -> Bounded:
 
 
 def number(count: float) -> Bounded:
-    """Mean of a Poisson distribution from one observed count (exact: Garwood)."""
+    """Return the mean of a Poisson distribution from one observed count (exact: Garwood)."""
     from scipy.stats import chi2
 
     if not round(count):
@@ -71,7 +71,7 @@ def number(count: float) -> Bounded:
 
 
 def mean(values: ArrayLike) -> Bounded:
-    """Mean of independent values, by Student's distribution; without bounds for a single one."""
+    """Return the mean of independent values, by Student's distribution; without bounds for a single one."""
     array = np.asarray(values, dtype=float)
     value = float(array.mean())
     if len(array) < 2:
@@ -89,7 +89,7 @@ def mean_length(values: ArrayLike) -> Bounded:
 
 
 def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
-    """Rms of independent values from the sums of their squares and fourth powers; for many runs."""
+    """Return rms of independent values from the sums of their squares and fourth powers; for many runs."""
     square = squares / runs
     value = float(np.sqrt(square))
     if runs < 2:

@@ -28,13 +28,13 @@ RESULTS, REPORT = "results.json", "report.md"
 
 
 def source_files(root: Path) -> list[Path]:
-    """The modules below `root` on which results depend, in a fixed order."""
+    """Return the modules below `root` on which results depend, in a fixed order."""
     return [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
 
 
 @cache
 def code() -> str:
-    """The version of the program, and a hash of its sources: constants are in no study's settings."""
+    """Return the version of the program, and a hash of its sources: constants are in no study's settings."""
     root, digest = Path(studies.__file__).parents[1], hashlib.sha256()
     for file in source_files(root):
         digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
@@ -77,11 +77,11 @@ class Ledger:
         self._append({"unit": unit.key, "sums": sums, "sha256": _hash(unit.key, sums)})
 
     def missing(self) -> list[Unit]:
-        """Units still to run, in the order of the study."""
+        """Return units still to run, in the order of the study."""
         return [unit for key, unit in self._units.items() if key not in self.finished]
 
     def results(self) -> Iterator[tuple[Unit, Sums]]:
-        """Finished units in the order of the study, not of their completion."""
+        """Yield the finished units in the order of the study, not of their completion."""
         for key, unit in self._units.items():
             if key in self.finished:
                 yield unit, self.finished[key]
@@ -125,7 +125,7 @@ def _hash(key: str, sums: Sums) -> str:
 
 
 def _parse_finished(line: bytes) -> tuple[str, Sums] | None:
-    """The unit of a line and its sums; None for a line that is damaged or does not match its hash."""
+    """Return the unit of a line and its sums; None for a line that is damaged or does not match its hash."""
     try:
         content = parse_json(line)
         key, sums = content["unit"], content["sums"]

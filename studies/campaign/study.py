@@ -45,7 +45,7 @@ class Study(Protocol):
         ...
 
     def units(self) -> Sequence[Unit]:
-        """All units, in a fixed order that does not depend on the workers."""
+        """Return all units, in a fixed order that does not depend on the workers."""
         ...
 
     def run(self, unit: Unit) -> Sums:
@@ -59,7 +59,7 @@ def omit_empty_own(settings: dict[str, object]) -> dict[str, object]:
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
-    """The random numbers of a unit; they depend only on the study's seed, the condition and the block."""
+    """Return the random numbers of a unit; they depend only on the study's seed, the condition and the block."""
     condition = zlib.crc32(unit.condition.encode())
     return np.random.default_rng(np.random.SeedSequence([seed, condition, unit.block]))
 
@@ -72,7 +72,7 @@ def blocks(condition: str, runs: int, block_runs: int) -> list[Unit]:
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
-    """Sums per condition, in their order."""
+    """Return sums per condition, in their order."""
     total: dict[str, Counter[str]] = {}
     for unit, sums in finished:
         total.setdefault(unit.condition, Counter()).update(sums)

@@ -108,7 +108,7 @@ def _runner(
 
 
 def _list_plugins(study: Study) -> tuple[PluginMethod, ...]:
-    """The user methods in a study, if it accepts any."""
+    """Return the user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
 

@@ -96,11 +96,11 @@ class ClinicalStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """The scans in order."""
+        """Return the scans in order."""
         return [Unit(scan.condition, 0, len(self.readings_mm)) for scan in SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Outcomes of our method, and of the thesis' for each e."""
+        """Return outcomes of our method, and of the thesis' for each e."""
         (drawn,) = (scan for scan in SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -141,7 +141,7 @@ class ClinicalStudy:
         return sums
 
     def _shuffle_readings(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
-        """The readings in random order, and the correct pairs."""
+        """Return the readings in random order, and the correct pairs."""
         many, spheres = self.readings_mm.shape[:2]
         order = random.permuted(np.tile(np.arange(spheres), (many, 1)), axis=1)
         seen = np.take_along_axis(self.readings_mm, order[:, :, None], axis=1)
@@ -197,7 +197,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple[float, float]]:
-    """Share of readings that the thesis' method, validated, pairs in scans of one kind, for every e in mm."""
+    """Return the share of readings that the thesis' method, validated, pairs in scans of one kind, for every e in mm."""
     found = [(e, *_success_share(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
     return [(e, share) for e, runs, share in found if runs]
 
@@ -215,7 +215,7 @@ def _success_share(sums: Mapping[str, Sums], kind: str, method: Method, toleranc
 def load_or_take_readings(
     folder: Path, count: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
-    """The readings stored in a study's folder, taken now if there are none.
+    """Return the readings stored in a study's folder, taken now if there are none.
 
     Raises STU-001, STU-002, STU-008.
     """
@@ -236,7 +236,7 @@ def load_or_take_readings(
 
 
 def take_readings(count: int, seed: int, progress: Callable[[float], None] = lambda share: None) -> Array:
-    """`count` readings (n, 4, 3) in the tracker's frame, mm, spheres in the frame's order. Raises STU-008."""
+    """Return `count` readings (n, 4, 3) in the tracker's frame, mm, spheres in the frame's order. Raises STU-008."""
     random = np.random.default_rng([seed, count])
     readings: list[Array] = []
     shares = np.diff(np.linspace(0, count, min(ORIENTATIONS, count) + 1).astype(int))
@@ -252,7 +252,7 @@ def take_readings(count: int, seed: int, progress: Callable[[float], None] = lam
 def _take_whole_reading(
     read_frame_at: Callable[[Array], Array], frame_mm: Array, random: np.random.Generator
 ) -> Array:
-    """A reading with all four spheres; positions that do not show them are skipped, as a person would."""
+    """Return a reading with all four spheres; positions that do not show them are skipped, as a person would."""
     for _ in range(ATTEMPTS):
         place_mm = _draw_place(random)
         seen_mm = read_frame_at(place_mm)
@@ -272,7 +272,7 @@ def _draw_place(random: np.random.Generator) -> Array:
 
 
 def _draw_orientation(random: np.random.Generator) -> Rotation:
-    """Orientation facing the tracker, turned about the frame's normal and tilted."""
+    """Return the orientation facing the tracker, turned about the frame's normal and tilted."""
     turn = Rotation.from_rotvec([0.0, 0.0, random.uniform(0.0, 2.0 * np.pi)])
     about = random.uniform(0.0, 2.0 * np.pi)
     tilt = random.uniform(0.0, LARGEST_TILT_RAD) * np.array([np.cos(about), np.sin(about), 0.0])
@@ -281,7 +281,7 @@ def _draw_orientation(random: np.random.Generator) -> Rotation:
 
 @contextmanager
 def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
-    """A unit and its driver; yields a function that reads the spheres with the frame at a position (3,)."""
+    """Yield a unit and its driver; yields a function that reads the spheres with the frame at a position (3,)."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
         scene.write_text(json.dumps(_bench_scene(orientation, seed)), encoding="utf-8")
@@ -306,7 +306,7 @@ def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], A
 
 
 def _bench_scene(orientation: Rotation, seed: int) -> dict[str, Any]:
-    """The bench with only the frame in it, at the origin; robot and tracker frame coincide."""
+    """Return the bench with only the frame in it, at the origin; robot and tracker frame coincide."""
     words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
     done = run_command("ronna-sim scene", words, LIMIT_S)
     if done.returncode != 0:

@@ -90,7 +90,7 @@ class CorrespondenceStudy:
         return omit_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
-        """Conditions in the order noise model, patient, fiducials, outliers."""
+        """Return conditions in the order noise model, patient, fiducials, outliers."""
         return [
             unit
             for reading in self.readings
@@ -101,7 +101,7 @@ class CorrespondenceStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Outcomes of every method, as `method|e|outcome` -> count."""
+        """Return outcomes of every method, as `method|e|outcome` -> count."""
         reading, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         seen = draw_readings(sites_mm(patient), count, outliers, reading, unit.runs, random)
@@ -131,7 +131,7 @@ class CorrespondenceStudy:
     def _count_thesis_outcomes(
         self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
     ) -> Counter[str]:
-        """Outcomes of the thesis' pairing for every e: as found, and after its validation."""
+        """Return outcomes of the thesis' pairing for every e: as found, and after its validation."""
         sums: Counter[str] = Counter()
         for tolerance_mm in self.tolerances_mm:
             found = match_many_by_similarity(
@@ -173,7 +173,7 @@ def condition_key(reading: NoiseReading, patient: int, fiducials: int, outliers:
 
 
 def condition_of(key: str) -> tuple[NoiseReading, int, int, int]:
-    """A condition from its text."""
+    """Return a condition from its text."""
     reading, patient, fiducials, outliers = key.split("|")
     return NoiseReading(reading), int(patient), int(fiducials), int(outliers)
 
@@ -210,7 +210,7 @@ def pair_points(
 
 
 def _satisfies_prior(plain: Match, prior: Array) -> bool:
-    """Whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
+    """Return whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
 
     A prior only removes hypotheses. The best of all remains the best unless it is removed itself.
     """

@@ -94,12 +94,12 @@ class Shares:
         return self.unsuccessful - self.part
 
     def bound_share(self, share: float) -> Bounded:
-        """A share of the runs, per cent, with its bounds."""
+        """Return a share of the runs, per cent, with its bounds."""
         return percent(share / 100.0 * self.runs, self.runs)
 
 
 def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
-    """Outcomes of the runs of each series, over patients."""
+    """Return outcomes of the runs of each series, over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
     for condition, content in sums.items():
         noise, _, fiducials, outliers = condition_of(condition)
@@ -157,7 +157,7 @@ def _format_range(ends: Range) -> str:
 
 
 def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
-    """Counts over 5 to 8 fiducials: single cells are too small to judge."""
+    """Return counts over 5 to 8 fiducials: single cells are too small to judge."""
     rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
@@ -225,7 +225,7 @@ def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
 def _format_tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
-    """The values of e at which all members hold, neighbouring ones as a range."""
+    """Return the values of e at which all members hold, neighbouring ones as a range."""
     good = [all(holds(series, one) for series, one in members if float(series.tolerance) == e) for e in tried]
     spans: list[list[float]] = []
     for number, (e, one) in enumerate(zip(tried, good, strict=True)):

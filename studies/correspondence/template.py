@@ -67,7 +67,7 @@ class TemplateStudy:
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Conditions in the order noise model, patient, markers, outliers."""
+        """Return conditions in the order noise model, patient, markers, outliers."""
         return [
             unit
             for noise in NoiseReading
@@ -78,7 +78,7 @@ class TemplateStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Outcomes of every method, as `method|outcome` -> count."""
+        """Return outcomes of every method, as `method|outcome` -> count."""
         noise, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
@@ -96,7 +96,7 @@ class TemplateStudy:
 
 @cache
 def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
-    """The template's spheres (count, 3) on a head of the study."""
+    """Return the template's spheres (count, 3) on a head of the study."""
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=HALF_AXES_MM[patient])
     return np.array(propose_template(head, count, margin_mm).centres_mm)
 

@@ -73,7 +73,7 @@ def scan_phantom(
 
 
 def bound_mm(truth: dict[str, Any]) -> float:
-    """Cramér-Rao bound, 3-D rms, of a homogeneous ball in white noise.
+    """Return Cramér-Rao bound, 3-D rms, of a homogeneous ball in white noise.
 
     sigma_x = (sigma / C) sqrt(v 2 sqrt(pi) s 3 / (4 pi R^2)) per axis, for noise sigma, contrast C, voxel
     volume v, isotropic blur s and radius R.

@@ -81,13 +81,13 @@ class LocalizationStudy:
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """A unit per volume, then one per set."""
+        """Return a unit per volume, then one per set."""
         conditions = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
         volumes = [unit for condition in conditions for unit in blocks(condition, self.volumes, 1)]
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
 
     def run(self, unit: Unit) -> Sums:
-        """Counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
+        """Return counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
         family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -187,7 +187,7 @@ def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocaliz
 
 
 def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
-    """Squared FREs (mm2) of all scans (4, 3) to the frame's coordinates and to each other."""
+    """Return the squared FREs (mm2) of all scans (4, 3) to the frame's coordinates and to each other."""
     frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
     for who, scans in points.items():
@@ -209,7 +209,7 @@ def _refine_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
 
 
 def _match_in_order(found_mm: Array, centres_mm: Array) -> Array | None:
-    """The found points in the order of the true ones; None unless they match one to one."""
+    """Return the found points in the order of the true ones; None unless they match one to one."""
     if len(found_mm) == 0:
         return None
     distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)

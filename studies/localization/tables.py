@@ -36,7 +36,7 @@ FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
 def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """All tables of the study; the goals come last, if evaluation families were scanned."""
+    """Return all tables of the study; the goals come last, if evaluation families were scanned."""
     held = goals(sums)
     return [*tables(sums), held] if held is not None else tables(sums)
 
@@ -211,7 +211,7 @@ def _rms_um(total: Sums, method: str) -> bounds.Bounded:
 
 
 def methods_of(total: Sums) -> list[str]:
-    """The built-in methods in order, then user methods."""
+    """Return the built-in methods in order, then user methods."""
     there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
     known = [method.value for method in AUTOMATIC if method in there]
     return [*known, *(one for one in there if one not in known)]
@@ -309,7 +309,7 @@ def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell
 
 
 def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
-    """Whether the stated covariances of a family are right, all protocols: one alone has too few spheres."""
+    """Return whether the stated covariances of a family are right, all protocols: one alone has too few spheres."""
     found = sum_of_method(total, Method.OURS, "found")
     if not found:
         return []

@@ -70,7 +70,7 @@ THESIS_SCANS: tuple[ThesisScan, ...] = (
 
 
 def draw_scale(random: np.random.Generator, count: int, largest: float = LARGEST_SCALE_ERROR) -> Array:
-    """Factors (count, 3) by which scans are too large along left, posterior and superior."""
+    """Return factors (count, 3) by which scans are too large along left, posterior and superior."""
     plane, feed = random.uniform(-largest, largest, (2, count))
     return np.asarray(1.0 + np.column_stack([plane, plane, feed]))
 
@@ -83,7 +83,7 @@ class LocalizedScan:
     cpu_s: float
 
     def frame_mm(self, scale: Array) -> Array | None:
-        """The frame's spheres (4, 3) in order, in a scan of this scale; None if the frame is refused."""
+        """Return the frame's spheres (4, 3) in order, in a scan of this scale; None if the frame is refused."""
         seen_mm = self.centres_mm * scale
         try:
             return np.asarray(seen_mm[find_layout(FRAME_MM, seen_mm).order])
@@ -120,11 +120,11 @@ class ThesisLocalizationStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """The scans in order."""
+        """Return the scans in order."""
         return [Unit(scan.condition, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Counts, CPU seconds, and the coordinates of the frame's spheres as found by each method, mm."""
+        """Return counts, CPU seconds, and the coordinates of the frame's spheres as found by each method, mm."""
         (drawn,) = (scan for scan in THESIS_SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -146,7 +146,7 @@ class ThesisLocalizationStudy:
 
 
 def points_as_sums(who: str, points_mm: Array) -> Sums:
-    """Coordinates (4, 3) as entries of the only unit of a condition."""
+    """Return coordinates (4, 3) as entries of the only unit of a condition."""
     return {
         f"{who}|{row} {axis}": float(value)
         for row, point in enumerate(points_mm)
@@ -155,7 +155,7 @@ def points_as_sums(who: str, points_mm: Array) -> Sums:
 
 
 def points_of(sums: Sums, who: str) -> Array | None:
-    """The coordinates (4, 3) back; None if the frame was not found."""
+    """Return the coordinates (4, 3) back; None if the frame was not found."""
     keys = [[f"{who}|{row} {axis}" for axis in AXES] for row in range(len(FRAME_MM))]
     if keys[0][0] not in sums:
         return None
@@ -223,7 +223,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
 
 
 def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
-    """The frame in every phantom scan in which the method found it."""
+    """Return the frame in every phantom scan in which the method found it."""
     every = (
         points_of(content, method.value)
         for condition, content in sums.items()

@@ -70,7 +70,7 @@ class PluginPairing(CheckedPlugin):
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> Pairs | None:
-        """Pairs (k, 2); None without a unique answer."""
+        """Return pairs (k, 2); None without a unique answer."""
         answer = call_plugin(
             self.name,
             self.function,
@@ -105,7 +105,7 @@ class PluginLocalizer(CheckedPlugin):
     form = "numbers (n, 3): patient coordinates LPS in mm, as returned by volume.geometry.to_patient_mm"
 
     def __call__(self, volume: Volume) -> Array:
-        """Centres (n, 3), LPS mm."""
+        """Return centres (n, 3), LPS mm."""
         try:
             answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
         except MarkerCountWrong:  # how our localizer says that there are none
@@ -133,7 +133,7 @@ class PluginRegistration(CheckedPlugin):
     form = "a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1"
 
     def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
-        """The transform physical <- image."""
+        """Return the transform physical <- image."""
         answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
@@ -160,7 +160,7 @@ def call_plugin(
     passed: tuple[type[Exception], ...] = (),
     **named: object,
 ) -> Any:
-    """The answer to these arguments; raises STU-013 for every error of the method, except `passed`.
+    """Return the answer to these arguments; raises STU-013 for every error of the method, except `passed`.
 
     The global generators are seeded before each call, so that a unit's result does not depend on its worker.
     Prints of the method go to standard error: standard output is for results.
@@ -189,7 +189,7 @@ def _read_only(value: object) -> object:
 
 
 def _locate_error(function: Callable[..., Any], error: BaseException) -> str:
-    """The last line within the method's own file, otherwise the very last one."""
+    """Return the last line within the method's own file, otherwise the very last one."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
     last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])

@@ -39,7 +39,7 @@ class Localizer(Protocol):
     """Finds the centres of spheres in a CT."""
 
     def __call__(self, volume: Volume) -> ArrayLike:
-        """Centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
+        """Return centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
         ...
 
 
@@ -49,7 +49,7 @@ class Pairing(Protocol):
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> ArrayLike | None:
-        """Indices (k, 2) of pairs image, physical; None without a unique answer.
+        """Return indices (k, 2) of pairs image, physical; None without a unique answer.
 
         `image_mm` is (n, 3), `physical_mm` (m, 3); a sigma is one standard deviation per axis.
         """
@@ -62,7 +62,7 @@ class PairedRegistration(Protocol):
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array
     ) -> RigidTransform | ArrayLike:
-        """The transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
+        """Return the transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
 
         Points are (n, 3), with the same marker in the same row; `covariance_mm2` (n, 3, 3) is the error of
         each pair in the physical frame.
@@ -74,7 +74,7 @@ class StrategyFactory(Protocol):
     """Creates a localization strategy, without arguments: usually its class."""
 
     def __call__(self) -> Strategy:
-        """An object with the members of `procedures.strategies.strategy.Strategy`."""
+        """Return an object with the members of `procedures.strategies.strategy.Strategy`."""
         ...
 
 

@@ -39,7 +39,7 @@ class PluginMethod:
     sha256: str
 
     def function(self) -> Callable[..., Any]:
-        """The function, in this process; raises STU-012 if the file is missing or has changed."""
+        """Return the function, in this process; raises STU-012 if the file is missing or has changed."""
         found, module = _import_method(self.reference, self.kind)
         if hash_of(module) != self.sha256:
             raise MethodRefused(
@@ -61,7 +61,7 @@ class PluginMethod:
 
 
 def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """The method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
+    """Return the method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
 
     Modules are searched as Python does, and last in the current folder.
     """
@@ -75,7 +75,7 @@ def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
 
 
 def list_installed_plugins() -> tuple[str, ...]:
-    """Names of all installed user methods, of every kind."""
+    """Return names of all installed user methods, of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
@@ -85,12 +85,12 @@ def signature_of(kind: MethodKind) -> str:
 
 
 def is_in_site_packages(file: Path) -> bool:
-    """Whether a file belongs to an installed package."""
+    """Return whether a file belongs to an installed package."""
     return not {*INSTALLED}.isdisjoint(file.parts)
 
 
 def local_modules(module: ModuleType) -> Mapping[str, Path]:
-    """The file of each module by name, from the import statements; nothing is executed.
+    """Return the file of each module by name, from the import statements; nothing is executed.
 
     For an installed module, those of its package count; for a file of the user's own, those of its folder and
     their packages. Anything imported by a computed name, compiled or read as data is not found.
@@ -108,7 +108,7 @@ def local_modules(module: ModuleType) -> Mapping[str, Path]:
 
 
 def hash_of(module: ModuleType) -> str:
-    """SHA-256 of the module's file, or of all files if there are more; empty for a module without a file."""
+    """Return SHA-256 of the module's file, or of all files if there are more; empty for a module without a file."""
     files = local_modules(module)
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     if len(hashes) < 2:

@@ -97,7 +97,7 @@ class PluginStrategy:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Turns about the axis, best first."""
+        """Return turns about the axis, best first."""
         turns = self._call("turns_rad", along, fiducials_mm, robot_from_ct, arm)
         if not turns or not all(isinstance(one, int | float) for one in turns):
             raise self._wrong_answer("turns_rad", "at least one finite angle in rad", _format_answer(turns))

@@ -61,11 +61,11 @@ class IdentifiedStudy:
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Blocks of arms."""
+        """Return blocks of arms."""
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what.
+        """Return the length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what.
 
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """
@@ -180,7 +180,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
-    """Errors (arms, trials) in mm."""
+    """Return errors (arms, trials) in mm."""
     found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for content in sums.values():
         for key, error_mm in content.items():
@@ -241,7 +241,7 @@ class BelievedArm:
     flange_from_tool: Transform
 
     def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
-        """Positions (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
+        """Return positions (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
         poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
         turned = poses[:, :3, :3]
         places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
@@ -256,7 +256,7 @@ def compute_identified_errors_mm(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Error vectors (t, c, 3) mm of one arm, like `Scene.errors_mm` for many; `numbers` is its own."""
+    """Return the error vectors (t, c, 3) mm of one arm, like `Scene.errors_mm` for many; `numbers` is its own."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])
@@ -286,7 +286,7 @@ def compute_identified_errors_mm(
 
 
 def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
-    """Joints (t, 6) that the controller commands to have its tool at these places."""
+    """Return joints (t, 6) that the controller commands to have its tool at these places."""
     joints, _ = solve_joints(
         planned.targets,
         lambda joints: believed.tool(joints, planned.target_arrival),

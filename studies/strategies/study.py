@@ -59,7 +59,7 @@ class StrategiesStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """A condition per part of the study, marker type and position."""
+        """Return a condition per part of the study, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
         parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
         if self.own:
@@ -78,7 +78,7 @@ class StrategiesStudy:
         return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Errors in mm of single trials, or sums of them; see the keys of each part."""
+        """Return errors in mm of single trials, or sums of them; see the keys of each part."""
         part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
@@ -129,7 +129,7 @@ def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
+    """Return the histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
     for one in SCENARIOS:
@@ -146,7 +146,7 @@ def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Trials under another interpretation of the protocol, keys as for `Scene.trials`."""
+    """Return trials under another interpretation of the protocol, keys as for `Scene.trials`."""
     return scene.trials(
         arms,
         READ_AGAIN,

@@ -69,7 +69,7 @@ class WorldsStudy:
         return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
-        """The worst cases, and the shares of each verdict."""
+        """Return the worst cases, and the shares of each verdict."""
         judged = {int(key.split()[1]): one for key, one in sums.items()}
         return [self._tabulate_summary(judged), self._tabulate_worst(judged)]
 
@@ -112,7 +112,7 @@ class WorldsStudy:
         ]
 
     def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
-        """The goals that these cases miss, in words."""
+        """Return the goals that these cases miss, in words."""
         counts = _count_verdicts(sums.values())
         silent = sum(counts[one] for one in SILENT)
         missed = []
@@ -168,7 +168,7 @@ def run_world(world: World, folder: Path) -> Judgement:
 
 
 def document(world: World, found: Judgement) -> dict[str, Any]:
-    """A judged world as plain data."""
+    """Return a judged world as plain data."""
     return {
         "world": asdict(world),
         "verdict": found.verdict.value,
@@ -205,7 +205,7 @@ def _parse_output(output: str) -> dict[str, Any]:
 
 
 def _read_error_text(output: str) -> str:
-    """Code and message of the error that ended a run, empty without one."""
+    """Return the code and message of the error that ended a run, empty without one."""
     error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 

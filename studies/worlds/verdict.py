@@ -98,7 +98,7 @@ def worst_of(targets: Iterable[Target]) -> Target | None:
 
 
 def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """The valid limit of each target at the insertion of an instrument, by the predictions of each record."""
+    """Return the valid limit of each target at the insertion of an instrument, by the predictions of each record."""
     current_limits_mm: dict[str, float] = {}
     used: dict[str, float] = {}
     for line in lines:
@@ -145,7 +145,7 @@ def judge(
 def _collect_warnings(
     lines: Iterable[Line], since_s: float, trajectories: Sequence[str]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
-    """The trajectories that are warned of since then, and the warnings."""
+    """Return the trajectories that are warned of since then, and the warnings."""
     touched: set[str] = set()
     said = []
     step = ""

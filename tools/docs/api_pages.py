@@ -120,7 +120,7 @@ def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
 
 
 def _list_members(one: type) -> dict[str, Any]:
-    """Members of a class; for a driver also the members of its base classes."""
+    """Return members of a class; for a driver also the members of its base classes."""
     bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
     return {name: member for base in bases for name, member in vars(base).items()}
 

@@ -146,7 +146,7 @@ def _tabulate_exported_fields() -> str:
 
 
 def _tabulate_branches() -> str:
-    """The decision points and failure branches."""
+    """Return the decision points and failure branches."""
     return table(
         ("what happens", "in", "noticed by", "then", "ends in", "question", "code"),
         [

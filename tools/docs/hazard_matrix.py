@@ -56,7 +56,7 @@ class BoundTest:
 
 
 def read_hazards(path: Path = REFERENCE / "hazards.toml") -> list[Hazard]:
-    """The hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
+    """Return the hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
     return sorted(read_rows(path, "hazard", Hazard), key=lambda hazard: hazard.number)
 
 

@@ -130,7 +130,7 @@ def robot_parameters() -> str:
 
 
 def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
-    """Parameters of a simulator for unconfirmed behaviour."""
+    """Return parameters of a simulator for unconfirmed behaviour."""
     return table(
         ("parameter", "best estimate", "meaning"),
         [(f"`{name}`", value, meaning) for name, value, meaning in rows],

@@ -93,7 +93,7 @@ def watch(command: Sequence[str]) -> Iterator[Used]:
 
 
 def role_of(words: Sequence[str]) -> str:
-    """Name of the process with this command line; `theatre`, `kuka`, ... are the simulators."""
+    """Return the name of the process with this command line; `theatre`, `kuka`, ... are the simulators."""
     return next((role for word, role in ROLES.items() if word in words[1:6]), "program")
 
 

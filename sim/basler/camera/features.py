@@ -76,7 +76,7 @@ class Feature:
     visibility: str = "Beginner"
 
     def accepts(self, camera: CameraState, value: Number) -> bool:
-        """Whether a value may be written."""
+        """Return whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
         if self.kind is Kind.BOOLEAN:

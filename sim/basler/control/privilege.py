@@ -43,7 +43,7 @@ class Privilege:
         return self.owner in (None, peer) or not self.value & CCP_EXCLUSIVE
 
     def may_write(self, peer: Peer) -> bool:
-        """Whether this application is in control."""
+        """Return whether this application is in control."""
         return self.owner == peer
 
     def request(self, peer: Peer, value: int) -> GevStatus:

@@ -182,7 +182,7 @@ class EkiServer:
 
     @staticmethod
     def _is_readable(client: socket.socket) -> bool:
-        """Whether a client has sent something or disconnected."""
+        """Return whether a client has sent something or disconnected."""
         try:
             client.recv(1, socket.MSG_PEEK)
         except BlockingIOError:

@@ -135,7 +135,7 @@ class LinkFaults:
         self._in_transit.clear()
 
     def is_active(self, kind: str) -> bool:
-        """Whether a lasting fault of this kind is active."""
+        """Return whether a lasting fault of this kind is active."""
         return kind in self._active
 
     def outgoing(self, telegram: bytes) -> tuple[bytes | None, bool]:

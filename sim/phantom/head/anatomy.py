@@ -163,14 +163,14 @@ def draw_anatomy(scene: Scene) -> Anatomy:
 
 
 def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
-    """A sphere on a screw in the skull, with a flange on the skin."""
+    """Return a sphere on a screw in the skull, with a flange on the skin."""
     to_skin = distance_to_skin(fiducial, head)
     to_tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
     return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
 
 
 def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
-    """A free-floating sphere without film."""
+    """Return a free-floating sphere without film."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
 
@@ -178,7 +178,7 @@ def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
 def marker_on_foot(
     fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
 ) -> Marker:
-    """A sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
+    """Return a sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     metal = bool(generator.uniform() < METAL_POSTS)
     post_hu = POST_METAL_HU if metal else POST_POLYMER_HU
@@ -207,7 +207,7 @@ def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
 
 
 def trough(head: Head) -> tuple[Shape, ...]:
-    """A trough of foam with a thin shell, under the back of the head."""
+    """Return a trough of foam with a thin shell, under the back of the head."""
     inner = max(head.semi_axes_mm[:2]) + FOAM_GAP_MM
     outer = inner + FOAM_MM
     centre, cosine = head.centre_ct_mm, cos(HEADREST_HALF_ARC_RAD)
@@ -218,7 +218,7 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
-    """A sheathed wire next to the head."""
+    """Return a sheathed wire next to the head."""
     centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
     centre = shift_point(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
@@ -235,7 +235,7 @@ def ventricles(head: Head) -> tuple[Shape, ...]:
 
 
 def sinuses(head: Head) -> tuple[Shape, ...]:
-    """Air in the forehead, the cheeks and behind the nose."""
+    """Return air in the forehead, the cheeks and behind the nose."""
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
@@ -245,7 +245,7 @@ def sinuses(head: Head) -> tuple[Shape, ...]:
 def jaw_teeth(
     head: Head, generator: np.random.Generator, count: int = FILLINGS
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
-    """An arch of teeth in a jaw; some of them have metal fillings."""
+    """Return an arch of teeth in a jaw; some of them have metal fillings."""
     middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)

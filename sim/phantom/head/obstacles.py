@@ -82,7 +82,7 @@ def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
 
 
 def cushion(head: Head) -> Obstacles:
-    """A flat block of foam on a board, under the back of the head."""
+    """Return a flat block of foam on a board, under the back of the head."""
     back = head.centre_ct_mm[1] + head.semi_axes_mm[1] + CUSHION_GAP_MM
     x = head.centre_ct_mm[0]
     foam = Slab(FOAM_HU, (x - CUSHION_HALF_WIDTH_MM, back), (x + CUSHION_HALF_WIDTH_MM, back + CUSHION_MM))
@@ -95,7 +95,7 @@ def cushion(head: Head) -> Obstacles:
 
 
 def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
-    """Pins pressed into the skull, in their holders."""
+    """Return pins pressed into the skull, in their holders."""
     shapes: list[Shape] = []
     streaks = []
     for azimuth in PIN_AZIMUTHS_RAD[:count]:
@@ -115,7 +115,7 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
 
 
 def electrode(head: Head, direction: Vector) -> Obstacles:
-    """A metal cup on the skin with its lead, which runs towards the feet."""
+    """Return a metal cup on the skin with its lead, which runs towards the feet."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
     downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
@@ -130,7 +130,7 @@ def electrode(head: Head, direction: Vector) -> Obstacles:
 
 
 def bolt(head: Head, direction: Vector) -> Obstacles:
-    """The bolt of a depth electrode."""
+    """Return the bolt of a depth electrode."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
     start = shift_point(as_point(skin), outward, -BOLT_IN_SKULL_MM)
@@ -138,14 +138,14 @@ def bolt(head: Head, direction: Vector) -> Obstacles:
 
 
 def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:
-    """A layer around the whole head."""
+    """Return a layer around the whole head."""
     return Obstacles((EllipsoidShell(hu, head.centre_ct_mm, head.semi_axes_mm, thickness_mm),))
 
 
 def distractor(
     head: Head, direction: Vector, cylinder: bool, generator: np.random.Generator
 ) -> tuple[Shape, Point]:
-    """A ball or a cylinder of polymer next to the head, and its centre."""
+    """Return a ball or a cylinder of polymer next to the head, and its centre."""
     skin, normal = skin_point(head, direction)
     middle = as_point(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
     hu = float(generator.uniform(*DISTRACTOR_HU))

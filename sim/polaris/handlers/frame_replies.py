@@ -101,7 +101,7 @@ def _markers_text(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavio
 
 
 def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
-    """Flags as hexadecimal digits: one number with flag 0 highest, or four flags per digit in order."""
+    """Return flags as hexadecimal digits: one number with flag 0 highest, or four flags per digit in order."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
         return ""
@@ -165,17 +165,17 @@ def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehavi
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:
-    """Port status with the bits that the frame adds."""
+    """Return the port status with the bits that the frame adds."""
     return port.status.value | (tracked.volume_status.value if tracked is not None else 0)
 
 
 def information(tracked: Tracked | None) -> int:
-    """Tool information byte."""
+    """Return the tool information byte."""
     return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
 
 
 def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
-    """One digit per marker, 20 in all."""
+    """Return one digit per marker, 20 in all."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
     digits = digits.ljust(MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
@@ -190,7 +190,7 @@ def list_markers(tracked: Tracked | None) -> Markers:
 
 
 def _select_strays(strays: tuple[Stray, ...], options: int) -> tuple[Markers, list[Point]]:
-    """All strays, and the positions sent: those inside the volume; all with option 0800."""
+    """Return all strays, and the positions sent: those inside the volume; all with option 0800."""
     whole = bool(options & OUT_OF_VOLUME)
     markers = [(stray.position_mm, stray.inside) for stray in strays]
     return markers, [position for position, inside in markers if inside or whole]

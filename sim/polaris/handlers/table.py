@@ -60,7 +60,7 @@ class Command:
 
 
 def _handle_command(carry_out: CarryOut, *more: int, group: Group = Group.HANDLES) -> Command:
-    """A command whose argument is a handle and `more` further characters."""
+    """Return a command whose argument is a handle and `more` further characters."""
     lengths = tuple(HANDLE_DIGITS + count for count in more or NOTHING)
     return Command(carry_out, group, lengths, starts_with_handle=True)
 
@@ -121,12 +121,12 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 
 @cache
 def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
-    """Modes in which each command is allowed, by name."""
+    """Return modes in which each command is allowed, by name."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}
 
 
 def modes_of(group: Group, behaviour: UnitBehaviour) -> frozenset[Mode]:
-    """Modes in which the commands of a group are allowed."""
+    """Return modes in which the commands of a group are allowed."""
     early = {Mode.NOT_INITIALISED} if behaviour.answers_before_init else set()
     settings = {Mode.DIAGNOSTIC} if behaviour.settings_in_diagnostic else set()
     settings |= {Mode.TRACKING} if behaviour.settings_while_tracking else set()

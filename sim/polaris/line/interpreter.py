@@ -74,7 +74,7 @@ class CommandInterpreter:
             self.unit.line = DEFAULT_LINE
 
     def due_s(self) -> float:
-        """Host time at which `unsolicited_bytes` should be called again."""
+        """Return the host time at which `unsolicited_bytes` should be called again."""
         moments_s = (time.monotonic() + POLL_S, self._break_s, self._starts_s)
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 

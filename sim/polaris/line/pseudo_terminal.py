@@ -143,7 +143,7 @@ class PseudoTerminal:
             self._spoken_to = False
 
     def _suspects_break(self) -> bool:
-        """Whether the host seems to have sent a break while its command was executed."""
+        """Return whether the host seems to have sent a break while its command was executed."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
             suspected = self._handle_flush(os.read(self._master, 1)[0]) or suspected
@@ -187,7 +187,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """Whether host and unit may understand each other; False only if they certainly cannot."""
+        """Return whether host and unit may understand each other; False only if they certainly cannot."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)

@@ -31,11 +31,11 @@ class Channel(Protocol):
     """A byte stream to one host."""
 
     def files(self) -> tuple[int, ...]:
-        """File descriptors to wait on."""
+        """Return the file descriptors to wait on."""
         ...
 
     def receive(self, ready: Ready) -> bytes | None:
-        """Bytes from the ready descriptors, possibly none; None when the host is gone."""
+        """Return bytes from the ready descriptors, possibly none; None when the host is gone."""
         ...
 
     def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
@@ -157,7 +157,7 @@ class Server:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 
     def _must_yield(self) -> bool:
-        """Whether a silent network host must yield to one waiting to connect."""
+        """Return whether a silent network host must yield to one waiting to connect."""
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:
             return False

@@ -80,7 +80,7 @@ class Measurer:
         self._noise = ReusedNoise(self._seed, DEVICE)
 
     def is_mount_frame(self, port: Port) -> bool:
-        """Whether this port's tool is the reference frame M on the mount."""
+        """Return whether this port's tool is the reference frame M on the mount."""
         return port.definition is not None and self._scene.is_mount_frame(port.definition)
 
     def begin_tracking(self) -> None:
@@ -220,7 +220,7 @@ class MarkerVisibility:
         self._kept = None
 
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
-        """Markers visible now, with these ports enabled."""
+        """Return markers visible now, with these ports enabled."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
         key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
         if self._kept is None or key != self._key:
@@ -278,7 +278,7 @@ class MarkerVisibility:
         )
 
     def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
-        """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
+        """Return spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
         key = (disturbance, as_tool)
         if self._fixed is None or self._fixed[0] != key:
             spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)

@@ -161,7 +161,7 @@ class _Judge:
 
 
 def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
-    """Whether each marker faces the sensor (the origin) within the maximum angle."""
+    """Return whether each marker faces the sensor (the origin) within the maximum angle."""
     towards = -(normals * markers_mm).sum(axis=1)
     limit = cos(radians(maximum_angle_deg)) * np.sqrt((markers_mm * markers_mm).sum(axis=1))
     facing: list[bool] = (towards >= limit).tolist()
@@ -169,7 +169,7 @@ def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float
 
 
 def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
-    """Volume status: out with every marker outside, partially out with too few inside."""
+    """Return the volume status: out with every marker outside, partially out with too few inside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
         return WITHIN
@@ -177,7 +177,7 @@ def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus
 
 
 def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Whether the used markers are spread enough along each of their principal axes.
+    """Return whether the used markers are spread enough along each of their principal axes.
 
     NDI's measure is not public; this one is the distance between the outermost markers.
     """
@@ -243,7 +243,7 @@ def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Ve
 
 
 def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
-    """Angle between the normal of a face and the direction to the sensor (the origin).
+    """Return the angle between the normal of a face and the direction to the sensor (the origin).
 
     0 if the normals cancel out, as with markers back to back: such a face is seen from all around.
     """
@@ -280,6 +280,6 @@ def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
 
 
 def _determinant(matrix: list[list[float]]) -> float:
-    """Determinant of a (3, 3) matrix; ten times as fast as `numpy.linalg.det`."""
+    """Return the determinant of a (3, 3) matrix; ten times as fast as `numpy.linalg.det`."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

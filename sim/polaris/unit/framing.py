@@ -121,7 +121,7 @@ def ascii_reply(text: str) -> bytes:
 
 
 def binary_reply(body: bytes) -> bytes:
-    """Frame a binary reply: start sequence, length, header CRC, body, body CRC; no CR."""
+    """Return the frame a binary reply: start sequence, length, header CRC, body, body CRC; no CR."""
     return _header(len(body)) + body + _U16.pack(crc16(body))
 
 

@@ -27,7 +27,7 @@ class Volume:
     dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
-        """Whether a point (tracker frame) is inside."""
+        """Return whether a point (tracker frame) is inside."""
         near_mm, far_mm = self.depths_mm
         if not near_mm <= -z_mm <= far_mm:
             return False
@@ -46,7 +46,7 @@ class Volume:
         return sum(self.depths_mm) / 2.0
 
     def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
-        """Half extents in x and y at a distance from the sensor."""
+        """Return half extents in x and y at a distance from the sensor."""
         _, _, _, _, _, y_front, y_behind, x_slope, _, _ = self.dimensions
         knee_mm, y_knee_mm, x_knee_mm, y_cap_mm, x_cap_mm = self._lengths_mm
         before_knee_mm = -depth_mm - knee_mm

@@ -105,7 +105,7 @@ class PortTable:
         return port
 
     def find_by_socket(self, number: int) -> Port | None:
-        """The handle of a socket, unless its tool was unplugged since."""
+        """Return the handle of a socket, unless its tool was unplugged since."""
         return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
 
     def unplug(self, number: int) -> None:
@@ -116,18 +116,18 @@ class PortTable:
             port.tool = None
 
     def port(self, handle: int) -> Port:
-        """The port of a handle; raises Refusal if it is not allocated."""
+        """Return the port of a handle; raises Refusal if it is not allocated."""
         try:
             return self._ports[handle]
         except KeyError:
             raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def require_port(self, argument: str) -> Port:
-        """The port whose handle begins a command's argument; raises Refusal for a bad or unknown handle."""
+        """Return the port whose handle begins a command's argument; raises Refusal for a bad or unknown handle."""
         return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
 
     def require_occupied(self, argument: str) -> Port:
-        """The addressed port; raises Refusal if its tool was unplugged or never plugged in."""
+        """Return the addressed port; raises Refusal if its tool was unplugged or never plugged in."""
         port = self.require_port(argument)
         if port.unoccupied:
             raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
@@ -136,14 +136,14 @@ class PortTable:
         return port
 
     def require_initialised(self, argument: str) -> Port:
-        """The addressed port; raises Refusal unless it is occupied and initialised."""
+        """Return the addressed port; raises Refusal unless it is occupied and initialised."""
         port = self.require_occupied(argument)
         if not port.initialised:
             raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
         return port
 
     def require_wired(self, argument: str) -> Port:
-        """The addressed port; raises Refusal unless it is the occupied port of a wired tool."""
+        """Return the addressed port; raises Refusal unless it is the occupied port of a wired tool."""
         port = self.require_occupied(argument)
         if not port.wired_port:
             raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
@@ -162,12 +162,12 @@ class PortTable:
         return tuple(port for port in self if port.enabled)
 
     def free_place(self) -> int:
-        """Lowest place in the scene without a loaded tool."""
+        """Return the lowest place in the scene without a loaded tool."""
         occupied_places = {port.place for port in self._ports.values()}
         return next(place for place in range(self._size + 1) if place not in occupied_places)
 
     def list_matching(self, query: HandleQuery) -> tuple[Port, ...]:
-        """Ports that a PHSR option lists."""
+        """Return ports that a PHSR option lists."""
         if query is HandleQuery.ALL:
             return tuple(self)
         if query is HandleQuery.TO_BE_FREED:
@@ -190,7 +190,7 @@ class WiredTool:
 
     @classmethod
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
-        """A tool with `content` in its memory; raises PSU-002 for a wrong length."""
+        """Return a tool with `content` in its memory; raises PSU-002 for a wrong length."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
@@ -217,7 +217,7 @@ class WiredPorts:
         self.plugged.add(number)
 
     def tool(self, number: int) -> WiredTool | None:
-        """The tool plugged into a socket, if any."""
+        """Return the tool plugged into a socket, if any."""
         return self.tools.get(number) if number in self.plugged else None
 
 

@@ -172,7 +172,7 @@ def build_test_definition() -> bytes:
 
 
 def checksum(content: bytes) -> int:
-    """Checksum of a definition; zero padding does not change it."""
+    """Return the checksum of a definition; zero padding does not change it."""
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
@@ -203,7 +203,7 @@ def _put_text(content: bytearray, offset: int, length: int, text: str) -> None:
 def warning_of(
     tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
 ) -> WarningCode | None:
-    """Warning of PINIT for a tool in the presence of others; None for a valid tool."""
+    """Return the warning of PINIT for a tool in the presence of others; None for a valid tool."""
     unique = _has_unique_segments(tool, behaviour)
     conflicts = any(_conflicts(tool, other, behaviour) for other in others)
     if not unique:
@@ -214,7 +214,7 @@ def warning_of(
 
 
 def wavelength_of(tool: ToolDefinition) -> int:
-    """Wavelength code of a tool's markers."""
+    """Return the wavelength code of a tool's markers."""
     return tool.marker_type & WAVELENGTH_BITS
 
 
@@ -250,7 +250,7 @@ def _segments_mm(tool: ToolDefinition) -> dict[tuple[int, int], float]:
 
 
 def _triangles_mm(segments_mm: dict[tuple[int, int], float], markers: int) -> list[list[float]]:
-    """Side lengths of every triangle of markers, shortest first."""
+    """Return the side lengths of every triangle of markers, shortest first."""
     return [
         sorted((segments_mm[a, b], segments_mm[a, c], segments_mm[b, c]))
         for a, b, c in combinations(range(markers), 3)

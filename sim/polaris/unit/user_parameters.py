@@ -61,17 +61,17 @@ class UserParameters:
         }
 
     def value(self, name: str) -> str:
-        """Value of a parameter; raises Refusal for an unknown name."""
+        """Return the value of a parameter; raises Refusal for an unknown name."""
         known = self._require_parameter(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
     def number(self, name: str) -> int:
-        """Value of an integer parameter."""
+        """Return the value of an integer parameter."""
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """Parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
+        """Return parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
         if not pattern.endswith(WILDCARD):
             return (self._require_parameter(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -81,7 +81,7 @@ class UserParameters:
         return found
 
     def information(self, parameter: Parameter) -> str:
-        """One line of GETINFO, with seven fields."""
+        """Return one line of GETINFO, with seven fields."""
         low, high = parameter.limits or ("", "")
         kind = TYPE_INTEGER if parameter.limits else TYPE_TEXT
         attribute = ATTRIBUTE_WRITE if parameter.writable else ATTRIBUTE_READ
@@ -178,7 +178,7 @@ class Parameter:
 
 
 def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
-    """All parameters with factory values, in the order in which a wildcard lists them."""
+    """Return all parameters with factory values, in the order in which a wildcard lists them."""
     return (*_feature_parameters(model, wired_ports), *_setting_parameters(model), *_status_parameters(model))
 
 
@@ -261,7 +261,7 @@ def _number_parameter(
     options: str = "",
     while_tracking: bool = False,
 ) -> Parameter:
-    """An integer that hosts may set and SAVE stores."""
+    """Return an integer that hosts may set and SAVE stores."""
     return Parameter(
         name, str(default), description, True, while_tracking, limits, kept=True, options=options
     )

@@ -35,15 +35,15 @@ class FaultBoard:
         return not self._faults
 
     def active(self, kind: str) -> tuple[Fault, ...]:
-        """Active lasting faults of one kind."""
+        """Return the active lasting faults of one kind."""
         return tuple(fault for fault in self.acting() if fault.kind.name == kind)
 
     def acting(self) -> tuple[Fault, ...]:
-        """Active lasting faults of all kinds."""
+        """Return the active lasting faults of all kinds."""
         return tuple(fault for fault, _ in self.acting_since())
 
     def acting_since(self) -> tuple[tuple[Fault, float], ...]:
-        """Active lasting faults, each with the theatre time of its onset."""
+        """Return the active lasting faults, each with the theatre time of its onset."""
         now_s = self._world.clock.now_s()
         return tuple(
             (fault, onset_s)
@@ -90,7 +90,7 @@ class FaultBoard:
 
 
 def format_beginning(now_s: float) -> str:
-    """Beginning of a line that acts from that theatre time on, to the nanosecond.
+    """Return the beginning of a line that acts from that theatre time on, to the nanosecond.
 
     Coarser rounding could place it ahead of a clock that stands still until someone advances it.
     """

@@ -65,7 +65,7 @@ class Fault:
         return f"{self.phrase}, {begins}, {duration}. {self.kind.meaning}"
 
     def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
-        """Theatre time of the beginning; infinite while its step is not running, or before its cycle."""
+        """Return the theatre time of the beginning; infinite while its step is not running, or before its cycle."""
         if self.at_s is not None:
             return self.at_s
         if self.cycle is not None:
@@ -75,7 +75,7 @@ class Fault:
         return math.inf
 
     def begins_in(self, step: str) -> bool:
-        """Whether the fault begins with that step."""
+        """Return whether the fault begins with that step."""
         return self.step in (step, step.partition(":")[0])
 
 

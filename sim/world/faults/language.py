@@ -126,7 +126,7 @@ def parse_request(line: str) -> Fault:
 
 
 def has_beginning(line: str) -> bool:
-    """Whether a line states when its fault begins."""
+    """Return whether a line states when its fault begins."""
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
@@ -231,7 +231,7 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
 
 
 def _is_valid_line(line: str) -> bool:
-    """Whether the parser accepts a line."""
+    """Return whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:
@@ -275,13 +275,13 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
 
 
 def _find_nearest_kind(line: str) -> FaultKind | None:
-    """Kind whose phrase is most similar to the line after its beginning; None if none is close."""
+    """Return the kind whose phrase is most similar to the line after its beginning; None if none is close."""
     by_usage = {kind.usage: kind for kind in FAULT_KINDS}
     return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
 
 
 def _find_intended_line(line: str) -> str | None:
-    """Valid line most similar to this one, with its numbers and names; None if none is close."""
+    """Return the valid line most similar to this one, with its numbers and names; None if none is close."""
     fault = _strip_beginning(line)
     beginning = line[: len(line) - len(fault)]
     phrase, lasts, duration = fault.partition(" for ")

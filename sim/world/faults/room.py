@@ -18,7 +18,7 @@ declare_lasting = ROOM.declare_lasting
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:
-    """Numbers of the tools in the room; 0 is none."""
+    """Return numbers of the tools in the room; 0 is none."""
     return (0, scene.mount.tool_number_stereo, scene.mount.tool_number_guide)
 
 

@@ -128,7 +128,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
 
 
 def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
-    """Spheres of a template, as placed with its jig."""
+    """Return spheres of a template, as placed with its jig."""
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
@@ -198,7 +198,7 @@ class FrameOnHead:
     body_mm: Vector
 
     def leaves_free(self, entry_mm: Vector, outwards: Vector) -> bool:
-        """Whether a guide over an entry (3,), along a unit vector (3,), is clear of the frame."""
+        """Return whether a guide over an entry (3,), along a unit vector (3,), is clear of the frame."""
         away = self.body_mm - entry_mm
         along = np.clip(away @ outwards, 0.0, GUIDE_MM)
         lateral_mm = np.linalg.norm(away - along[:, None] * outwards, axis=1)
@@ -260,7 +260,7 @@ def draw_direction(generator: np.random.Generator, axis: Vector, half_angle_rad:
 
 
 def skin_at(direction: Vector, semi_axes_mm: Point = SEMI_AXES_MM) -> tuple[Vector, Vector]:
-    """Point on the skin in a direction from the centre, relative to the centre, and its outward normal."""
+    """Return the point on the skin in a direction from the centre, relative to the centre, and its outward normal."""
     axes = np.array(semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2

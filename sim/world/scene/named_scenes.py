@@ -111,19 +111,19 @@ def _draw_stand(seed: int) -> Stand:
 
 
 def robot_frame() -> TrackerTool:
-    """Reference frame M on the mount, as a tracker tool."""
+    """Return the reference frame M on the mount, as a tracker tool."""
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 
 def frame_on_head() -> TrackerTool:
-    """The x-shaped frame as a tracker tool."""
+    """Return the x-shaped frame as a tracker tool."""
     return TrackerTool(
         name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
     )
 
 
 def frame_on_guide() -> TrackerTool:
-    """The frame on the guide as a tracker tool, which identifies the mounted tool."""
+    """Return the frame on the guide as a tracker tool, which identifies the mounted tool."""
     return TrackerTool(
         name=GUIDE_FRAME_NAME, part_number=GUIDE_FRAME_PART_NUMBER, markers_mm=GUIDE_FRAME_MARKERS_MM
     )

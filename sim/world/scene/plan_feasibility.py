@@ -43,7 +43,7 @@ class PlanFeasibility:
         self._known: dict[tuple[int, bytes], bool] = {}
 
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
-        """Whether one posture reaches all trajectories, each an entry (3,) and a target (3,)."""
+        """Return whether one posture reaches all trajectories, each an entry (3,) and a target (3,)."""
         return any(
             all(self._is_trajectory_reachable(*ends, status) for ends in trajectories) for status in STATUSES
         )
@@ -71,7 +71,7 @@ class PlanFeasibility:
         return self._known[key]
 
     def _is_each_sphere_visible(self, orientation: Vector) -> bool:
-        """Whether each sphere, with the tool on it, is clear of the others in both cameras."""
+        """Return whether each sphere, with the tool on it, is clear of the others in both cameras."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
             eyes = self._spheres_mm + orientation @ np.array(camera_mm)
@@ -99,7 +99,7 @@ class PlanFeasibility:
 
 
 def _list_orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
-    """Rotations robot <- tool: z along the trajectory, x away from the base, then turned ever further."""
+    """Yield rotations robot <- tool: z along the trajectory, x away from the base, then turned ever further."""
     radial = np.array([at_mm[0], at_mm[1], 0.0])
     across = radial - axis * float(axis @ radial)
     x_zero = across / np.linalg.norm(across)
