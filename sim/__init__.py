@@ -1,1 +1,1 @@
-"""The simulated theatre: devices that speak real bytes over one physical scene."""
+"""Simulators of all theatre devices: each speaks its device's wire protocol, over one shared physical scene."""
