@@ -258,7 +258,7 @@ class SignalFlow:
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """Apply this `share` of each correction. It is below 1 if the override scales corrections."""
+        """Apply only a fraction `share` of each correction, below 1 if the override scales corrections."""
         self._inputs = inputs
         self._relative = relative
         self._share = share

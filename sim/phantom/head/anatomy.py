@@ -1,4 +1,4 @@
-"""The head: its layers by depth below the skin, the anatomy beyond them, headrest, cable and markers."""
+"""The head to paint: layers by depth below the skin, further anatomy, headrest, cable and markers."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ SCREW_IN_BONE_MM = 5.0
 
 
 class HeadLayers:
-    """Intensity of the head's layers by depth, with edges blurred by `blur_mm` (standard deviation)."""
+    """Intensity of the head's layers by depth, with edges blurred by a Gaussian of `blur_mm`."""
 
     def __init__(self, centre: Point, semi_axes: Point, blur_mm: float) -> None:
         self.centre = centre
@@ -92,7 +92,7 @@ class HeadLayers:
         self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
-        """Return the HU at these points; air outside the head."""
+        """Return the HU at the given points; outside the head, that of air."""
         depth = ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
         place = (depth + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
         last = np.float32(len(self._table) - 1)
@@ -100,7 +100,7 @@ class HeadLayers:
         return hu
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
-        """Return half extents in x and y of the head's section at `z_mm`, with a margin; None without one."""
+        """Return half extents in x and y of the head's section at `z_mm`, with a margin; None outside the head."""
         a, b, c = (axis + margin_mm for axis in self.semi_axes)
         squared = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
@@ -117,7 +117,7 @@ def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Marker:
-    """A sphere on its post, as painted; `post` is the material."""
+    """A sphere on its post, as painted. `post` is the material of the post."""
 
     fiducial: Fiducial
     hu: float
@@ -127,7 +127,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Everything to paint over the head's layers, in this order, and where metal causes streaks."""
+    """Everything painted over the head's layers, in painting order, and the sources of metal streaks."""
 
     headrest: tuple[Shape, ...]  # the same in all slices
     surroundings: tuple[Shape, ...]
@@ -139,7 +139,7 @@ class Anatomy:
 
     @property
     def places(self) -> tuple[Point, ...]:
-        """Places to paint finely: the markers, then the look-alikes."""
+        """Centres of the regions to paint finely: first the markers, then the look-alikes."""
         return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
@@ -153,7 +153,7 @@ class Anatomy:
 
 
 def draw_anatomy(scene: Scene) -> Anatomy:
-    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that is off the head."""
+    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that misses the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
     teeth, fillings = jaw_teeth(head, generator)

@@ -1,4 +1,4 @@
-"""Objects of the markers' polymer and about their size that are not whole spheres.
+"""Objects of about the markers' size, made of the same polymer, that are not whole spheres.
 
 Each function draws one object next to the head or on the skin, with the points at which a localizer may
 mistake it for a sphere: these are painted as precisely as markers.
@@ -27,7 +27,7 @@ STEEPEST = 0.5  # slope of a body's own direction towards the skin, so that it d
 
 @dataclass(frozen=True)
 class LookAlike:
-    """Kind of the object, its bodies in painting order, and the points that may deceive a localizer."""
+    """A look-alike: its kind, its bodies in painting order, and the points that may deceive a localizer."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -36,7 +36,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Place of an object: a point on the skin, the outward normal there, and the generator for the rest."""
+    """Seat of an object: a point on the skin, its outward normal, and a random generator for further choices."""
 
     skin: Vector
     normal: Vector
@@ -49,7 +49,7 @@ class Seat:
         return self.between(*POLYMER_HU)
 
     def middle(self) -> Vector:
-        """Draw a point next to the head."""
+        """Draw a centre next to the head."""
         return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
 
     def along(self) -> Vector:
@@ -90,7 +90,7 @@ def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: flo
 
 
 def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
-    """Turn an ellipsoid in any direction."""
+    """Orient an ellipsoid at random."""
     a, b, c = semi_axes
     return Egg(hu, as_rounded_point(centre), (a, b, c), seat.axes())
 
@@ -153,7 +153,7 @@ def thumb(seat: Seat) -> LookAlike:
 
 
 def dome(seat: Seat) -> LookAlike:
-    """Return half a ball on the skin, a little more or less."""
+    """Return roughly half a ball on the skin."""
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
     ball = _dome(seat.polymer(), centre, seat.normal, radius, -seat.between(0.0, 2.0))
@@ -161,7 +161,7 @@ def dome(seat: Seat) -> LookAlike:
 
 
 def mushroom(seat: Seat) -> LookAlike:
-    """Return a cap on a stem: two thirds to nine tenths of a ball's height, flat below."""
+    """Return a cap on a stem, flat below, two thirds to nine tenths of a ball's height."""
     middle, hu = seat.middle(), seat.polymer()
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
     stem = _rod(METAL_HU, middle + 2.5 * -seat.normal, -seat.normal, 24.0, 1.5)
@@ -169,7 +169,7 @@ def mushroom(seat: Seat) -> LookAlike:
 
 
 def barrel(seat: Seat) -> LookAlike:
-    """Return a cylinder as high as wide, with rounded edges."""
+    """Return a cylinder as high as it is wide, with rounded edges."""
     middle, radius = seat.middle(), seat.between(5.2, 5.9)
     hu, along = seat.polymer(), as_rounded_point(seat.along())
     length, edge = seat.between(10.5, 12.5), seat.between(2.0, 4.2)
@@ -201,7 +201,7 @@ def other_ball(seat: Seat) -> LookAlike:
 
 
 def near_ball(seat: Seat) -> LookAlike:
-    """Return a whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
+    """Return a whole ball 10.6 to 11.2 mm in diameter, closer to a marker than `other_ball`."""
     middle = seat.middle()
     return _make_look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
@@ -248,7 +248,7 @@ def threaded_ball(seat: Seat) -> LookAlike:
 
 
 def plated_dome(seat: Seat) -> LookAlike:
-    """Return half a ball and more on a plate."""
+    """Return a little more than half a ball, on a plate."""
     middle, hu, inward = seat.middle(), seat.polymer(), -seat.normal
     below = seat.between(0.0, 3.5)
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -below)
