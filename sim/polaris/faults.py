@@ -66,7 +66,7 @@ class UnitFaults:
 
     @property
     def watchdog_trips(self) -> bool:
-        """Return True once for each spurious watchdog trip."""
+        """Whether a spurious watchdog trip has occurred since the last query."""
         return bool(self._board.happened("watchdog"))
 
     def apply_to_command(self, name: str, argument: str) -> None:

@@ -1,4 +1,4 @@
-"""Rigid transforms in plain numpy, without SciPy: device processes must start fast.
+"""Rigid transforms in plain NumPy, without SciPy, so that device processes start fast.
 
 Matrices are (4, 4), in millimetres; quaternions are scalar first.
 """
@@ -24,7 +24,7 @@ def as_point(values: Iterable[float]) -> Point:
 
 
 def as_rounded_point(values: Iterable[float]) -> Point:
-    """Convert an array (3,) to plain numbers of six decimals."""
+    """Convert an array (3,) to plain numbers, rounded to six decimals."""
     x, y, z = (round(float(value), 6) for value in values)
     return x, y, z
 
@@ -60,7 +60,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
 
 
 def matrix_from(translation_mm: ArrayLike, rotation: ArrayLike) -> Matrix:
-    """Return homogeneous matrix of a translation (3,) and a rotation matrix (3, 3)."""
+    """Return the homogeneous matrix of a translation (3,) and a rotation matrix (3, 3)."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation_mm
@@ -68,7 +68,7 @@ def matrix_from(translation_mm: ArrayLike, rotation: ArrayLike) -> Matrix:
 
 
 def matrix_of(pose: PoseRecord) -> Matrix:
-    """Return homogeneous matrix of a pose record."""
+    """Return the homogeneous matrix of a pose record."""
     return matrix_from(pose.translation_mm, rotation_from_quaternion(pose.quaternion_wxyz))
 
 
@@ -104,7 +104,7 @@ def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
 
 
 def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
-    """Return the rotation whose third column is `z_axis` and whose first column is as near to `x_hint` as possible."""
+    """Return the rotation with third column `z_axis` and first column as near as possible to `x_hint`."""
     z = np.asarray(z_axis, dtype=float)
     z = z / np.linalg.norm(z)
     x = np.asarray(x_hint, dtype=float)
@@ -116,7 +116,7 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
 
 
 def vector_from_rotation(rotation: ArrayLike) -> Matrix:
-    """Return the axis-angle vector (3,) of a rotation matrix by less than half a turn."""
+    """Return the axis-angle vector (3,) of a rotation by less than half a turn."""
     w, *axis = quaternion_from_rotation(rotation)
     half_sine = float(np.linalg.norm(axis))
     if half_sine == 0.0:
