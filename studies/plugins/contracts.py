@@ -1,4 +1,4 @@
-"""The four kinds of user methods: how each is called, and what it must return.
+"""Four kinds of user methods: how each is called, and what it must return.
 
 A function (for a strategy a class) is named as `module:function`, or by an entry point in the group of its
 kind, as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MethodKind(StrEnum):
-    """Task of a user method; each kind has its own entry point group and studies."""
+    """Task of a user method. Each kind has its own entry point group and studies."""
 
     LOCALIZER = "localizer"
     PAIRING = "pairing"
@@ -30,13 +30,13 @@ class MethodKind(StrEnum):
 
     @property
     def group(self) -> str:
-        """The entry point group."""
+        """Entry point group of the kind."""
         plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
         return f"ronna_hw.{plural}"
 
 
 class Localizer(Protocol):
-    """Finds the centres of spheres in a CT."""
+    """Localizer of spheres in a CT."""
 
     def __call__(self, volume: Volume) -> ArrayLike:
         """Return centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
@@ -44,7 +44,7 @@ class Localizer(Protocol):
 
 
 class Pairing(Protocol):
-    """Pairs the points of two sets, in any order, with outliers in both."""
+    """Pairing of the points of two sets, in any order, with outliers in both."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
@@ -57,7 +57,7 @@ class Pairing(Protocol):
 
 
 class PairedRegistration(Protocol):
-    """Fits paired points rigidly."""
+    """Rigid fit of paired points."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array
@@ -71,7 +71,7 @@ class PairedRegistration(Protocol):
 
 
 class StrategyFactory(Protocol):
-    """Creates a localization strategy, without arguments: usually its class."""
+    """Factory of a localization strategy, called without arguments: usually its class."""
 
     def __call__(self) -> Strategy:
         """Return an object with the members of `procedures.strategies.strategy.Strategy`."""

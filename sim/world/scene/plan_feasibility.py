@@ -71,7 +71,7 @@ class PlanFeasibility:
         return self._known[key]
 
     def _is_each_sphere_visible(self, orientation: Vector) -> bool:
-        """Return whether both cameras, with the tool on a sphere, see it clear of the others, for each sphere."""
+        """Return whether both cameras, aimed at each sphere in turn, see it clear of all other spheres."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
             eyes = self._spheres_mm + orientation @ np.array(camera_mm)
