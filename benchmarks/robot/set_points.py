@@ -1,4 +1,4 @@
-"""Cost of one set-point, prepared and checked for going on and stopping, against a bare generator step.
+"""Cost of one set-point, prepared and checked for continuing and stopping, against a bare generator step.
 
 Monitored: with a head, clamp, table and spheres around, the guide on the flange and the speed zone active.
 """
