@@ -134,7 +134,7 @@ def _measure_fit(cases: int) -> list[Figure]:
 
 @dataclass(frozen=True)
 class Runs:
-    """Number of runs per cell by number of markers, for three markers as the plan requires, and for the fit."""
+    """Runs per cell by number of markers, for three markers as the plan requires, and for the fit."""
 
     five_to_eight: int = 200
     four: int = 1000  # a share of 1 in 2,000 needs many

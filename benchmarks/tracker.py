@@ -1,4 +1,4 @@
-"""Tracker clients on the simulated unit, by BX replies: our driver, bare ndicapi, scikit-surgerynditracker."""
+"""Tracker clients on the simulated unit with BX replies: our driver, ndicapi, scikit-surgerynditracker."""
 
 from __future__ import annotations
 

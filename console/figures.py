@@ -76,7 +76,7 @@ class Figures:
         self._has_tried_head = False
 
     def key(self) -> object:
-        """Return a key that changes with the figures. They are re-read after a new result or the run's end."""
+        """Return a key that changes with the figures. Re-read them after a new result or the run's end."""
         state = self._hub.view.results, self._hub.is_over
         if state != self._read_for and not self._reading:
             self._reading = True

@@ -93,7 +93,7 @@ class Sessions:
         self._pages = {role: RateLimit(PAGES, PAGES_S) for role in Role}
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
-        """Open a session for a token and return its cookie. Return None for an unknown or disallowed token."""
+        """Open a session for a token and return its cookie; None for an unknown or disallowed token."""
         roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
         given = token.encode()
         role = None

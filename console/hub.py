@@ -65,7 +65,7 @@ class Hub(ChangeNotifier):
 
     @property
     def seated_session(self) -> str:
-        """Session in the operator's seat; None if the engine's events name another holder.
+        """Session in the operator's seat; empty if the engine's events name another holder.
 
         The engine's reply to its claim may arrive before the event that its predecessor has left.
         """
@@ -111,7 +111,7 @@ class Hub(ChangeNotifier):
 
     @property
     def is_over(self) -> bool:
-        """Whether the case is under review and its program has ended, so that its folder no longer changes."""
+        """Whether the case is under review and its program has ended, so that its folder is final."""
         return self.review is not None and self.review.is_over
 
     @property

@@ -101,7 +101,7 @@ class ListeningSocket(socket.socket):
         return peer in self._foreign
 
     def trust(self, peer: object, role: Role) -> bool:
-        """Trust the connection from this host and port, which has a session. Return False if its role is full."""
+        """Trust the connection from this host and port, which has a session; False if its role is full."""
         if peer not in self._strangers:
             return True
         known = self._known[role] = _still_open(self._known[role])

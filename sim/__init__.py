@@ -1,1 +1,1 @@
-"""Simulators of all theatre devices: each speaks its device's wire protocol, over one shared physical scene."""
+"""Simulators of all theatre devices, which speak the real wire protocols over one shared scene."""

@@ -63,7 +63,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
 
 
 def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """Return the method named by `text`, after two equal answers to one problem. Raises STU-012 to STU-014."""
+    """Return the method named by `text` after two equal answers to a problem. Raises STU-012 to STU-014."""
     method = find_plugin(kind, text)
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:

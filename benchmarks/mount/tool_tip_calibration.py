@@ -95,7 +95,7 @@ class TipCell(FrameCell):
 
     @property
     def true_tip_mm(self) -> Array:
-        """Return the true tip of the seated guide in the true tool frame, after a reading."""
+        """True tip of the seated guide in the true tool frame, after a reading."""
         return np.asarray((inverse(self._room.robot_from_tool()) @ TrueGuide(self._room).tip_frame())[:3, 3])
 
     def seen_mm(self, in_tool_mm: Array, noise_px: float = 0.0) -> Array:

@@ -194,7 +194,7 @@ def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
-    """Return errors against the true frame and its drawing (mm, degrees), and the stated error (mm)."""
+    """Return errors against this arm's exact calibration and the true frame (mm, deg), and the stated one."""
     cell = FrameCell.of(seed, calibrated=calibrated)
     result = calibrate_frame(cell.looks(LOOKS, VALIDATION))
     found = result.fit.flange_from_marker

@@ -78,7 +78,7 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 
 def _derivatives(scan: BallScan) -> list[Array]:
-    """Return the image derivatives by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
+    """Return image derivatives by centre (slice, row, column), radius, both blurs, contrast, background."""
     along = sqrt(SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
     across = sqrt(PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])

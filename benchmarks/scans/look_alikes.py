@@ -132,7 +132,7 @@ def judge(painted: Painted, count: Count) -> None:
 
 
 def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Yield scans of one family, taking alternately from the volumes of its protocol."""
+    """Yield scans of one family, from the volumes that fall to this protocol when all take turns."""
     protocols = list(PROTOCOLS)
     for number in range(protocols.index(protocol), volumes, len(protocols)):
         yield family_scan(family, protocol, seed=seed + number)

@@ -86,7 +86,7 @@ def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instr
 
 
 def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
-    """Return distances in mm between the tips (axes for a hole) and at the entry, and the angle in degrees."""
+    """Return distances (mm) between tips (axes for a hole) and at the entry, and the angle (deg)."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
     entry_offset_mm = np.subtract(found.entry_mm, tip)
     at_entry = float(np.linalg.norm(entry_offset_mm - (entry_offset_mm @ outwards) * outwards))

@@ -66,7 +66,7 @@ class Tally:
 
     @property
     def chi_square(self) -> float:
-        """Return the mean squared error in units of the stated covariance, per degree of freedom."""
+        """Mean squared error in units of the stated covariance, per degree of freedom."""
         return float(np.mean(self.squared_sigmas)) / 3.0
 
     @property

@@ -68,7 +68,7 @@ def _measure_tool_centre(heads: int, arms: int) -> list[Figure]:
 
 
 def _calibrate(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
-    """Return the outline error (px); error of the tool centre, actual and stated; that of the plain adjustment (mm)
+    """Return outline error (px), tool centre error (actual, stated), and that of the plain adjustment (mm).
 
     The latter is None if it does not converge, or was not needed.
     """

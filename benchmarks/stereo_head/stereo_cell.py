@@ -191,7 +191,7 @@ class StereoCell:
         )
 
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
-        """Return a random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
+        """Draw a sphere, a side to see it from, and a true tool position `away_mm` from it.
 
         A servo begins where the path check found both lines of sight clear, so only such sides are drawn.
         Without `in_sight` only refused sides are drawn: another sphere is in the way.

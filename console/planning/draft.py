@@ -46,7 +46,7 @@ class DraftTrajectory:
 
     @property
     def depth_mm(self) -> float | None:
-        """Return the distance from entry to target; None if an end is missing."""
+        """Distance from entry to target in mm; None if an end is missing."""
         return None if self.ends is None else math.dist(*self.ends)
 
 
@@ -166,7 +166,7 @@ class History:
         self.now = draft
 
     def change(self, draft: Draft, *, continues: bool = False) -> None:
-        """Apply a change. A change that `continues`, as during a drag, is undone together with its predecessor."""
+        """Apply a change. One that `continues`, as during a drag, is undone together with its predecessor."""
         if draft == self.now:
             return
         if not continues or not self._past:

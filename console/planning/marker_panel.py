@@ -119,7 +119,7 @@ class MarkerPanel:
 
 
 class ProposalPanel:
-    """Panel that proposes a marker set like `ronna-plan markers`, or one marker besides the accepted spheres."""
+    """Panel that proposes a marker set like `ronna-plan markers`, or one more besides accepted spheres."""
 
     def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
         self._editor, self._go = editor, go

@@ -61,7 +61,7 @@ class PlanEditor(ChangeNotifier):
 
     @property
     def read_only(self) -> RonnaError | None:
-        """Reason why nothing can be changed; empty if the draft is editable."""
+        """Reason why nothing can be changed; None if the draft is editable."""
         if self._has_begun and not self._saving.locked():  # our own save is not a case
             return self._block_reason()
         return None if self._has_begun else self._blocked_by
@@ -263,7 +263,7 @@ class PlanEditor(ChangeNotifier):
     # Background work
 
     async def work(self) -> None:
-        """Build the head and find the spheres, then judge and store the draft on every change. Never returns."""
+        """Build the head, find the spheres, then judge and store the draft after every change. Never ends."""
         await asyncio.gather(
             self._prepare(), self._judge_all(), self._check_all(), self._keep_all(), self._await_the_plan()
         )
@@ -313,7 +313,7 @@ class PlanEditor(ChangeNotifier):
                 self._check_event.set()
 
     async def _check_all(self) -> None:
-        """Run the thorough check, which takes long. A draft changed in the meantime invalidates the result."""
+        """Run the thorough check, which takes long. A draft changed meanwhile makes the result obsolete."""
         while True:
             await self._check_event.wait()
             self._check_event.clear()
@@ -347,7 +347,7 @@ def _digest(path: Path) -> str:
 
 
 def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
-    """Return a refusal for a plan within a run folder, where any write would count as tampering; else None."""
+    """Return an error for a plan within a run folder, where any write counts as tampering; else None."""
     run = next((item for item in plan.resolve().parents if (item / JOURNAL_FILE).exists()), None)
     if run is None:
         return None

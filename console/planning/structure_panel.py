@@ -111,7 +111,7 @@ class StructurePanel:
                 small_button("−", partial(self._remove, name), f"remove {name}")
 
     def _look_at(self, name: str) -> None:
-        """Go to where the current trajectory is closest to the structure; without a trajectory, to its first point."""
+        """Go to where the current trajectory is closest to the structure, otherwise to its first point."""
         near = {item.trajectory: item for item in self._editor.judged.distances if item.structure == name}
         structure = self._editor.draft.structure(name)
         if self._page_view.way in near:

@@ -39,7 +39,7 @@ def build_head_stl(series: Path) -> bytes:
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
-    """Return corners (n, 3) in LPS mm and triangles (m, 3) of the largest body denser than air, hollows filled.
+    """Return corners (n, 3) in LPS mm and triangles (m, 3) of the largest body denser than air, filled.
 
     Raises ValueError if there is none.
     """

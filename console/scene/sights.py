@@ -54,7 +54,7 @@ class Sights:
 
     @property
     def hidden(self) -> int:
-        """Return the number of spheres that the arm hides from at least one tracker sensor."""
+        """Number of spheres that the arm hides from at least one tracker sensor."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(

@@ -303,7 +303,7 @@ class TheatreScene:
 
     @property
     def hidden(self) -> int:
-        """Return the number of spheres that the arm hides from the tracker."""
+        """Number of spheres that the arm hides from the tracker."""
         return self._sights.hidden
 
     def look_at(self, view_name: str, figures: CaseFigures | None) -> None:

@@ -100,7 +100,7 @@ class MessageChannel(UdpChannel):
             self._port = value
 
     def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
-        """Queue an event. Return False if the queue is full and the event is lost; a closed channel loses nothing."""
+        """Queue an event. Return False if a full queue loses it. A closed channel loses nothing."""
         with self._lock:
             if self.receiver is None:
                 return True
@@ -113,7 +113,7 @@ class MessageChannel(UdpChannel):
         return True
 
     def due_s(self) -> float | None:
-        """Return the host time at which the pending message must be repeated; None without a pending message."""
+        """Return the host time at which the pending message must be repeated; None if none is pending."""
         pending = self._pending
         return None if pending is None else pending.due_s
 

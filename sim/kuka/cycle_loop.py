@@ -277,7 +277,7 @@ class CycleLoop:
                 return found
 
     def _await_reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """Wait for the reply on the RSI socket, serving the channels now and then. Return None after `limit_s`."""
+        """Wait for the reply on the RSI socket, serving the channels now and then; None after `limit_s`."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = None

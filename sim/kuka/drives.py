@@ -53,7 +53,7 @@ class Drives:
         self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
-        """Prepare for a command every `cycle_s`, starting from rest, optionally behind a controller filter."""
+        """Expect a command every `cycle_s`, starting from rest, optionally behind a controller filter."""
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
         self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
@@ -197,7 +197,7 @@ class Supervision:
         *,
         cartesian: bool = False,
     ) -> None:
-        """`cartesian` means that poses are corrected: a wrist axis that cannot follow then indicates a singularity."""
+        """If poses are corrected (`cartesian`), a wrist axis that cannot follow indicates a singularity."""
         self._arm = arm
         self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s

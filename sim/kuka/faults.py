@@ -24,7 +24,7 @@ EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
 
 
 class FaultLog:
-    """Log on standard error of the beginning and end of faults. `moment` returns theatre time (s) and the IPOC."""
+    """Log of fault beginnings and ends on standard error. `moment` returns theatre time (s) and IPOC."""
 
     def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
         self._moment = moment

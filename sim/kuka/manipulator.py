@@ -64,7 +64,7 @@ class Manipulator:
 
     @property
     def reported_deg(self) -> list[float]:
-        """Encoder angles as reported. The object stays the same while nothing moves."""
+        """Encoder angles as reported, degrees. Same object while nothing moves."""
         if self._read is not self.drives.axes_deg:
             self._read, step, self._reported_frame = self.drives.axes_deg, self._readout_step_deg, None
             self._reported = [round(angle / step) * step for angle in self._read] if step else self._read
@@ -77,7 +77,7 @@ class Manipulator:
 
     @property
     def reported_frame(self) -> list[float]:
-        """Tool frame, X Y Z (mm) A B C (deg), at the reported axes. The object stays the same while nothing moves."""
+        """Tool frame, X Y Z (mm) A B C (deg), at the reported axes. Same object while nothing moves."""
         reported_deg = self.reported_deg
         if self._reported_frame is None:
             self._reported_frame = self._frame_at(reported_deg)
@@ -131,7 +131,7 @@ class Manipulator:
         self.tool_number, self.base_number, self._reported_frame = tool_number, base_number, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
-        """Solve for the joint angles (deg) nearest to `near_deg` at a nominal tool pose. Return None on failure."""
+        """Return the joint angles (deg) nearest to `near_deg` for a nominal tool pose; None on failure."""
         flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
@@ -142,7 +142,7 @@ class Manipulator:
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
-        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT; None if there is no such line."""
+        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT; None if impossible."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAYPOINTS + 1):

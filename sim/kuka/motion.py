@@ -43,7 +43,7 @@ class EkiMotion:
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
-        """Return the axes (deg) for the next cycle; None at the end. `message` is set if the motion was aborted."""
+        """Return the axes (deg) for the next cycle; None at the end. `message` is set after an abort."""
         point = next(self.points, None)
         if isinstance(point, Message):
             self.message = point
@@ -117,7 +117,7 @@ def line(
     parameters: ControllerParameters,
     cycle_s: float,
 ) -> Iterator[list[float] | Message]:
-    """Yield the axes (deg) that move the tool straight to a pose (4, 4) in $ROBROOT, turning about one axis."""
+    """Yield the axes (deg) that move the tool straight to a pose (4, 4) in $ROBROOT, turning on one axis."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
     angle_rad = float(np.linalg.norm(turn))

@@ -103,7 +103,7 @@ class Interlocks:
 
     @property
     def guard_matters(self) -> bool:
-        """Whether an open guard forbids motion. It does not in the test modes, where people work inside it."""
+        """Whether an open guard forbids motion. In the test modes it does not: people work inside it."""
         return self.guard_open and not self.manual
 
     @property
@@ -122,7 +122,7 @@ class Interlocks:
 
 
 class PendantDisplay:
-    """Printer of messages, and of the client's EStr texts, on standard error. `now_s` returns theatre time."""
+    """Printer of messages, and the client's EStr texts, on standard error. `now_s` returns theatre time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s

@@ -54,7 +54,7 @@ class PhantomCase(PostoperativeCase):
 def write_case(
     scene: Scene, folder: Path, progress: Progress = lambda share: None, *, scan: Scan | None = None
 ) -> PhantomCase:
-    """Scan the head of a scene and plan trajectories on the scan. Raises SIM-001 for a scene that cannot be scanned.
+    """Scan the head of a scene and plan trajectories on it. Raises SIM-001 if it cannot be scanned.
 
     `scan` adds surroundings to that head; without it the scene is scanned as it is. Plan and truth are
     written last, so a folder with a plan has a complete series.
@@ -178,7 +178,7 @@ def write_postoperative(
 def postoperative_truth(
     scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
 ) -> dict[str, Any]:
-    """Return the pose of the new scan and the instruments, in the plan's CT frame and in that of the new scan."""
+    """Return the pose of the new scan and the instruments, in the plan's CT frame and the new one."""
     post_from_pre = scan.pose.scan_from_head
     return {
         "scene": scan.scene.name,

@@ -128,7 +128,7 @@ class Planes:
         return image
 
     def _paint_tilted(self, number: int) -> Values:
-        """Cut a slice tilted about its middle row through straight slices, which begin `_span` further down."""
+        """Cut a slice, tilted about its middle row, through straight slices starting `_span` further down."""
         grid = self._grid
         image = np.empty((grid.rows, grid.columns), dtype=np.float32)
         middle = 0.5 * (grid.rows - 1)
@@ -163,7 +163,7 @@ class Planes:
 
 
 def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
-    """Draw the displacement of a moving patient, and the first slice after the motion, halfway up the markers."""
+    """Draw a patient motion: the first slice after it, halfway up the markers, and the displacement."""
     faults = scan.faults
     if not faults.motion_mm and not faults.slide_mm:
         return 0, (0.0, 0.0, 0.0)

@@ -40,7 +40,7 @@ class UnitFaults:
 
     @property
     def any_active(self) -> bool:
-        """Whether the script has a tracker fault, or the effects of an earlier one still have to be undone."""
+        """Whether the script has a tracker fault, or the effects of an earlier one must still be undone."""
         remains = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return remains or not self._board.empty
 
@@ -170,7 +170,7 @@ class LineFaults:
         return reply
 
     def _let_host_time_out(self, line: bytes) -> None:
-        """Advance an unpaced theatre by the host's time limit, so that faults can end while the host waits."""
+        """Advance an unpaced theatre by the host's time limit, so that faults can end during the wait."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
             self._unit.clock.sleep(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))

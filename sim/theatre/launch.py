@@ -62,7 +62,7 @@ class Theatre:
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
-        """`cycle_ms` None leaves the robot's cycle to its context. `parameters` are NAME=VALUE by device command.
+        """`cycle_ms` None keeps the cycle of the robot's context. `parameters` are NAME=VALUE by command.
 
         `saved` is the world of an earlier theatre, to continue from; `records` replace the theatre's own
         calibrations. Raises PRC-001 when a device does not become ready.

@@ -96,7 +96,7 @@ def _require_single_run(folder: Path) -> None:
 
 
 def require_targets(run: Path, outcome: dict[str, Any]) -> None:
-    """Raise SIM-006 unless the tip was sampled at a target of the plan, since an empty table is no success."""
+    """Raise SIM-006 unless the tip was sampled at a target of the plan: an empty table is no success."""
     if outcome["targets"]:
         return
     other = ", ".join(outcome["other_samples"])

@@ -114,7 +114,7 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """Return a script that reproduces the displacements and bends of present faults, each until its own end."""
+    """Return a script that reproduces displacements and bends by faults, each until its own end."""
     now_s = world.clock.now_s()
     lines = []
     for roll_mm in list_cart_rolls_mm(FaultBoard(world, ROOM), now_s):

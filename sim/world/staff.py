@@ -64,7 +64,7 @@ class TaskRefused(Exception):
 
 
 class Staff:
-    """Staff of a theatre, who carry out tasks. If `folder` is given, the truth at each target is stored in it."""
+    """Staff of a theatre, who carry out tasks. `folder`, if given, receives the truth at each target."""
 
     def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world

@@ -54,7 +54,7 @@ class TipSample(Strict):
 
 
 def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
-    """Sample the true tip of an instrument inserted as far as its depth stop.
+    """Sample the true tip of an instrument inserted to its depth stop.
 
     `target` is a name of the caller's; `draw` distinguishes insertions there, each elsewhere within the
     bore's play.
@@ -149,7 +149,7 @@ class TrueGuide:
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
-        """Return the tip (3,) of an instrument inserted as far as its depth stop, drawn within the bore's play."""
+        """Return the tip (3,) of an instrument inserted to its depth stop, drawn within the bore's play."""
         guide = self._scene.mount.guide
         beyond_mm = stop_mm - guide.bore_mm
         upper, lower = _draw_in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)

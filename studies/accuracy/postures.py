@@ -34,7 +34,7 @@ TOOL = Transform(Frame.FLANGE, Frame.TOOL, RigidTransform.from_components(TOOL_M
 
 @dataclass(frozen=True)
 class Postures:
-    """Postures of a strategy. `localizations` are `sets` times all spheres: a set per target (`t`), or one for all."""
+    """Postures of a strategy. `localizations` are `sets` times all spheres: a set per target, or one only."""
 
     sets: int
     localizations: PlannedPoses  # sets * n
@@ -85,7 +85,7 @@ def plan_postures(
 
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
-    """Return the joints (p, 6) at poses approached along the tool axis, and the side of backlash of each joint."""
+    """Return joints (p, 6) at poses approached along the tool axis, and the backlash side of each joint."""
     joints = [arm.guide_joints(pose) for pose in poses]
     signs = [
         arrival_signs(ARM, pose, joint_vector, TOOL) for pose, joint_vector in zip(poses, joints, strict=True)

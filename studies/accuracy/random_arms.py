@@ -175,7 +175,7 @@ class PlannedPoses:
 def centre_on_spheres(
     arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
 ) -> tuple[Array, Array]:
-    """Return joints (a, p, 6) that bring the true tool to spheres (p, 3), and the believed positions (a, p, 3).
+    """Return joints (a, p, 6) for the true tool on spheres (p, 3), and the believed positions (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
@@ -188,7 +188,7 @@ def centre_on_spheres(
 
 
 def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
-    """Return joints (a, p, 6) that bring the nominal tool to positions (a, p, 3) in the planned orientations."""
+    """Return joints (a, p, 6) that bring the nominal tool to positions (a, p, 3), oriented as planned."""
     joints, _ = solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
@@ -204,7 +204,7 @@ def solve_joints(
     missing: Callable[[Array, Array], Array],
     shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    """Solve for the joints at which `missing` (mm) is zero and the tool oriented as planned. Also return its places.
+    """Solve for joints with zero `missing` (mm) and the tool oriented as planned. Also return its places.
 
     An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
     each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so

@@ -192,7 +192,7 @@ class Scene:
     def of(
         cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
     ) -> Self:
-        """Build with every sphere count that the markers allow, and with user strategies in addition to ours."""
+        """Build with every sphere count that the markers allow, and user strategies in addition to ours."""
         return cls(seed, markers, number, phantom, phantom_pose(number), counts_of(markers), own)
 
     @property
@@ -200,7 +200,7 @@ class Scene:
         return len(self.phantom.trajectories)
 
     def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
-        """Return a strategy's poses in this position, for arms with these remaining errors. Raises STU-010."""
+        """Return a strategy's poses in this position, for arms with these errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or find_strategy(strategy)
         return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)

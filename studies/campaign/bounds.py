@@ -26,7 +26,7 @@ class Bounded:
 
     @property
     def text(self) -> str:
-        """Bounds as text: `0.9 to 1.6`; `at most 0.3` for a zero count, `at least 99.7` for a full one; empty if unknown."""
+        """Bounds as text, such as `0.9 to 1.6`, `at most 0.3` or `at least 99.7`; empty if unknown."""
         if self.low is None:
             return "" if self.high is None else f"at most {self.high:.2g}"
         if self.high is None:

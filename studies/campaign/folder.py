@@ -34,7 +34,7 @@ def source_files(root: Path) -> list[Path]:
 
 @cache
 def code() -> str:
-    """Return the program version with a hash of the sources, which include constants that are not settings."""
+    """Return the program version and a hash of the sources, whose constants are in no study's settings."""
     root, digest = Path(studies.__file__).parents[1], hashlib.sha256()
     for file in source_files(root):
         digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
@@ -59,7 +59,7 @@ class Ledger:
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or start the ledger; raises STU-001 for another study, STU-002 for a file without identification."""
+        """Open or start the ledger; raises STU-001 for another study, STU-002 if not identified."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}

@@ -75,7 +75,7 @@ class SilenceWatch:
         self._announced: set[str] = set()
 
     def report_silent(self, keys: Iterable[str]) -> None:
-        """Report units that have run too long. Call at least every `limit_s` with the units that are running."""
+        """Report units that have run too long. Call at least every `limit_s` with the running units."""
         now_s = time.monotonic()
         since = {key: self._since.get(key, now_s) for key in keys}
         self._since = since
@@ -130,7 +130,7 @@ def _on_pool(
 
 
 def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
-    """Build the error of a lost worker, naming the first lost units: units start in order, so it ran one of them."""
+    """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
     among = f", in {' or '.join(keys)}"
     if own := _list_plugins(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")

@@ -197,7 +197,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple[float, float]]:
-    """Return, by e in mm, the share of readings that the thesis' validated method pairs in one kind of scan."""
+    """Return, by e in mm, the share of readings that the validated thesis method pairs in a kind of scan."""
     found = [(e, *_success_share(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
     return [(e, share) for e, runs, share in found if runs]
 
@@ -281,7 +281,7 @@ def _draw_orientation(random: np.random.Generator) -> Rotation:
 
 @contextmanager
 def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
-    """Open a unit and its driver. Yield a function that reads the spheres with the frame at a position (3,)."""
+    """Open a unit and its driver. Yield a function that reads the spheres at a position (3,) of the frame."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
         scene.write_text(json.dumps(_bench_scene(orientation, seed)), encoding="utf-8")

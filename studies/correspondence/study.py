@@ -71,7 +71,7 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` per patient and condition. The thesis' methods use each e in `tolerances_mm`; user methods may be added.
+    """`runs` per patient and condition. The thesis' methods use each e in `tolerances_mm`.
 
     The thesis' validation refuses `refused_share` of the correct pairings.
     """

@@ -83,7 +83,7 @@ class LocalizedScan:
     cpu_s: float
 
     def frame_mm(self, scale: Array) -> Array | None:
-        """Return the frame's spheres (4, 3) in order, in a scan of this scale; None if no frame is accepted."""
+        """Return the frame's spheres (4, 3) in order, in a scan of this scale; None if none is accepted."""
         seen_mm = self.centres_mm * scale
         try:
             return np.asarray(seen_mm[find_layout(FRAME_MM, seen_mm).order])

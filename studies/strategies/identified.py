@@ -65,7 +65,7 @@ class IdentifiedStudy:
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
-        """Return error lengths in mm, keyed `strategy|spheres|arm|place|target`, and figures per arm, `arm|number|what`.
+        """Return errors in mm, keyed `strategy|spheres|arm|place|target`, and per arm, `arm|number|what`.
 
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """

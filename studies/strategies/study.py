@@ -97,7 +97,7 @@ class StrategiesStudy:
 
 
 def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Return error sums with a single source (`strategy|spheres|source`) and their count (`strategy|spheres`)."""
+    """Return error sums by single source, `strategy|spheres|source`, and counts, `strategy|spheres`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
     for strategy in ALONE:
@@ -113,7 +113,7 @@ def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Return predicted and actual errors: `scenario|strategy|spheres|` targets, inside, actual2, predicted2."""
+    """Return predicted and actual errors, keyed `scenario|strategy|spheres|` and a quantity."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
     for scenario in PREDICTED:

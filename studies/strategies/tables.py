@@ -43,7 +43,7 @@ SETTLED = "as in table 4"
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate table 4 next to ours, its rows, the sources, the decrease with more spheres, the prediction."""
+    """Tabulate table 4 next to ours, its rows, the sources, the gain from more spheres, the prediction."""
     errors = trial_errors(sums)
     if not any(_select_entries(sums, PREDICTION)):  # trials only, with user strategies
         return [_tabulate_table_4(errors), _tabulate_trajectories(errors)]

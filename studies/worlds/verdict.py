@@ -93,7 +93,7 @@ class Judgement:
 
 
 def worst_of(targets: Iterable[Target]) -> Target | None:
-    """Return the target with the worst verdict; among several, the one with the largest error-to-limit ratio."""
+    """Return the target with the worst verdict and, among several, the largest error-to-limit ratio."""
     return max(targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
 
 

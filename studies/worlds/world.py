@@ -73,7 +73,7 @@ class World:
 
     @property
     def arguments(self) -> list[str]:
-        """Return the options of `ronna-procedure run` for the case, without its fault script."""
+        """Options of `ronna-procedure run` for the case, without its fault script."""
         options = ["--sim", "--scene", self.scene, "--seed", str(self.scene_seed)]
         return [*options, "--markers", str(self.markers), "--targets", str(self.targets)]
 

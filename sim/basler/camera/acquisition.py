@@ -34,7 +34,7 @@ FRAMES_LATE = 3  # how far a free run may lag before it drops frames
 
 @dataclass(frozen=True)
 class _Exposure:
-    """A scheduled exposure: its acquisition, its frame number within that acquisition, start time and settings."""
+    """A scheduled exposure: its acquisition, its frame number in it, its start time and settings."""
 
     acquisition: int
     number: int
@@ -254,7 +254,7 @@ class Acquisition:
 
 
 class TriggerCounter:
-    """Counter of triggers since AcquisitionStart, used to seed the noise: retaking an image yields the same image.
+    """Counter of triggers since AcquisitionStart. It seeds the noise, so retaking an image reproduces it.
 
     A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
     neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
@@ -271,7 +271,7 @@ class TriggerCounter:
         self._started = False
 
     def next(self, view: object) -> int:
-        """Return the number of the next trigger. `view` is everything the image depends on; None if unknown."""
+        """Return the number of the next trigger. `view` is all that the image depends on; None if unknown."""
         if self._started:
             self._number += 1
         elif view is None or view != self._view:

@@ -111,7 +111,7 @@ class Disturbances:
 
     @cached_property
     def _worn(self) -> Disturbance:
-        """Return the spots of worn film: permanent defects, as dark as a stain."""
+        """Spots of worn film: permanent defects, as dark as a stain."""
         scene = self._world.scene
         spots = tuple(
             (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))

@@ -225,7 +225,7 @@ class AnsweredCommand:
 
 
 class ReplayCache:
-    """Cache of each application's last modifying command, so that a repetition is answered but not executed again.
+    """Cache of each application's last modifying command, so that a repetition is answered, not executed.
 
     `now_s` is the host's monotonic clock.
     """
@@ -235,7 +235,7 @@ class ReplayCache:
         self._last: OrderedDict[Peer, AnsweredCommand] = OrderedDict()
 
     def find(self, peer: Peer, datagram: bytes) -> AnsweredCommand | None:
-        """Return the stored answer if this command, including its request id, was the last one; otherwise None."""
+        """Return the stored answer if this command (with its request id) was the last one; otherwise None."""
         last = self._last.get(peer)
         if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
             return None

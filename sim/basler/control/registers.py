@@ -10,7 +10,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
 class Refusal(Exception):
-    """Access refused with a status code; `written` counts the bytes or registers written before the failure."""
+    """Access refused with a status code. `written` counts the bytes or registers written before it."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
         super().__init__(status.name)

@@ -164,7 +164,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """Generate the GenICam XML. Its version is derived from its content, so no client uses an outdated copy."""
+    """Generate the GenICam XML. Its version depends on its content, so no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {

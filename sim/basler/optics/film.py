@@ -36,7 +36,7 @@ class Film:
         self._radius_mm = radius_mm
 
     def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Return the brightness factor at surface points in the sphere's frame; its mean is 1 on clean film."""
+        """Return the brightness factor at surface points in the sphere's frame, with mean 1 on clean film."""
         light = self._grain.brightness_at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
@@ -60,7 +60,7 @@ class Stain:
     half_angle_rad: float
 
     def may_be_visible(self, to_camera: NDArray[np.float64]) -> bool:
-        """Return whether any of the stain may be on the near half. `to_camera` is a unit vector, sphere's frame."""
+        """Return whether any of the stain may face `to_camera`, a unit vector in the sphere's frame."""
         return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
 
 

@@ -61,7 +61,7 @@ class Occluder:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbances of one camera's view at one moment, comparable and hashable. Stains are keyed by sphere number."""
+    """Disturbances of one camera's view at one moment, comparable and hashable. Stains by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()

@@ -66,7 +66,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class BodyImage:
-    """Coverage, light and depth of each pixel of `area`. Depth is infinite where a pixel's centre misses the body."""
+    """Coverage, light and depth of each pixel of `area`. Depth is infinite where the pixel centre misses."""
 
     area: Area
     cover: Image
@@ -280,7 +280,7 @@ Drawn = tuple[Image, Image, Image]  # cover, light and depth
 
 
 def _add_section(layers: Sequence[Image], side: Drawn, end: Drawn) -> None:
-    """Add the side and end of a section where they are nearer, to cover, light and depth. Overwrites `side`."""
+    """Add side and end of a section, where nearer, to cover, light and depth. Overwrites `side`."""
     cover, light, depth = side
     end_cover, end_light, end_depth = end
     on_end = end_cover > cover

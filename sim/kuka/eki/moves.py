@@ -25,7 +25,7 @@ STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 
 
 def integer(arguments: Mapping[str, str], name: str, default: int | None = None) -> int:
-    """Parse an integer; raises ValueError if it is malformed, or missing without a default."""
+    """Parse an integer; raises ValueError if it is malformed, or required but missing."""
     if default is not None and name not in arguments:
         return default
     try:
@@ -42,7 +42,7 @@ def flag(arguments: Mapping[str, str], name: str) -> bool:
 
 
 def number(arguments: Mapping[str, str], name: str, default: float | None = None) -> float:
-    """Parse a number up to `LARGEST` in magnitude; raises ValueError if invalid, or missing without a default."""
+    """Parse a number up to `LARGEST` in magnitude; raises ValueError if invalid or required but missing."""
     if default is not None and name not in arguments:
         return default
     try:

@@ -50,7 +50,7 @@ class Peer(Protocol):
 
 
 class EkiServer:
-    """Non-blocking server. The owner selects on `sockets`, calls `serve`, and calls `flush` when `due_s` is reached.
+    """Non-blocking server. The owner selects on `sockets`, calls `serve`, and calls `flush` at `due_s`.
 
     `spacing_s` is the program's loop time: at most one telegram is read and one written per loop.
     """

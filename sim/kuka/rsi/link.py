@@ -37,7 +37,7 @@ NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
 
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
-    """Return the client's numeric address; raises KRC-002 for a host name, which Ethernet files cannot contain."""
+    """Return the client's numeric address; raises KRC-002 for a name, which no Ethernet file contains."""
     host = LOOPBACK if endpoint.host == "localhost" else endpoint.host
     try:
         socket.inet_pton(socket.AF_INET, host)

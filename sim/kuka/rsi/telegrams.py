@@ -293,7 +293,7 @@ class RejectedReplies:
         self._last = (data, ipoc)
 
     def report(self, now_s: float, say: Callable[[str, int], None]) -> None:
-        """Call `say` with the reason for the last rejection and the count, if they are new and a report is due."""
+        """Call `say` with the reason for the last rejection and the count, if new and due."""
         if self.count == self._reported or now_s < self._reported_s + AGAIN_S:
             return
         self._reported, self._reported_s = self.count, now_s

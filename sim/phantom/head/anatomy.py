@@ -100,7 +100,7 @@ class HeadLayers:
         return hu
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
-        """Return half extents in x and y of the head's section at `z_mm`, with a margin; None outside the head."""
+        """Return half extents in x and y of the head at `z_mm`, with a margin; None outside the head."""
         a, b, c = (axis + margin_mm for axis in self.semi_axes)
         squared = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))

@@ -36,7 +36,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Seat of an object: a point on the skin, its outward normal, and a random generator for further choices."""
+    """Seat of an object: a point on the skin, its outward normal, and a generator for further draws."""
 
     skin: Vector
     normal: Vector

@@ -68,7 +68,7 @@ def blur_spread_mm(spacing_mm: float, sigma_mm: float) -> float:
 
 
 def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:
-    """Return the standard deviation of an edge's blur in a direction, between those in the slice and along z."""
+    """Return the standard deviation of an edge's blur, between that in the slice and that along z."""
     plane = plane_sigma_mm**2 + BOX_VARIANCE * pixel_mm**2
     along = SLICE_SIGMA_MM**2 + BOX_VARIANCE * slice_mm**2
     return sqrt((2.0 * plane + along) / 3.0)

@@ -96,7 +96,7 @@ class DicomSeries:
 
     @cached_property
     def _shared(self) -> dict[int, bytes]:
-        """Return the attributes common to all slices, encoded."""
+        """Encoded attributes common to all slices."""
         from pydicom.dataset import Dataset
         from pydicom.uid import CTImageStorage
 

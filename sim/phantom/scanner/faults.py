@@ -49,7 +49,7 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class ScannerFaults:
-    """Faults of one scan. The patient moves halfway up the markers, both in a random direction and along the table."""
+    """Faults of one scan. The patient moves halfway up the markers, in a random direction and along z."""
 
     tilt_deg: float = 0.0  # of the gantry
     table_scale: float = 0.0  # true over stated table feed, minus 1

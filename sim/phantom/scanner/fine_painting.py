@@ -116,7 +116,7 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
 
 
 def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | None:
-    """Return the centre (x, y) of a rod's part within `half_mm` of a height; None if there is no such part."""
+    """Return the centre (x, y) of a rod's part within `half_mm` of a height; None if there is none."""
     part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return None
@@ -125,7 +125,7 @@ def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | No
 
 
 def _part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
-    """Return both ends of a rod's axis between two heights, widened by its radius; None if none of it is there."""
+    """Return the ends of a rod's axis between two heights, widened by its radius; None if outside."""
     start, along = np.array(rod.start), np.array(rod.along)
     margin_mm = rod.radius * float(np.hypot(along[0], along[1]))
     low_mm, high_mm = low_mm - margin_mm, high_mm + margin_mm

@@ -50,7 +50,7 @@ class CtGrid:
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
-        """Return the indices of voxels along x, y or z (0, 1, 2) whose centres are between two coordinates."""
+        """Return the indices of voxels along x, y or z (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
         count = (self.columns, self.rows, self.slices)[axis]
         first = int(np.ceil((low_mm - self.origin_mm[axis]) / spacing))

@@ -54,7 +54,7 @@ class CommandInterpreter:
         return ascii_reply(reply) if isinstance(reply, str) else reply
 
     def restart(self, after_s: float | None = None) -> None:
-        """Restart after a break or at power-up: restore the saved settings now, send RESET `after_s` later."""
+        """Restart after a break or at power-up: restore saved settings now, send RESET `after_s` later."""
         self.unit.reset()
         self._replies.clear()
         self._watch_dog_ns = 0

@@ -187,7 +187,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """Return whether host and unit may understand each other; False only if that is certainly impossible."""
+        """Return whether host and unit may understand each other; False only if that is impossible."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)
@@ -210,7 +210,7 @@ class HostSideWatch:
         self._holders = 0
 
     def events(self) -> tuple[bool, bool]:
-        """Return whether the host side was opened, and whether the last host left, since the previous call."""
+        """Return whether the host side was opened, and whether the last host left, since the last call."""
         try:
             content = os.read(self.file, EVENTS_BYTES)
         except BlockingIOError:

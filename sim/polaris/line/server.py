@@ -48,7 +48,7 @@ class Channel(Protocol):
 
 
 class Connection:
-    """One TCP connection, without line settings. A host that accepts no reply for `patience_s` counts as gone."""
+    """One TCP connection, without line settings. A host that accepts no reply for `patience_s` is gone."""
 
     def __init__(self, peer: socket.socket, patience_s: float) -> None:
         self._peer = peer

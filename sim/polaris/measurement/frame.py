@@ -100,7 +100,7 @@ class Measurer:
 
     @property
     def light(self) -> SystemStatus:
-        """Return the ambient-light bits of the system status."""
+        """Ambient-light bits of the system status."""
         too_much = self._disturbances.now().sunlight
         return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 
@@ -194,7 +194,7 @@ class Group:
 
 @dataclass(frozen=True)
 class VisibleMarkers:
-    """All markers in view. `tools` is keyed by handle; None stands for a tool without markers or not in the room."""
+    """All markers in view. `tools` is by handle; None for a tool without markers or not in the room."""
 
     tools: dict[int, Group | None]
     frame: Group | None  # reference frame M, unless loaded under a handle
@@ -278,7 +278,7 @@ class MarkerVisibility:
         )
 
     def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
-        """Return spheres that belong to no tool: strays, and fiducials unless they form a tool (`as_tool`)."""
+        """Return spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
         key = (disturbance, as_tool)
         if self._fixed is None or self._fixed[0] != key:
             spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)

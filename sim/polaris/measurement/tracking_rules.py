@@ -254,7 +254,7 @@ def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> floa
 
 
 class RigidFit(NamedTuple):
-    """Fitted pose tracker <- tool: rotation (3, 3), translation (3,), and the residual (n,) of each marker."""
+    """Fitted pose tracker <- tool: rotation (3, 3), translation (3,), and residuals (n,) of the markers."""
 
     rotation: Vectors
     translation_mm: Vectors

@@ -107,7 +107,7 @@ class TrueScene:
     def tool(
         self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """Return the tool in the room that matches a loaded definition, perhaps not exactly; None without one."""
+        """Return the tool in the room for a loaded definition, from which it may differ; None if absent."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:

@@ -57,7 +57,7 @@ class Volume:
 
     @cached_property
     def _lengths_mm(self) -> tuple[float, float, float, float, float]:
-        """Distance of the knee, half extents at the knee in y and x, and the largest half extents in y and x."""
+        """Distance of the knee, half extents there in y and x, and largest half extents in y and x, mm."""
         _, knee, _, y_knee, x_knee, _, _, _, y_cap, x_cap = self.dimensions
         scale = SFLIST_DIMENSION_SCALE
         return knee / scale, y_knee / scale, x_knee / scale, y_cap / scale, x_cap / scale

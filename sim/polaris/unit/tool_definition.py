@@ -45,7 +45,7 @@ WAVELENGTH_BITS = 0x07  # in the marker type
 
 
 class BadDefinition(Exception):
-    """Raised for bytes that are no tool definition; with `limits`, for a wrong number of markers, faces or groups."""
+    """Raised for an invalid tool definition; with `limits`, for a wrong count of markers, faces or groups."""
 
     def __init__(self, what: str, *, limits: bool = False) -> None:
         super().__init__(what)

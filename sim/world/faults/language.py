@@ -275,7 +275,7 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
 
 
 def _find_nearest_kind(line: str) -> FaultKind | None:
-    """Return the kind of fault whose phrase best matches the line after its beginning; None if none is close."""
+    """Return the kind of fault whose phrase best matches the line after its beginning; None if no match."""
     by_usage = {kind.usage: kind for kind in FAULT_KINDS}
     return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
 

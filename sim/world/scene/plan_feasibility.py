@@ -99,7 +99,7 @@ class PlanFeasibility:
 
 
 def _list_orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
-    """Yield rotations robot <- tool: z along the trajectory, x first away from the base, then turned further."""
+    """Yield rotations robot <- tool: z along the trajectory, x away from the base, then turned further."""
     radial = np.array([at_mm[0], at_mm[1], 0.0])
     across = radial - axis * float(axis @ radial)
     x_zero = across / np.linalg.norm(across)
