@@ -70,7 +70,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp this close to the present totals; None leaves the context's limits. Return whether changed."""
+        """Clamp this close to the present totals; None keeps the context's limits. Return whether changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
