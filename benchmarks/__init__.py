@@ -1,1 +1,1 @@
-"""Measurements against bare baselines and peers, all in the same run. `make bench` runs them."""
+"""Benchmarks against bare baselines and peers, all measured in the same run by `make bench`."""

@@ -1,4 +1,4 @@
-"""Figures of a measurement, each with a baseline from the same run, and contests that take turns."""
+"""Figures of a measurement, each with a baseline from the same run, and contests with alternating rounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Self
 
 @dataclass(frozen=True)
 class Figure:
-    """One number. `ratio` is the value over the baseline's, both from the same rounds.
+    """A measured number. `ratio` is its value over the baseline's, both from the same rounds.
 
     `goal` states the goal in words; `met` is None without a goal.
     """
@@ -39,13 +39,13 @@ class Figure:
         return replace(self, goal=f"{low:g} to {high:g}", met=low <= self.value <= high)
 
     def ratio_at_least(self, limit: float) -> Self:
-        """Add a minimum of the ratio as the goal; raises ValueError without a baseline."""
+        """Set a minimum ratio as the goal; raises ValueError without a baseline."""
         if self.ratio is None:
             raise ValueError("a goal for a ratio needs a baseline")
         return replace(self, goal=f"ratio ≥ {limit:.3g}", met=self.ratio >= limit, more_is_better=True)
 
     def ratio_at_most(self, limit: float) -> Self:
-        """Add a maximum of the ratio as the goal; raises ValueError without a baseline."""
+        """Set a maximum ratio as the goal; raises ValueError without a baseline."""
         if self.ratio is None:
             raise ValueError("a goal for a ratio needs a baseline")
         return replace(self, goal=f"ratio ≤ {limit:.3g}", met=self.ratio <= limit, more_is_better=False)
@@ -54,7 +54,7 @@ class Figure:
 def compare_samples(
     what: str, unit: str, samples: Mapping[str, Sequence[float]], baseline: str, *, scale: float = 1.0
 ) -> list[Figure]:
-    """Medians of the contestants' samples, and the median of the ratios round by round.
+    """Return the medians of the contestants' samples, and the median of the per-round ratios.
 
     A machine that stalls does so for every contestant in the round: ratios within a round preserve what
     medians over the run lose.
@@ -82,7 +82,7 @@ UTIME_FIELD = 13  # of /proc/PID/stat, after the name; proc(5)
 def run_contest(
     contestants: Mapping[str, Contestant], rounds: int, *, warm_up: int = WARM_UP_ROUNDS
 ) -> dict[str, list[float]]:
-    """Sample every contestant once per round; the order rotates by one each round."""
+    """Sample every contestant once per round, rotating the order by one each round."""
     names = list(contestants)
     samples: dict[str, list[float]] = {name: [] for name in names}
     for turn in range(warm_up + rounds):
@@ -95,7 +95,7 @@ def run_contest(
 
 
 def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
-    """CPU time of this process per call, seconds, over all its threads."""
+    """Return the CPU seconds of this process per call, over all its threads."""
     began = time.process_time()
     for _ in range(repeats):
         work()
@@ -103,7 +103,7 @@ def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
 
 
 def measure_rate(work: Callable[[], object], duration_s: float) -> tuple[float, float]:
-    """Calls per second of wall time over a period, and CPU seconds per call."""
+    """Return calls per second of wall time over a period, and CPU seconds per call."""
     count = 0
     cpu, began = time.process_time(), time.perf_counter()
     ending = began + duration_s
@@ -115,7 +115,7 @@ def measure_rate(work: Callable[[], object], duration_s: float) -> tuple[float, 
 
 
 def family_cpu_s(pid: int) -> float:
-    """Sum the CPU time of a process and all its descendants."""
+    """Return the total CPU seconds of a process and all its descendants."""
     total = process_cpu_s(pid)
     for task in Path(f"/proc/{pid}/task").iterdir():
         for child in (task / "children").read_text(encoding="ascii").split():
@@ -124,7 +124,7 @@ def family_cpu_s(pid: int) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """CPU time used so far by another process, seconds, with the resolution of the system clock's tick."""
+    """Return the CPU seconds used so far by another process, with the resolution of the system tick."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     fields = text[text.rindex(")") + 2 :].split()
     user, system = (int(value) for value in fields[UTIME_FIELD - 2 : UTIME_FIELD])

@@ -1,4 +1,4 @@
-"""The figures of all results by date, each with its change since the result before.
+"""History of all benchmark figures by date, with the change of each since the previous result.
 
     make bench-history
     make bench-history ONLY="robot-link"
@@ -32,7 +32,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 class Key(NamedTuple):
-    """A figure: measurement, quantity, who was measured, and against whom."""
+    """Identity of a figure: measurement, quantity, contestant and baseline."""
 
     group: str
     what: str
@@ -53,7 +53,7 @@ class Point:
     more_is_better: bool | None
 
     def change_since(self, earlier: Point) -> float | None:
-        """Relative change, of the ratio if both have one; None between machines, and from zero."""
+        """Return the relative change, of the ratio if both have one; None between machines, or from zero."""
         if self.ratio is not None and earlier.ratio is not None:
             return self.ratio / earlier.ratio - 1.0 if earlier.ratio else None
         if self.machine != earlier.machine or not earlier.value:
@@ -61,14 +61,14 @@ class Point:
         return self.value / earlier.value - 1.0
 
     def is_loss(self, change: float | None) -> bool:
-        """Whether a change of this figure is a loss of 10 % or more."""
+        """Return whether a change of this figure is a loss of 10 % or more."""
         if change is None or self.more_is_better is None:
             return False
         return round(-change if self.more_is_better else change, DIGITS) >= LOSS
 
 
 def append_result(content: Mapping[str, Any], path: Path) -> None:
-    """Append the figures of a run of the benchmarks, as `run` describes it."""
+    """Append the figures of a benchmark run, described by `run`."""
     machine = content["machine"]
     record = {
         "date": content["date"],
@@ -81,7 +81,7 @@ def append_result(content: Mapping[str, Any], path: Path) -> None:
 
 
 def _shorten(figure: Mapping[str, Any]) -> dict[str, Any]:
-    """What is compared, without what is empty, and as many digits as a person reads."""
+    """Return the compared fields without empty ones, rounded to as many digits as a person reads."""
     short = {name: figure[name] for name in ("what", "who", "value", "unit", "ratio", "baseline", "met")}
     better = figure["more_is_better"]
     short["more_is_better"] = MORE_IS_BETTER.get(figure["unit"]) if better is None else better
@@ -93,7 +93,7 @@ def _shorten(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_history(path: Path) -> dict[Key, list[Point]]:
-    """Points of each figure by date; none before the first result."""
+    """Return the points of each figure by date; empty before the first result."""
     points: dict[Key, list[Point]] = defaultdict(list)
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     for record in sorted(map(json.loads, lines), key=lambda one: str(one["date"])):

@@ -80,7 +80,7 @@ def _measure_pairing(cases: int) -> list[Figure]:
 
 
 def _search_randomly(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
-    """The obvious first attempt: fit random triples to random triples, keep the largest consensus."""
+    """Pair by the naive method: fit random triples to random triples, keep the largest consensus."""
     tree = cKDTree(physical)
     best: set[tuple[int, int]] = set()
     for _ in range(SEARCH_TRIES):
@@ -134,7 +134,7 @@ def _measure_fit(cases: int) -> list[Figure]:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs per cell by number of markers, of three markers as the plan requires, and of the fit."""
+    """Runs per cell by number of markers, for three markers as the plan requires, and for the fit."""
 
     five_to_eight: int = 200
     four: int = 1000  # a share of 1 in 2,000 needs many
@@ -158,7 +158,7 @@ SIDES_APART_PERCENT = 0.1
 
 
 def _measure_goals(runs: Runs) -> list[Figure]:
-    """Correspondence over the thesis' protocol, then the fit's formulas."""
+    """Measure correspondence over the thesis' protocol, then the fit's formulas."""
     return [
         *_measure_pairing_goals(runs),
         *_measure_sides_apart(runs.sides_apart),
@@ -197,7 +197,7 @@ def _measure_pairing_goals(runs: Runs) -> list[Figure]:
 
 
 def _measure_sides_apart(count: int) -> list[Figure]:
-    """Three markers with side differences as required by the plan's check: shares without a unique answer."""
+    """Measure the share without a unique answer for three markers with the required side differences."""
     figures = []
     for noise in NoiseReading:
         random = np.random.default_rng(SEED)
@@ -227,7 +227,7 @@ def _share_figure(what: str, method: Method, outcome: str, total: dict[str, floa
 
 
 def _measure_exact_fits(cases: int) -> list[Figure]:
-    """The largest rotation error on exact data."""
+    """Measure the largest rotation error on exact data."""
     random = np.random.default_rng(SEED)
     worst = 0.0
     for _ in range(cases):

@@ -1,4 +1,4 @@
-"""The tracker: our driver, bare ndicapi and scikit-surgerynditracker on the simulated unit, by BX replies."""
+"""Tracker clients on the simulated unit with BX replies: our driver, ndicapi, scikit-surgerynditracker."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BLOCK_S = 0.12
 
 @dataclass(frozen=True)
 class Stand:
-    """A client, its requests and its unit. In an unpaced world every request gets a frame of its own.
+    """A client, its requests and its unit. In an unpaced world, every request gets a new frame.
 
     Without a scene the unit is one that knows a single answer.
     """
@@ -47,7 +47,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Rates:
-    """Samples by stand, one per round; `unit_cpu_s` is over all rounds together."""
+    """Samples by stand, one per round. `unit_cpu_s` is summed over all rounds."""
 
     per_second: dict[str, list[float]]
     client_cpu_s: dict[str, list[float]]
@@ -55,7 +55,7 @@ class Rates:
 
 
 def measure_rates(stands: Mapping[str, Stand], rounds: int) -> Rates:
-    """Readings per second of each stand, and the CPU time per reading on either side."""
+    """Measure readings per second of each stand, and CPU time per reading on either side."""
     with ExitStack() as stack:
         readers: dict[str, Reader] = {}
         pids: dict[str, int] = {}
@@ -95,7 +95,7 @@ MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0,
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Readings per second as fast as each client can request them, then the unit's replies per second."""
+    """Measure readings per second at each client's full speed, then the unit's replies per second."""
     rounds = 1 if smallest else ROUNDS
     with tempfile.TemporaryDirectory() as folder:
         roms = _write_definitions(Path(folder))
@@ -108,7 +108,7 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 
 def _compare_clients(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
-    """The clients compared, one tool, a unit that follows the host's clock."""
+    """Compare the clients with one tool and a unit that follows the host's clock."""
     bench = load_scene("bench")
     stands = {name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()}
     rates = measure_rates(stands, rounds)
@@ -119,7 +119,7 @@ def _compare_clients(line: str, roms: Sequence[Path], rounds: int) -> list[Figur
 
 
 def _compare_with_peers(line: str, rates: Rates) -> list[Figure]:
-    """All clients compared with ndicapi, and our driver with each peer that sets it a goal."""
+    """Compare all clients with ndicapi, and our driver with each peer that sets it a goal."""
     rows = compare_samples("", "1/s", rates.per_second, NDICAPI)
     others = [row for row in rows if row.who != OURS]
     ours = []
@@ -130,7 +130,7 @@ def _compare_with_peers(line: str, rates: Rates) -> list[Figure]:
 
 
 def _measure_unit(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
-    """The unit's replies to ndicapi while its frames repeat, like a real unit's, and with every frame new.
+    """Measure the unit's replies to ndicapi with repeated frames, like a real unit's, and with new ones.
 
     Compared with the minimum for a unit written in Python: one that knows a single answer.
     """
@@ -164,7 +164,7 @@ def _measure_unit(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
 
 
 def _label_unit_figure(figure: Figure, what: str) -> Figure:
-    """Name the load as part of the measured quantity, not of the worker."""
+    """Name the load as part of the measured quantity, not of the client."""
     if figure.who == CANNED:
         return replace(figure, what=what)
     return replace(figure, what=f"{what}, {figure.who}", who=UNIT)

@@ -1,1 +1,1 @@
-"""The console in the browser: a case while it runs and afterwards, and the planner."""
+"""Browser console: a case while it runs and afterwards, and the planner."""

@@ -1,4 +1,4 @@
-"""The console's server: a running case over the engine's socket, a recorded case, or other pages.
+"""Web server of the console: a running case over the engine's socket, a recorded case, or other pages.
 
 `GET /state` and `POST /orders` offer the page's buttons to scripts, with the same checks and messages. A
 recorded case, or one run by another program, has a slider through its time.
@@ -55,7 +55,7 @@ def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None 
 
 
 def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
-    """Serve until the command ends. Raises CON-001, CON-002, PRO-018."""
+    """Serve a recorded run until the command ends. Raises CON-001, CON-002, PRO-018."""
     try:
         followed = FollowedRun(folder)
     except RonnaError as error:
@@ -99,7 +99,7 @@ def serve_hub(
     ready: Callable[[dict[str, str]], None],
     viewers: ViewersAddress | None = None,
 ) -> None:
-    """Serve a case until `work` is done, or without it until the process ends. Raises CON-001.
+    """Serve a case until `work` is done, or without `work` until the process ends. Raises CON-001.
 
     `viewers` watch from other computers, through a separate port.
     """
@@ -119,7 +119,7 @@ def serve_pages(
     viewers: ViewersAddress | None = None,
     largest_body_bytes: int = LARGEST_BODY_BYTES,
 ) -> None:
-    """Serve the routes that `add` adds, behind the guard, like `serve_hub`. Raises CON-001."""
+    """Serve the routes added by `add`, behind the guard, as `serve_hub` does. Raises CON-001."""
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()
@@ -150,7 +150,7 @@ def serve_pages(
 
 
 async def follow_engine(descriptor: int, hub: Hub) -> None:
-    """Feed the hub until the engine closes its end."""
+    """Feed the hub until the engine closes its end of the socket."""
     reader, writer = await asyncio.open_connection(sock=socket.socket(fileno=descriptor), limit=LONGEST_LINE)
 
     async def send(sent: SentOrder) -> None:
@@ -183,7 +183,7 @@ def _handle_line(hub: Hub, line: bytes) -> None:
 
 
 def add_order_routes(app: Any, hub: Hub) -> None:
-    """Add both routes to a Starlette application."""
+    """Add both order routes to a Starlette application."""
 
     async def state(_request: Request) -> JSONResponse:
         return JSONResponse(_state_document(hub))

@@ -1,4 +1,4 @@
-"""The state of a case at one moment, folded from its events: everything the page shows.
+"""State of a case at one moment, folded from its events: everything that the page shows.
 
 The fold is pure; it is fed by the engine's socket or by a run's file.
 """
@@ -44,7 +44,7 @@ STORED_EVERY = 100  # events between stored views
 
 @dataclass(frozen=True)
 class StepRow:
-    """A step in the order of the case, and its outcome."""
+    """A step, in case order, and its outcome."""
 
     step: str
     title: str
@@ -57,14 +57,14 @@ class StepRow:
 
 @dataclass(frozen=True)
 class Rate:
-    """Counts per second of theatre time, over the last second or more."""
+    """Counts per second of theatre time, over the last second or longer."""
 
     count: int
     since_s: float  # when it was that many
     hz: float | None = None
 
     def at(self, count: int, now_s: float) -> Rate:
-        """Return the rate now; a smaller count means that counting restarted."""
+        """Return the rate now. A decreased count means that counting has restarted."""
         if count < self.count:
             return Rate(count, now_s)
         span_s = now_s - self.since_s
@@ -73,7 +73,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class DeviceRow:
-    """A device as it was last seen."""
+    """A device as last reported."""
 
     seen: DeviceState
     age_s: float | None = None  # of its latest reading, theatre time
@@ -83,7 +83,7 @@ class DeviceRow:
 
 @dataclass(frozen=True)
 class ReportedPose:
-    """A pose of an arm and the theatre time of its report."""
+    """Pose of an arm, and the theatre time of its report."""
 
     pose: Pose
     reported_s: float
@@ -91,7 +91,7 @@ class ReportedPose:
 
 @dataclass(frozen=True)
 class Notice:
-    """A fault, a refusal or a finding: what happened, and what to do; `settled` once the step has passed."""
+    """A fault, refusal or finding: what happened, and what to do. `settled` once the step has passed."""
 
     kind: str
     theatre_time_s: float
@@ -104,7 +104,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class CaseView:
-    """The case after event `number`; `fact` is the last one that is not a signal."""
+    """The case after event `number`. `fact` is the number of the last event that is not a signal."""
 
     number: int = 0
     fact: int = 0
@@ -144,7 +144,7 @@ class CaseView:
 
     @property
     def upcoming(self) -> str:
-        """The next step, as far as the events show."""
+        """Next step, as far as the events show."""
         if self.waiting is not None:
             return self.waiting.upcoming or ""
         return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")
@@ -243,7 +243,7 @@ def _step_changes(view: CaseView, step: StepState) -> dict[str, Any]:
 
 
 def _settle_notices(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
-    """Mark the notices of a finished step as settled, except findings."""
+    """Mark the notices of a finished step as settled, except for findings."""
     return tuple(
         replace(item, settled=True) if item.step == step and item.kind != "finding" else item
         for item in notices
@@ -307,7 +307,7 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
 
 
 class RecordedCase:
-    """Events in order; a view is folded from the last one stored before it."""
+    """Recorded events in order. A view is folded from the last stored view before it."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
@@ -327,7 +327,7 @@ class RecordedCase:
         return len(self._events)
 
     def at(self, count: int) -> CaseView:
-        """Return the view after this many events."""
+        """Return the view after the given number of events."""
         count = min(max(count, 0), len(self._events))
         view = self._stored_views[count // STORED_EVERY]
         for event in self._events[count - count % STORED_EVERY : count]:
@@ -335,5 +335,5 @@ class RecordedCase:
         return view
 
     def time_s(self, count: int) -> float:
-        """Return the theatre time after this many events."""
+        """Return the theatre time after the given number of events."""
         return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0

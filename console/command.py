@@ -1,4 +1,4 @@
-"""`ronna-console`: shows a case in a browser, while it runs or afterwards."""
+"""`ronna-console`: shows a case in a browser, during the run or afterwards."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from ronna_hw.evidence.manifest import PICTURES_FOLDER
 
 
 def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
-    """Drop figures not yet measured at the moment of a view, or measured again since.
+    """Return the figures without those not yet measured at the moment of a view, or measured again since.
 
     `latest` is the view that the figures belong to.
     """
@@ -63,7 +63,7 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
 
 
 class Figures:
-    """The latest figures; a background thread reads them."""
+    """The latest figures, read by a background thread."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -76,7 +76,7 @@ class Figures:
         self._has_tried_head = False
 
     def key(self) -> object:
-        """Return a key that changes with the figures; re-read them after a new result or the run's end."""
+        """Return a key that changes with the figures. Re-read them after a new result or the run's end."""
         state = self._hub.view.results, self._hub.is_over
         if state != self._read_for and not self._reading:
             self._reading = True
@@ -107,7 +107,7 @@ class Figures:
         self._hub.notify()
 
     def add_routes(self, app: Any) -> None:
-        """Serve the images, by known names only."""
+        """Serve the images, accepting known names only."""
 
         async def head(_request: Request) -> Response:
             return Response(self._head, media_type="model/stl") if self._head else PlainTextResponse("", 404)

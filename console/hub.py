@@ -1,4 +1,4 @@
-"""The case shared by all pages: its state, its subscribers, and the path of orders to its engine."""
+"""Case shared by all pages: its state, its subscribers, and the route of orders to its engine."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SendOrder = Callable[[SentOrder], Awaitable[None]]
 
 
 class Hub(ChangeNotifier):
-    """Shared view of a case; pages subscribe with an event that is set when it changes."""
+    """Shared view of a case. Pages subscribe with an event that is set on every change."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -59,13 +59,13 @@ class Hub(ChangeNotifier):
         self.show(fold(self.view, event))
 
     def show(self, view: CaseView) -> None:
-        """Show another view: the next moment, or one that was selected."""
+        """Show another view: the next moment, or a selected moment."""
         self.view = view
         self.notify()
 
     @property
     def seated_session(self) -> str:
-        """Session in the operator's seat, unless the engine's events name someone else.
+        """Session in the operator's seat; empty if the engine's events name another holder.
 
         The engine's reply to its claim may arrive before the event that its predecessor has left.
         """
@@ -74,7 +74,7 @@ class Hub(ChangeNotifier):
 
     @property
     def aged_view(self) -> CaseView:
-        """The view; the readings of devices without news from the engine age by host time."""
+        """View of the case in which readings of devices without news from the engine age by host time."""
         view = self.view
         unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
         old_s = {name: age_s for name, age_s in unseen_s.items() if age_s > UNSEEN_S}
@@ -97,7 +97,7 @@ class Hub(ChangeNotifier):
 
     @property
     def _is_silent(self) -> bool:
-        """True if a line from the engine is overdue."""
+        """Whether a line from the engine is overdue."""
         if self.review is None:
             return self.live and self.silent_s > SILENT_S
         rows = self.view.devices.values()
@@ -106,17 +106,17 @@ class Hub(ChangeNotifier):
 
     @property
     def silent_s(self) -> float:
-        """Host time since the engine was last heard from."""
+        """Seconds of host time since the last line from the engine."""
         return self._now_s() - self._heard_s
 
     @property
     def is_over(self) -> bool:
-        """Whether the case is under review and its own program is gone: nothing in its folder changes."""
+        """Whether the case is under review and its program has ended, so that its folder is final."""
         return self.review is not None and self.review.is_over
 
     @property
     def frozen(self) -> str:
-        """Why the display is frozen; empty if it is not."""
+        """Reason why the display is frozen; empty if it is not."""
         if self.break_reason:
             return f"{self.break_reason} The data shown is out of date."
         if self.view.outcome:
@@ -139,7 +139,7 @@ class Hub(ChangeNotifier):
         self.notify()
 
     def break_off(self, reason: str) -> None:
-        """Note that nothing more can be read; `reason` gives the code and the action."""
+        """Note that nothing more can be read. `reason` gives the code and the action."""
         self.break_reason = reason
         self.notify()
 
@@ -151,13 +151,13 @@ class Hub(ChangeNotifier):
 
     @property
     def pair_age_s(self) -> float:
-        """Host time since the last pair arrived."""
+        """Seconds of host time since the last image pair arrived."""
         return self._now_s() - self._paired_s
 
     # Orders
 
     def connect(self, send: SendOrder) -> None:
-        """Route orders this way from now on."""
+        """Route all further orders through this function."""
         self._send = send
         self.live = True
         self.note_heartbeat()
@@ -169,7 +169,7 @@ class Hub(ChangeNotifier):
             waiting.set_result(reply.refused)
 
     async def order(self, session: Session, content: dict[str, Any]) -> str:
-        """Give an order on behalf of a session; returns why it is refused, or an empty text.
+        """Give an order on behalf of a session. Return the reason for a refusal, or an empty text.
 
         Raises ValueError if it is not an order.
         """
@@ -199,5 +199,5 @@ class Hub(ChangeNotifier):
 
 
 def new_nonce() -> str:
-    """Create the nonce of an order."""
+    """Create a nonce for an order."""
     return secrets.token_urlsafe(12)

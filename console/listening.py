@@ -30,7 +30,7 @@ SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of
 
 
 def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
-    """Open a listening socket; port 0 is any free one. Raises CON-001."""
+    """Open a listening socket. Port 0 selects any free port. Raises CON-001."""
     listening = ListeningSocket(family)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -43,7 +43,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
 
 
 def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """Build the server with everything behind the guard; that of `viewers` uses TLS."""
+    """Build the server with everything behind the guard. The server for `viewers` uses TLS."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
         uvicorn.Config(
@@ -66,7 +66,7 @@ def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn
 
 
 class ListeningSocket(socket.socket):
-    """A listening socket that drops the oldest of too many connections that have not shown the key.
+    """Listening socket that drops the oldest of too many unauthenticated connections.
 
     On loopback it remembers which connections are of another account of this computer.
     """
@@ -80,7 +80,7 @@ class ListeningSocket(socket.socket):
         self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept the next connection: a stranger, before any handshake of TLS."""
+        """Accept the next connection, unauthenticated and before any TLS handshake."""
         connection, address = super().accept()
         self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
         if len(self._strangers) >= MOST_STRANGERS:
@@ -94,7 +94,7 @@ class ListeningSocket(socket.socket):
         return connection, address
 
     def is_foreign(self, peer: object) -> bool:
-        """Test whether the connection from this host and port is of another account of this computer.
+        """Return whether the connection from this host and port belongs to another account of this computer.
 
         Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
         """
@@ -116,7 +116,7 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
 
 
 class Connection(H11Protocol):
-    """HTTP/1.1 connection, dropped once the time for a head or an answer is up."""
+    """HTTP/1.1 connection that is dropped when the time limit for a head or an answer expires."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -125,12 +125,12 @@ class Connection(H11Protocol):
         self._answer_ends_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
-        """Give the first request its time."""
+        """Start the time limit of the first request."""
         super().connection_made(transport)
         self._wait(REQUEST_LIMIT_S)
 
     def handle_events(self) -> None:
-        """Start the time for an answer at the complete head."""
+        """Start the time limit of the answer when the head is complete."""
         super().handle_events()
         if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
             self._is_answering = True
@@ -138,7 +138,7 @@ class Connection(H11Protocol):
             self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Leave the socket to the guard, which closes one without a session.
+        """Leave the socket to the guard, which closes sockets without a session.
 
         A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
         """
@@ -148,13 +148,13 @@ class Connection(H11Protocol):
             self.transport.abort()
 
     def on_response_complete(self) -> None:
-        """Give the next request its time."""
+        """Start the time limit of the next request."""
         self._is_answering = False
         self._wait(REQUEST_LIMIT_S)
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Leave no timer behind."""
+        """Cancel all timers."""
         self._stop_waiting()
         super().connection_lost(exc)
 
@@ -163,7 +163,7 @@ class Connection(H11Protocol):
         self._deadline = self.loop.call_later(limit_s, self._end)
 
     def _end(self) -> None:
-        """Drop the connection, unless a complete answer is still on its way to a slow reader."""
+        """Drop the connection, unless a complete answer is still being sent to a slow reader."""
         remaining_s = self._answer_ends_s - self.loop.time()
         if remaining_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
             self._wait(min(remaining_s, REQUEST_LIMIT_S))

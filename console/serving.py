@@ -1,4 +1,4 @@
-"""`python -m console.serving --feed N RUN`: the console's process, started by the command that runs a case.
+"""`python -m console.serving --feed N RUN`: console process, started by the command that runs a case.
 
 It exits when the engine closes its end, after showing the final state for a while.
 """
@@ -16,7 +16,7 @@ NICER = 10  # than the engine: a page must never cost it a cycle
 
 
 def main() -> None:
-    """Serve one run; arguments are those given by the command line."""
+    """Serve one run. The arguments are those of the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--feed", type=int, required=True)

@@ -1,1 +1,1 @@
-"""The simulated theatre: devices that speak real bytes over one physical scene."""
+"""Simulators of all theatre devices, which speak the real wire protocols over one shared scene."""

@@ -1,4 +1,4 @@
-"""`ronna-sim`: the simulated theatre, or any of its devices alone, for any client."""
+"""`ronna-sim`: the whole simulated theatre, or any single device, for any client."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ app = typer.Typer(
 
 
 def register(app: typer.Typer) -> None:
-    """Add all commands; their modules import nothing heavy until they run."""
+    """Register all commands. Their modules import nothing heavy until run."""
     from sim.basler.command import basler
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom

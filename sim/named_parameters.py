@@ -1,4 +1,4 @@
-"""Parameters of a simulated device, set by NAME=VALUE: the fields of a frozen dataclass.
+"""Parameters of a simulated device, set as NAME=VALUE and stored in the fields of a frozen dataclass.
 
 Each field is annotated with its meaning and optionally its largest value. A number may be 0 only if that is
 its default; otherwise it is positive.
@@ -60,13 +60,13 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
 
 
 def _list_kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
-    """Type, meaning and, if any, largest value of each parameter."""
+    """Return the type, meaning and any largest value of each parameter."""
     hints = get_type_hints(parameters, include_extras=True)
     return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
 
 
 def _parse_value(kind: Any, text: str, default: Any, most: list[MaximumValue]) -> tuple[Any, str]:
-    """Parse a value; return it, or None if invalid, and what was expected."""
+    """Parse a value. Return it (None if invalid), and a description of what was expected."""
     if get_origin(kind) is Literal:
         return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
     if kind is bool:

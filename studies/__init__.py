@@ -1,1 +1,1 @@
-"""Monte-Carlo studies next to the thesis' figures, split into units with their own seeds."""
+"""Monte-Carlo studies compared with the thesis' figures, split into independently seeded units."""

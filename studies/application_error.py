@@ -45,14 +45,14 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """A condition per depth, marker type and position."""
+        """List the conditions: every depth, marker type and position."""
         conditions = [
             f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES
         ]
         return [unit for condition in conditions for unit in blocks(condition, self.arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|target."""
+        """Return the length of every error in mm, keyed `strategy|spheres|arm|target`."""
         depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
         drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
@@ -62,7 +62,7 @@ class ApplicationErrorStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Our figures next to the paper's."""
+    """Tabulate our figures next to the paper's."""
     rows: list[dict[str, Cell]] = []
     for (depth, markers, strategy, count), errors in _collect_errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
@@ -95,7 +95,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """A box for each depth, markers and strategy."""
+    """Plot a box for each depth, marker type and strategy."""
     groups = {
         f"{strategy} {markers} {count}, {depth}": errors.ravel()
         for (depth, markers, strategy, count), errors in _collect_errors(sums).items()
@@ -104,7 +104,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
-    """Errors (arms, n) in mm, arm by arm."""
+    """Collect the errors (arms, n) in mm, arm by arm."""
     found: dict[Series, dict[int, list[float]]] = {}
     for condition, content in sums.items():
         depth, markers, _ = condition.split("|")

@@ -153,7 +153,7 @@ def correspondence(
 
 
 def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
-    """The readings are taken first and kept in the folder of the study."""
+    """Run the clinical protocol. The readings are taken first and stored in the study's folder."""
     from studies.correspondence import clinical
 
     folder = study_options.out or Path("campaigns") / clinical.ClinicalStudy.name

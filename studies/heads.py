@@ -1,4 +1,4 @@
-"""Heads with fiducials and readings of them, drawn by the thesis' protocol (5.3.1).
+"""Random heads with fiducials, and readings of them, by the thesis' protocol (5.3.1).
 
 The thesis used eight adhesive markers on each of three patients, with unpublished coordinates. Here they are
 on the upper side of three ellipsoids of different sizes, the same in every run. A reading displaces the
@@ -30,14 +30,14 @@ PHYSICAL_SIGMA_MM = 0.56
 
 
 class NoiseReading(StrEnum):
-    """The two possible meanings of a standard deviation in the thesis, which does not specify it."""
+    """Two possible meanings of a standard deviation in the thesis, which does not say which it uses."""
 
     PER_AXIS = "per axis"
     NORM = "norm"
 
 
 def sites_mm(patient: int) -> Array:
-    """The eight sites (8, 3) of a patient."""
+    """Return the eight sites (8, 3) of a patient."""
     random = np.random.default_rng([SITES_SEED, patient])
     sites: list[Array] = []
     while len(sites) < SITES:
@@ -50,7 +50,7 @@ def sites_mm(patient: int) -> Array:
 
 
 def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -> Array:
-    """Uniform points in a ball about the origin, (count, 3)."""
+    """Draw uniform points (count, 3) in a ball about the origin."""
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction * radius_mm * random.uniform(size=(count, 1)) ** (1.0 / 3.0))
@@ -59,7 +59,7 @@ def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -
 def draw_noise(
     shape: tuple[int, ...], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
 ) -> Array:
-    """Noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
+    """Draw noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
     if reading is NoiseReading.PER_AXIS:
         return np.asarray(random.normal(size=shape) * sigma_mm)
     direction = random.normal(size=shape)
@@ -68,12 +68,12 @@ def draw_noise(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Return the standard deviation per axis; a Gaussian length is spread over three axes."""
+    """Return the standard deviation per axis. A Gaussian length is spread over three axes."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
 def variance_from_thesis_mm2(noise: NoiseReading) -> float:
-    """Variance per axis of both sets together, from the errors stated in the thesis."""
+    """Return the variance per axis of both point sets together, from the errors stated in the thesis."""
     return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
 
 
@@ -83,7 +83,7 @@ def draw_pose(random: np.random.Generator) -> RigidTransform:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Points of both sides (runs, n, 3) mm, the corresponding indices (runs, k, 2), true rotations."""
+    """Points of both sides (runs, n, 3) in mm, corresponding indices (runs, k, 2), and true rotations."""
 
     image_mm: Array
     physical_mm: Array
@@ -103,7 +103,7 @@ def draw_readings(
     random: np.random.Generator,
     displaced_mm: float = DISPLACED_MM,
 ) -> Readings:
-    """`runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
+    """Draw `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
     sites = len(sites_mm)
     displaced = sites_mm + uniform_in_ball(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
     chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
@@ -123,7 +123,7 @@ def draw_readings(
 def _shuffle_with_outliers(
     points: Array, outliers: int, random: np.random.Generator
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Points and outliers about their centre, in random order, and the permutation."""
+    """Return points and outliers about their centre in random order, and the permutation."""
     runs, count, _ = points.shape
     strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
     everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)

@@ -1,4 +1,4 @@
-"""Trial of a user method on a small problem, so that a bad one fails before its campaign has a folder."""
+"""Trial of a user method on a small problem, so that a faulty method fails before the campaign starts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ NAMES = {
 
 
 def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> PluginMethod:
-    """Try a method in a separate process first, so that a crash is reported and ends nothing else.
+    """Try a method in a separate process, so that a crash is reported and affects nothing else.
 
     `tell` is called if it does not respond.
     """
@@ -63,7 +63,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
 
 
 def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """The method that `text` names, after two equal answers to one problem. Raises STU-012 to STU-014."""
+    """Return the method named by `text` after two equal answers to a problem. Raises STU-012 to STU-014."""
     method = find_plugin(kind, text)
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:
@@ -79,7 +79,7 @@ def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
 def select_methods(
     names: Sequence[str], tell: Tell = lambda text: None
 ) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
-    """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
+    """Return known and user methods; all known methods if none is named. Raises STU-012 to STU-014.
 
     `tell` is called with the name of a user method that does not respond.
     """
@@ -119,7 +119,7 @@ def _try_registration(method: PluginMethod) -> object:
 
 
 def _require_direction(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
-    """Raise STU-014 for an answer that fits these error-free points only when read in the opposite direction.
+    """Raise STU-014 for an answer that fits these error-free points only in the reverse direction.
 
     One that fits in neither direction is a bad method, which the campaign measures.
     """
@@ -155,7 +155,7 @@ def _try_localizer(method: PluginMethod) -> object:
 
 
 def _try_strategy(method: PluginMethod) -> object:
-    """Plan for the free markers of the accuracy studies in their first position."""
+    """Plan for the free markers of the accuracy studies, in the first position."""
     strategy = PluginStrategy.of(method)
     planned = plan_postures(strategy, draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS), phantom_pose(1))
     return planned.localizations.joints_rad.tolist()

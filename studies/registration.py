@@ -53,12 +53,12 @@ class RegistrationStudy:
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """Cells in the order kind of error, fiducials."""
+        """List the conditions in the order kind of error, fiducials."""
         conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
         return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Sums of squares (mm2) and counts over the runs."""
+        """Return sums of squares (mm2) and counts over the runs."""
         kind, count = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -102,13 +102,13 @@ def _register_once(
 
 
 def _sum_target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
-    """Square (mm2) and fourth power (mm4) of the error at the target."""
+    """Return the sums of squares (mm2) and fourth powers (mm4) of the target error."""
     square = float(np.sum((fitted.apply(target) - right) ** 2))
     return {f"{who}2": square, f"{who}4": square**2}
 
 
 def _draw_noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
-    """Draw an error (n, 3) for each covariance (n, 3, 3), which may be zero."""
+    """Draw an error (n, 3) from each covariance (n, 3, 3), which may be zero."""
     if not covariance_mm2.any():
         return np.zeros(covariance_mm2.shape[:2])
     normal = random.normal(size=covariance_mm2.shape[:2])
@@ -116,7 +116,7 @@ def _draw_noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
 
 
 def _draw_covariances(count: int, kind: str, random: np.random.Generator) -> Array:
-    """(n, 3, 3) in the physical frame, mm2; the 3-D rms of a normal fiducial is FLE.
+    """Draw covariances (n, 3, 3) in the physical frame, mm2. The 3-D rms of a normal fiducial is FLE.
 
     Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
     """
@@ -131,7 +131,7 @@ def _draw_covariances(count: int, kind: str, random: np.random.Generator) -> Arr
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Formulas against simulation, and the gain from weighting."""
+    """Tabulate formulas against simulation, and the gain from weighting."""
     formulas: list[dict[str, Cell]] = []
     gains: list[dict[str, Cell]] = []
     for condition, total in sums.items():
@@ -207,7 +207,7 @@ def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
+    """Plot the simulated target error next to the prediction of eq. 39, by number of fiducials."""
     lines: dict[str, list[Point]] = {"simulated": [], "eq. 39": []}
     for condition, total in sums.items():
         kind, count = condition.split("|")

@@ -1,1 +1,1 @@
-"""Simulated looks for the calibrations of reference frame and tool tip."""
+"""Calibrations of reference frame and tool tip, from simulated looks."""

@@ -58,7 +58,7 @@ SPARE = 1.5
 
 @dataclass
 class FrameCell:
-    """A scene's arm and tracker. With `exact` the tracker measures without any error."""
+    """Arm and tracker of a scene. With `exact`, the tracker measures without error."""
 
     scene: Scene
     calibrations: Calibrations
@@ -66,7 +66,7 @@ class FrameCell:
 
     @classmethod
     def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> Self:
-        """The default scene of a seed, with or without a calibrated arm."""
+        """Build from the default scene of a seed, with or without a calibrated arm."""
         scene = draw_scene("default", seed=seed)
         if calibrated:
             error = scene.calibration_error.model_copy(update={"arm": ArmResidual()})
@@ -89,7 +89,7 @@ class FrameCell:
 
     @property
     def true_frame(self) -> Array:
-        """FLANGE <- MARKER (4, 4)."""
+        """True pose FLANGE <- MARKER (4, 4)."""
         mount = self.scene.mount
         return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
 
@@ -194,7 +194,7 @@ def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
-    """Errors against the frame on this arm and against its drawing (mm, degrees), and the stated one (mm)."""
+    """Return errors against this arm's exact calibration and the true frame (mm, deg), and the stated one."""
     cell = FrameCell.of(seed, calibrated=calibrated)
     result = calibrate_frame(cell.looks(LOOKS, VALIDATION))
     found = result.fit.flange_from_marker
@@ -205,6 +205,6 @@ def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, f
 
 
 def pose_difference(one: Array, other: Array) -> tuple[float, float]:
-    """Difference between two poses, in mm and degrees."""
+    """Return the difference between two poses, in mm and degrees."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))

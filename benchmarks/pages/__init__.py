@@ -1,1 +1,1 @@
-"""Cost of the pages in a browser."""
+"""Cost of the browser pages."""

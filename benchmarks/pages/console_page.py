@@ -51,7 +51,7 @@ new MutationObserver(() => {
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """CPU share of the server and delay of an event, by number of open pages."""
+    """Measure CPU share of the server and delay of an event, by number of open pages."""
     tabs_open, duration_s = (SMALLEST_TABS, SMALLEST_S) if smallest else (TABS, MEASURED_S)
     figures = []
     with tempfile.TemporaryDirectory() as place:

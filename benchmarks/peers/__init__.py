@@ -1,1 +1,1 @@
-"""Child processes of the measurements: peers for comparison, started as scripts."""
+"""Peers for comparison, which run as scripts in child processes."""

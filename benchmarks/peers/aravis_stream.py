@@ -1,4 +1,4 @@
-"""Aravis receives two free-running cameras; run by the distribution's Python, which alone has its bindings.
+"""Aravis receiving two free-running cameras, in the distribution's Python, which alone has its bindings.
 
     /usr/bin/python3 aravis_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
 

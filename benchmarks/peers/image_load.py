@@ -1,4 +1,4 @@
-"""Decodes a camera image repeatedly, as fast as one processor allows."""
+"""CPU load that decodes a camera image repeatedly, as fast as one processor allows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIZE_PX = (1088, 2048)
 
 
 def main() -> None:
-    """Run until this process is ended."""
+    """Decode until this process is terminated."""
     import cv2
     import numpy as np
 

@@ -29,7 +29,7 @@ SWING_RAD = 0.6
 
 
 def main() -> None:
-    """Serve until this process is ended; the real-time process exits when it is alone."""
+    """Serve until this process is terminated. The real-time process exits when its parent is gone."""
     end_with_parent(lambda: os._exit(0))
     endpoint = own_udp_endpoint()
     options = KukaOptions.model_validate({"silence_limit_s": PATIENCE_S, "heartbeat_limit_s": PATIENCE_S})

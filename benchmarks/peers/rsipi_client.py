@@ -1,4 +1,4 @@
-"""RSIPI, the Python client from the package index, with the Ethernet file of our own context."""
+"""RSIPI, the Python client from PyPI, with the Ethernet file of our own context."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST_LIFE_S = 600.0
 
 
 def main() -> None:
-    """Serve until this process is ended. Argument: the Ethernet file."""
+    """Serve until this process is terminated. Argument: the Ethernet file."""
     from RSIPI import RSIAPI  # type: ignore[import-untyped]
 
     end_with_parent(lambda: os._exit(0))

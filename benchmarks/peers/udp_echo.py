@@ -1,4 +1,4 @@
-"""A bare UDP echo: the cost of the socket calls, the kernel and Python, and nothing else."""
+"""A bare UDP echo, to measure only the cost of the socket calls, the kernel and Python."""
 
 from __future__ import annotations
 

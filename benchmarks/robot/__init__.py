@@ -1,1 +1,1 @@
-"""The robot link and its set-points."""
+"""Robot link and its set-points."""

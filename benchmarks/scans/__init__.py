@@ -1,1 +1,1 @@
-"""Sphere localization in CT, and the check after the operation."""
+"""Sphere localization in CT, and the postoperative check."""

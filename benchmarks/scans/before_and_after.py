@@ -61,7 +61,7 @@ for line in sys.stdin:
 
 @dataclass
 class Outcome:
-    """Outcome of a version: markers by family and protocol, and false ones by kind."""
+    """Result of a version: markers by family and protocol, and false markers by kind."""
 
     counts: dict[str, Count] = field(default_factory=dict)
     errors_mm: dict[str, list[float]] = field(default_factory=dict)  # of each marker; infinite if missed
@@ -111,7 +111,7 @@ class OtherLocalizer:
 
 @contextmanager
 def other_localizer(checkout: Path) -> Iterator[OtherLocalizer]:
-    """Runs the localizer of a checkout with this interpreter."""
+    """Open the localizer of another checkout, run by this interpreter."""
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(

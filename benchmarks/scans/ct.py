@@ -1,4 +1,4 @@
-"""Spheres in phantom scans: cost compared with bare reading, error with the thesis' methods and the bound.
+"""Spheres in phantom scans: cost compared with bare reading; error compared with the thesis and the bound.
 
 The scans come from `ronna-sim phantom`, from families that the localizer was not tuned on, 512 x 512 x 200
 voxels in the good protocol. The bound is that of a homogeneous ball in white noise, without the effect of
@@ -45,7 +45,7 @@ BOX_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True)
 class BallScan:
-    """A ball in air as scanned by the phantom: lengths in mm, intensities in HU."""
+    """A ball in air as scanned by the phantom; lengths in mm, intensities in HU."""
 
     pixel_mm: float
     slice_mm: float
@@ -55,12 +55,12 @@ class BallScan:
 
     @property
     def spacing_mm(self) -> Array:
-        """Along slices, rows, columns."""
+        """Voxel spacing along slices, rows, columns."""
         return np.array([self.slice_mm, self.pixel_mm, self.pixel_mm])
 
 
 def least_errors_mm(scan: BallScan) -> tuple[float, float]:
-    """Smallest possible 3-D rms errors: with all voxels weighted equally, and with known noise spectrum."""
+    """Return the least 3-D rms errors: with equally weighted voxels, and with known noise spectrum."""
     derivatives = np.array([np.fft.fftn(one).ravel() for one in _derivatives(scan)])
     derivatives /= sqrt(derivatives.shape[1])
     power = _noise_power(scan).ravel()
@@ -78,7 +78,7 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 
 def _derivatives(scan: BallScan) -> list[Array]:
-    """Derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
+    """Return image derivatives by centre (slice, row, column), radius, both blurs, contrast, background."""
     along = sqrt(SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
     across = sqrt(PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])
@@ -100,7 +100,7 @@ def _derivatives(scan: BallScan) -> list[Array]:
 
 
 def _cover(places: list[Array], unknowns: Array) -> Array:
-    """Share of a voxel covered by the ball; parameters: centre, radius, blur along and across (6,)."""
+    """Return the fraction of each voxel covered by the ball; parameters (6,): centre, radius, both blurs."""
     z, y, x = np.meshgrid(*places, indexing="ij", sparse=True)
     dz, dy, dx = z - unknowns[0], y - unknowns[1], x - unknowns[2]
     distance = np.sqrt(dz**2 + dy**2 + dx**2)
@@ -112,7 +112,7 @@ def _cover(places: list[Array], unknowns: Array) -> Array:
 
 
 def _noise_power(scan: BallScan) -> Array:
-    """The spectrum of the phantom's noise, HU² per voxel: white, smoothed by three taps along two axes."""
+    """Return the noise power of the phantom, HU² per voxel: white, smoothed by three taps along two axes."""
     side = exp(-0.5 * (scan.pixel_mm / PLANE_SIGMA_MM) ** 2)
     gains = [
         (1.0 + 2.0 * side * np.cos(2.0 * np.pi * np.fft.fftfreq(count))) ** 2 / (1.0 + 2.0 * side**2)
@@ -142,7 +142,7 @@ GOAL_CHI2 = (0.7, 1.4)  # of the error over its stated covariance, per degree of
 
 @dataclass(frozen=True)
 class Case:
-    """A family and a protocol, with the 3-D error goals: rms, and that of 95 % of the spheres."""
+    """A family and a protocol, with goals for the 3-D error: rms and 95th percentile."""
 
     family: str
     protocol: str
@@ -154,7 +154,7 @@ class Case:
 
     @property
     def bare(self) -> bool:
-        """Whether the bound applies to these spheres; the thesis' methods then add nothing."""
+        """Whether the bound applies to these spheres. The thesis' methods then add nothing."""
         return self.family == "bare"
 
     @property
@@ -185,7 +185,7 @@ class Scan:
 
 @dataclass
 class Spheres:
-    """A method's results on the spheres of some scans: errors (mm), and their squares over the covariance."""
+    """A method's results on the spheres of some scans: errors (mm), and squares over the covariance."""
 
     errors_mm: list[float] = field(default_factory=list)
     chi2: list[float] = field(default_factory=list)
@@ -216,7 +216,7 @@ class Spheres:
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Each scan is read barely, read with all checks, and localized by every method, one after another."""
+    """Measure bare reading, checked reading, and localization by every method, for each scan in turn."""
     figures: list[Figure] = []
     ours: dict[Case, Spheres] = {}
     for case in SMALLEST if smallest else CASES:

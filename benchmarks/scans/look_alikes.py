@@ -38,7 +38,7 @@ ORIGIN_DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A volume with the truth: centres of the markers (n, 3) LPS mm, and the positions of each object.
+    """A volume and its truth: marker centres (n, 3) in LPS mm, and the positions of each object.
 
     Markers that the field of view cuts count neither as missed nor as false.
     """
@@ -97,7 +97,7 @@ class Count:
 
 
 def paint(scan: Scan, margins_mm: Point = MARGINS_MM) -> Painted:
-    """Paint a scan of a family within the box around its markers and objects."""
+    """Paint a scan of a family, within the box around its markers and objects."""
     places = np.array(scan.anatomy.places)
     grid = _crop_grid(scan.grid, places.min(axis=0) - margins_mm, places.max(axis=0) + margins_mm)
     slices = Planes(replace(scan, grid=grid))
@@ -132,7 +132,7 @@ def judge(painted: Painted, count: Count) -> None:
 
 
 def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Scans of one family, taken from the volumes that its protocol scans in turn."""
+    """Yield scans of one family, from the volumes that fall to this protocol when all take turns."""
     protocols = list(PROTOCOLS)
     for number in range(protocols.index(protocol), volumes, len(protocols)):
         yield family_scan(family, protocol, seed=seed + number)

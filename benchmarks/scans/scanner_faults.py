@@ -42,7 +42,7 @@ DATA = Path(__file__).parents[2] / "docs" / "reference" / "scanner-faults.toml"
 
 @dataclass(frozen=True)
 class Case:
-    """A fault in words and as options; `slice_mm` is a slice spacing other than the protocol's."""
+    """A fault, described and as options. `slice_mm` is a slice spacing other than the protocol's."""
 
     words: str
     faults: ScannerFaults = NO_FAULTS
@@ -192,7 +192,7 @@ def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
 
 @dataclass
 class Quiet:
-    """The largest values in scans without motion and with the slices where the scanner states."""
+    """Largest values in scans without motion and with slices where the scanner states."""
 
     volumes: int = 0
     measured: int = 0  # volumes with enough markers for their shape to tell
@@ -204,7 +204,7 @@ class Quiet:
     told: list[str] = field(default_factory=list)
 
     def add(self, painted: Painted) -> None:
-        """Add a scan."""
+        """Include a scan."""
         volume = painted.volume
         self.volumes += 1
         found_jumps = estimate_jumps(volume.voxels, volume.geometry)
@@ -241,7 +241,7 @@ class Quiet:
 
 
 def quiet(volumes: int, seed: int) -> Quiet:
-    """Scan volumes of each family and protocol, each with the next kernel, every other with overlap."""
+    """Measure volumes of each family and protocol, with a new kernel each and every other with overlap."""
     found = Quiet()
     kernels = list(KERNELS)
     for family in FAMILIES:

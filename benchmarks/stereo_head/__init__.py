@@ -1,1 +1,1 @@
-"""The stereo head: sphere centres, pictures, calibration, rate."""
+"""Stereo head: sphere centres, images, calibration, frame rate."""

@@ -1,4 +1,4 @@
-"""Spheres in rendered images: cost and error of our measurement against the usual first choices."""
+"""Spheres in rendered images: cost and error of our measurement against common simple methods."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POINT_UM = 20.0
 
 @dataclass(frozen=True)
 class Size:
-    """Pairs of images, and starts of the servo loop."""
+    """Number of image pairs, and of starts of the servo loop."""
 
     frames: int = 14
     servo_pairs: int = 20
@@ -60,7 +60,7 @@ SMALLEST = Size(1, 1, 2, 2, 1, 1, 1, 1, 1)
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Cost per image and pair, errors of the campaign, deceptive images, and the servo loop."""
+    """Measure cost per image and pair, campaign errors, deceptive images, and the servo loop."""
     studio, size = Studio(), SMALLEST if smallest else Size()
     return [
         *_measure_cost(studio, size),

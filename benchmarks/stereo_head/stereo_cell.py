@@ -67,7 +67,7 @@ SIX_ZEROS = (0.0,) * 6
 
 
 def with_ideal_arm(scene: Scene) -> Scene:
-    """The scene with the nominal arm; the repeatability error remains: 0.015 mm per axis."""
+    """Return the scene with the nominal arm. The repeatability error remains, 0.015 mm per axis."""
     exact = {
         "links": (NO_LINK_ERROR,) * 6,
         "joint_offset_rad": SIX_ZEROS,
@@ -86,7 +86,7 @@ def without_arm_errors(scene: Scene) -> Scene:
 
 @dataclass
 class CellArm:
-    """The arm: every motion arrives at once, on the flanks given by its directions."""
+    """Arm whose motions all arrive immediately, on the gear flanks given by their directions."""
 
     state = Lifecycle.ACTIVE
 
@@ -123,7 +123,7 @@ class CellArm:
 
 
 class CellStereo:
-    """The stereo head: a pair is drawn on request."""
+    """Stereo head that draws a pair on request."""
 
     def __init__(self, world: World) -> None:
         self._cameras = [
@@ -165,7 +165,7 @@ class CellStereo:
 
 @dataclass(frozen=True)
 class Start:
-    """A sphere, and the tool centre point's true position before the servo."""
+    """A sphere, and the true position of the tool centre point before the servo."""
 
     fiducial: int
     expected: Transform
@@ -173,7 +173,7 @@ class Start:
 
 
 class StereoCell:
-    """The cell of a scene with a stereo head calibrated as in `calibration`."""
+    """Cell of a scene, with a stereo head calibrated as in `calibration`."""
 
     def __init__(self, scene: Scene, calibration: StereoHeadCalibration, folder: Path) -> None:
         self.scene = scene
@@ -191,7 +191,7 @@ class StereoCell:
         )
 
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
-        """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
+        """Draw a sphere, a side to see it from, and a true tool position `away_mm` from it.
 
         A servo begins where the path check found both lines of sight clear, so only such sides are drawn.
         Without `in_sight` only refused sides are drawn: another sphere is in the way.
@@ -214,12 +214,12 @@ class StereoCell:
         return Start(fiducial, _as_transform(expected), self._solve_joints(expected))
 
     def centre(self, start: Start) -> CentredSphere:
-        """Run the procedure's own loop onto one sphere."""
+        """Run the procedure's own servo loop on one sphere."""
         centring = Centring(self._workcell, (1,) * 6, self.scene.servo_area_px, STANDOFF_MM)
         return centring.centre_on(start.fiducial, start.expected, start.near_rad)
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
-        """Centre with measurements that equal the truth, without images."""
+        """Centre on a sphere with measurements equal to the truth, without images."""
 
         def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
@@ -235,11 +235,11 @@ class StereoCell:
         return self._workcell.look()
 
     def true_offset_mm(self, found: CentredSphere, fiducial: int) -> Array:
-        """Recorded point minus true position of the sphere, robot frame (3,)."""
+        """Return the recorded point minus the true sphere position, robot frame (3,)."""
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
 
     def rest_error_mm(self, joints_rad: JointVector, motion: int) -> Array:
-        """The repeatability error of that motion (3,)."""
+        """Return the repeatability error (3,) of a motion."""
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
@@ -258,7 +258,7 @@ class StereoCell:
 def _build_workcell(
     arm: CellArm, stereo: CellStereo, calibration: StereoHeadCalibration, folder: Path
 ) -> Workcell:
-    """The procedure's workcell over these devices, its journal in the folder."""
+    """Return the procedure's workcell with these devices and its journal in the folder."""
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
     file = parse_theatre({"theatre": "stereo cell"})  # its devices are passed in, without endpoints
     theatre = SimpleNamespace(
@@ -304,7 +304,7 @@ class ServoTally:
 
     @property
     def within(self) -> int:
-        """Starts that met the end condition within the allowed steps."""
+        """Number of starts that met the end condition within the allowed steps."""
         ends = zip(self.steps, self.residuals_mm, strict=True)
         return sum(steps <= STEPS and residual <= END_MM for steps, residual in ends)
 
@@ -317,7 +317,7 @@ def servo_campaign(
     drawn: bool = True,
     in_sight: bool = True,
 ) -> ServoTally:
-    """Run the step's servo from `starts` random positions; `scene_of` modifies each cell's scene first.
+    """Run the servo step from `starts` random positions, in scenes modified by `scene_of`.
 
     Without drawn images the measurements are the truth, at a fiftieth of the cost: only the arm's
     errors remain. Without `in_sight` it begins where the path check would refuse to, with another
@@ -336,7 +336,7 @@ def servo_campaign(
 
 
 def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
-    """A cell with cameras calibrated without errors, on a mount that is assumed to be nominal."""
+    """Return a cell with perfectly calibrated cameras, on a mount that is assumed to be nominal."""
     perfect = Studio(scene).calibration()
     nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
     return StereoCell(scene, nominal, folder)

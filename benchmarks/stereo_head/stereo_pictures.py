@@ -42,7 +42,7 @@ GLARES = 2
 
 @dataclass(frozen=True)
 class Case:
-    """How the pairs of one row of the table are drawn.
+    """How to draw the pairs of one table row.
 
     `reach_mm` per axis around the tool centre point; `tilt` of the post against the tool axis, largest
     slope; `rim_lost` smallest and largest share of the rim hidden by an occluder, separately for each
@@ -65,7 +65,7 @@ class Case:
 
 @dataclass(frozen=True)
 class View:
-    """A camera's image of a sphere; `true_centre_px` and `offset_px` are in full-sensor pixels."""
+    """A camera's image of a sphere. `true_centre_px` and `offset_px` are in full-sensor pixels."""
 
     picture: Picture
     offset_px: tuple[int, int]
@@ -76,7 +76,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pair:
-    """A sphere in both cameras, and its true position in the tool frame."""
+    """A sphere seen by both cameras, and its true position in the tool frame."""
 
     left: View
     right: View
@@ -93,7 +93,7 @@ class Studio:
     scene: Scene = field(default_factory=lambda: draw_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
-        """Pairs of a case, lazily: a full frame of each would be too much to keep."""
+        """Yield the pairs of a case one by one, since full frames of all would use too much memory."""
         generator = np.random.default_rng(seed)
         cameras = (self.scene.left, self.scene.right)
         optics = [Optics(camera, self.scene.seed) for camera in cameras]
@@ -117,7 +117,7 @@ class Studio:
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
-        """The result of a laboratory without errors."""
+        """Return the calibration from a laboratory without errors."""
         now = datetime.now(UTC)
         identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         left, right = (
@@ -176,7 +176,7 @@ class Studio:
 
 
 def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
-    """Centre and mean radius, px, of the ellipse through the projected points of the outline."""
+    """Return centre and mean radius, px, of the ellipse through the projected points of the outline."""
     outline = lens.project(sphere.outline_mm())
     middle = outline.mean(axis=0)
     x, y = (outline - middle).T
@@ -214,7 +214,7 @@ def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number:
 
 
 def _area_around(lens: Lens, sphere: Sphere, size_px: tuple[int, int], sensor_px: tuple[int, int]) -> Area:
-    """The area of that size around the image of a sphere's centre, inside the sensor."""
+    """Return the area of the given size around the image of a sphere's centre, inside the sensor."""
     middle = lens.project(sphere.centre_mm[None])[0]
     x, y = (
         int(np.clip(round(at - size / 2), 0, whole - size))

@@ -1,4 +1,4 @@
-"""Panels of the case's state: head of the page, progress of the steps, devices and the robot link."""
+"""Panels of the case state: page head, progress of the steps, devices and the robot link."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def banner(view: CaseView) -> str:
-    """Show simulation or hardware, which must never be confused."""
+    """Show whether this is simulation or hardware, which must never be confused."""
     if view.banner is None:
         return tag("div", OPENING, class_="banner opening")
     if view.banner:
@@ -33,7 +33,7 @@ def banner(view: CaseView) -> str:
 
 
 def case_line(view: CaseView) -> str:
-    """Show the run, its theatre and strategy."""
+    """Show the run with its theatre and strategy."""
     run = tag("b", text(view.run or "no run yet"))
     more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
     ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""
@@ -55,7 +55,7 @@ def clock(view: CaseView, beat: int) -> str:
 
 
 def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
-    """Show the operator's seat and the rights of this page."""
+    """Show who is in the operator's seat, and what this page may do."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
         words, kind = f"You are operating as {holder}", "ok"
@@ -69,7 +69,7 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
 
 
 def chart(view: CaseView) -> str:
-    """Show the steps by phase; a finished phase is collapsed while another is not finished."""
+    """Show the steps by phase. Finished phases are collapsed while another phase is unfinished."""
     finished = all(row.state == "done" for row in view.steps)
     latest = next((row for row in reversed(view.steps) if row.state == "done"), None)
     phases = []
@@ -150,7 +150,7 @@ def devices_key(view: CaseView) -> object:
 
 
 def mode(view: CaseView) -> str:
-    """Show the controller's operating mode, for the head of the page."""
+    """Show the controller's operating mode in the page head."""
     if not view.mode:
         return tag("div", '<b>-</b><div class="dim">controller</div>', class_="mode")
     return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")
@@ -176,7 +176,7 @@ def _render_row(name: str, row: DeviceRow) -> str:
 
 
 def _render_facts(row: DeviceRow) -> str:
-    """List a device's facts; those that keep the case from continuing are highlighted."""
+    """List a device's facts, highlighting those that prevent the case from continuing."""
     remarks = [
         f"{text(fact.name)} {text(fact.found)}"
         if fact.ready

@@ -1,4 +1,4 @@
-"""HTML for untrusted text: everything is escaped, and only these tags are generated."""
+"""HTML from untrusted text: all text is escaped, and only these tags are generated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def text(words: object) -> str:
 
 
 def tag(name: str, content: str, **attributes: str) -> str:
-    """Wrap HTML in an element; `class_` is its class; underscores become hyphens."""
+    """Wrap HTML in an element. `class_` is its CSS class; underscores become hyphens."""
     shown = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
         for key, value in attributes.items()
@@ -32,7 +32,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "")
 
 
 def table_of(head: str, body: str, caption: str = "") -> str:
-    """Build a table of HTML rows."""
+    """Build a table from rows of HTML."""
     title = tag("caption", text(caption)) if caption else ""
     return tag("div", tag("table", f"{title}<thead>{head}</thead><tbody>{body}</tbody>"), class_="wide")
 

@@ -1,4 +1,4 @@
-"""Controls of the operator: the seat, the orders, and the open question with its answers.
+"""Operator controls: the seat, the orders, and the open question with its answers.
 
 A button only sends a request: the engine decides. An answer that moves the arm, or releases it on a result,
 must be held for a second, and counts only once the panel has been visible for a moment: neither a slip nor
@@ -47,7 +47,7 @@ NOT_EMERGENCY = (
 
 
 class SeatPanel:
-    """Panel of the operator's seat; taking it requires a name and a button press."""
+    """Panel of the operator's seat, which is taken by entering a name and pressing a button."""
 
     def __init__(self, give: Give, *, may_operate: bool) -> None:
         self._give = give
@@ -61,7 +61,7 @@ class SeatPanel:
             self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
     def show(self, view: CaseView, *, is_mine: bool, orders: bool) -> None:
-        """Show who is in the seat."""
+        """Show who is in the operator's seat."""
         self._line.set_content(seat_line(view, is_mine=is_mine, may_operate=self._may_operate))
         free = self._may_operate and orders and view.seat is None
         self._name.set_visibility(free)
@@ -73,7 +73,7 @@ class SeatPanel:
 
 
 class OrderPanel:
-    """Panel of Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
+    """Panel of Next, Run to, Pause, Resume, Acknowledge, Abort. Stop is separate and needs no seat."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
@@ -92,7 +92,7 @@ class OrderPanel:
         self._build("")
 
     def _build(self, upcoming: str) -> None:
-        """Make new buttons for the present state: a late click on the old ones has no effect."""
+        """Create new buttons for the present state, so that a late click on the old ones has no effect."""
         self._quoted = upcoming
 
         async def order_next() -> None:
@@ -113,7 +113,7 @@ class OrderPanel:
             self._resume = _button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable the orders possible now; each quotes the state that its button was shown with."""
+        """Enable the orders possible now. Each quotes the state in which its button was shown."""
         state = case_activity(view)
         has_ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""
@@ -142,14 +142,14 @@ class OrderPanel:
 
 
 def case_activity(view: CaseView) -> CaseActivity:
-    """Return the state of a case in which an order of its page arrives."""
+    """Return the case state for which an order from its page is valid."""
     if view.question is not None:
         return PAUSED if view.question.topic == Topic.PAUSE else CaseActivity.ASKING
     return WAITING if view.waiting is not None and view.upcoming else CaseActivity.RUNNING
 
 
 def add_stop_button(give: Give) -> None:
-    """Add the stop button, always visible and enabled for operators."""
+    """Add the stop button, which is always visible and enabled for operators."""
 
     async def stop() -> None:
         await give({"kind": "stop"})
@@ -165,7 +165,7 @@ def add_stop_button(give: Give) -> None:
 
 
 class QuestionPanel:
-    """Panel of the open question, rebuilt for each one and when the seat changes hands."""
+    """Panel of the open question, rebuilt for each question and whenever the seat changes hands."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
@@ -263,7 +263,7 @@ class QuestionPanel:
 
 
 class HeldButton:
-    """A button that acts after being held by pointer or space bar for a second."""
+    """Button that acts after being held for a second, by pointer or space bar."""
 
     def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
         self._act = act
@@ -313,7 +313,7 @@ class HeldButton:
 
 
 def _moment_ms(event: Any) -> float:
-    """Return the time of the event by the browser's clock; NaN if not reported."""
+    """Return the time of the event by the browser's clock, in ms; NaN if not reported."""
     moment = event.args.get("timeStamp")
     return float(moment) if isinstance(moment, int | float) else math.nan
 

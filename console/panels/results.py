@@ -1,4 +1,4 @@
-"""Panels of the results: accuracy, pictures, notices, and the ends of journal and log."""
+"""Panels of the results: accuracy, images, notices, and the latest journal and log lines."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def accuracy(figures: CaseFigures | None) -> str:
 
 
 def live_pair(hub: Hub) -> str:
-    """Show the last pair, with the outlines found in it."""
+    """Show the latest image pair with the outlines found in it."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
@@ -65,7 +65,7 @@ def live_key(hub: Hub) -> object:
 
 
 def pictures(figures: CaseFigures | None) -> str:
-    """Show the measured stereo pairs with the outlines found in them, newest first."""
+    """Show the measured image pairs with the outlines found in them, newest first."""
     names = figures.pictures[-MOST_PICTURES:][::-1] if figures else ()
     if not names:
         return tag("p", "No stereo picture yet.", class_="dim")
@@ -80,7 +80,7 @@ def _render_picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Show three planes through each target; those of the current step are open."""
+    """Show three planes through each target. Those of the current step are expanded."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     current_name = (view.running or view.upcoming).partition(":")[2]
@@ -101,7 +101,7 @@ def _render_cut(way: str, name: str, *, is_open: bool) -> str:
 
 
 def course(figures: CaseFigures | None) -> str:
-    """Show the timeline of the report."""
+    """Show the timeline, as in the report."""
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")
@@ -127,7 +127,7 @@ def _render_notice(notice: Notice) -> str:
 
 
 def problems(figures: CaseFigures | None) -> str:
-    """Warn of truncated, changed or incompatible parts of a run folder."""
+    """Warn of truncated, altered or incompatible parts of a run folder."""
     if figures is None or not figures.problems:
         return ""
     first, *more = figures.problems
@@ -137,7 +137,7 @@ def problems(figures: CaseFigures | None) -> str:
 
 
 def log(lines: tuple[str, ...]) -> str:
-    """List the last log lines, newest first; warnings and errors are marked by their level."""
+    """List the latest log lines, newest first. Warnings and errors are marked by level."""
     shown = "".join(tag("li", text(line), class_=_level_class(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 
@@ -148,13 +148,13 @@ def _level_class(line: str) -> str:
 
 
 def journal(view: CaseView) -> str:
-    """List the last journal lines, newest first."""
+    """List the latest journal lines, newest first."""
     lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
     return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")
 
 
 class LogTail:
-    """The end of a run's log, shared by all pages and re-read once it has grown."""
+    """Tail of a run's log, shared by all pages and re-read when the log has grown."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOG_FILE
@@ -162,7 +162,7 @@ class LogTail:
         self._lines: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
-        """Return the last lines as text, oldest first; empty if there is no log."""
+        """Return the latest lines as text, oldest first; empty if there is no log."""
         try:
             size = self._path.stat().st_size
             if size != self._size:
@@ -181,7 +181,7 @@ class LogTail:
 
 
 def _as_text(line: bytes) -> str:
-    """Format a line like `10:21:05 info step begins: part engine`; empty if it is not a log line."""
+    """Format a log line like `10:21:05 info step begins: part engine`; empty if the line is not valid."""
     try:
         content = parse_json(line)
         time, level, event = (str(content.pop(name, "")) for name in HEADS)

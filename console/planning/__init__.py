@@ -1,1 +1,1 @@
-"""The planner: a CT in slices, its spheres, and trajectories that are drawn, judged and saved."""
+"""Planner: CT slices, the spheres in them, and trajectories that are drawn, judged and saved."""

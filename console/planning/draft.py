@@ -1,4 +1,4 @@
-"""A plan as far as it is drawn, its history, and its file of unsaved changes.
+"""Draft of a plan, its history, and the file of its unsaved changes.
 
 A draft may be incomplete; each change is a new value. Unsaved changes are kept next to the plan, so that
 neither a crash nor Ctrl-C loses them.
@@ -29,7 +29,7 @@ LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a 
 
 @dataclass(frozen=True)
 class DraftTrajectory:
-    """A trajectory in LPS; an end not chosen yet is None."""
+    """A trajectory in LPS. An end that has not been chosen yet is None."""
 
     identifier: str
     entry_mm: Point | None = None
@@ -46,13 +46,13 @@ class DraftTrajectory:
 
     @property
     def depth_mm(self) -> float | None:
-        """Return the distance from entry to target."""
+        """Distance from entry to target in mm; None if an end is missing."""
         return None if self.ends is None else math.dist(*self.ends)
 
 
 @dataclass(frozen=True)
 class Draft:
-    """The future content of `plan.toml`, and the spheres that count as markers."""
+    """Content to be saved in `plan.toml`, and the spheres that count as markers."""
 
     patient_orientation: str
     implanted: int
@@ -68,7 +68,7 @@ class Draft:
 
     @classmethod
     def of(cls, plan: Plan) -> Draft:
-        """Build from a plan file; the spheres come later, from the CT."""
+        """Build a draft from a plan file. The spheres are added later, from the CT."""
         return cls(
             patient_orientation=plan.patient_orientation.value,
             implanted=plan.implanted,
@@ -97,22 +97,22 @@ class Draft:
         return replace(self, ways=tuple(way if item.identifier == identifier else item for item in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
-        """Add a trajectory; returns its name too."""
+        """Add a trajectory. Return the new draft and the name of the trajectory."""
         taken = {item.identifier for item in self.ways}
         name = next(name for k in range(1, len(taken) + 2) if (name := f"T{k}") not in taken)
         return replace(self, ways=(*self.ways, DraftTrajectory(name))), name
 
     def without_way(self, identifier: str) -> Draft:
-        """Remove a trajectory; the last one is emptied instead."""
+        """Remove a trajectory. The last trajectory is emptied instead."""
         remaining = tuple(item for item in self.ways if item.identifier != identifier)
         return replace(self, ways=remaining or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
-        """Return the structure with that name; None without one."""
+        """Return the structure with that name; None if there is none."""
         return next((item for item in self.structures if item.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
-        """Add a structure, or replace the one with its name."""
+        """Add a structure, replacing any of the same name."""
         if self.structure(structure.name) is None:
             return replace(self, structures=(*self.structures, structure))
         return replace(
@@ -125,7 +125,7 @@ class Draft:
         return replace(self, structures=tuple(item for item in self.structures if item.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
-        """Return the content of a plan file, with the trajectories whose ends are both chosen."""
+        """Return the content of a plan file, with the trajectories that have both ends."""
         content: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "series_instance_uid": series_instance_uid,
@@ -166,7 +166,7 @@ class History:
         self.now = draft
 
     def change(self, draft: Draft, *, continues: bool = False) -> None:
-        """Apply a change. One that `continues`, as during a drag, is undone together with the one before."""
+        """Apply a change. One that `continues`, as during a drag, is undone together with its predecessor."""
         if draft == self.now:
             return
         if not continues or not self._past:
@@ -187,25 +187,25 @@ class History:
             self.now = self._future.pop()
 
     def replace_all(self, by: Callable[[Draft], Draft]) -> None:
-        """Apply new knowledge to every draft in the history."""
+        """Apply new information to every draft in the history."""
         self._past = [by(item) for item in self._past]
         self._future = [by(item) for item in self._future]
         self.now = by(self.now)
 
     @property
     def can_undo(self) -> bool:
-        """Whether anything has been changed."""
+        """Whether there is a change to undo."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether anything was undone."""
+        """Whether there is a change to redo."""
         return bool(self._future)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Direction from the target out to the entry, in degrees, as used with a ring and arc.
+    """Direction from the target out to the entry, in degrees, as set on a stereotactic ring and arc.
 
     `azimuth_deg` in the axial plane, 0 to the patient's left, 90 to the back; `elevation_deg` above
     it, up to the crown.
@@ -224,7 +224,7 @@ class Axis:
         )
 
     def entry_mm(self, target_mm: Point, depth_mm: float) -> Point:
-        """Return the entry at that depth above the target."""
+        """Return the entry at the given depth above the target."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         along = (
             math.cos(elevation) * math.cos(azimuth),
@@ -236,7 +236,7 @@ class Axis:
 
 
 class _StoredDraft(BaseModel):
-    """A draft and its base, without the spheres, which are found again."""
+    """A draft and the plan it is based on, without spheres, which are detected again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -255,7 +255,7 @@ class _StoredDraft(BaseModel):
 
 
 class UnsavedFile:
-    """The file next to a plan that stores its unsaved changes."""
+    """File next to a plan that stores its unsaved changes."""
 
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")
@@ -263,20 +263,20 @@ class UnsavedFile:
         self._is_ours = False  # written or adopted here
 
     def store_draft(self, draft: Draft, plan_sha256: str) -> None:
-        """Store a draft that changes the plan file with that digest. Raises OSError."""
+        """Store a draft based on the plan file with that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _StoredDraft(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_atomically(self.path, kept.model_dump_json(indent=1).encode())
         self._is_ours = True
 
     def forget(self) -> None:
-        """Delete the file: there are no unsaved changes."""
+        """Delete the file, since there are no unsaved changes."""
         if self._is_ours:
             self.path.unlink(missing_ok=True)
         self._is_ours = False
 
     def restore(self, plan_sha256: str, draft: Draft) -> Draft | None:
-        """Return the stored draft, with the spheres of `draft`; None without one.
+        """Return the stored draft with the spheres of `draft`; None if nothing is stored.
 
         Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
         """

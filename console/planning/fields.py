@@ -14,7 +14,7 @@ from ronna_hw.text import parse_typed_number
 
 
 class NumberField:
-    """Field for a number with the given decimals; `on_value` receives the entered value."""
+    """Number field with the given number of decimals. `on_value` receives the entered value."""
 
     def __init__(self, label: str, name: str, on_value: Callable[[float], None], decimals: int = 1) -> None:
         self._on_value, self._decimals = on_value, decimals
@@ -31,7 +31,7 @@ class NumberField:
         self._field.on("keydown.enter", self._commit)
 
     def show(self, value: float | None) -> None:
-        """Show the present value; text being typed stays as long as nothing else changes."""
+        """Show the present value. Text being typed stays unless the value changes otherwise."""
         words = "" if value is None else f"{value:.{self._decimals}f}"
         if words != self._shown:
             self._shown = words
@@ -69,6 +69,6 @@ class NumberField:
 
 
 def small_button(words: str, act: Callable[[], object], name: str) -> ui.button:
-    """Add a button in a row of a panel; `name` is for screen readers."""
+    """Add a button to a row of a panel. `name` is for screen readers."""
     button = ui.button(words, on_click=act, color=None).classes("plain small")
     return button.props(f'no-caps unelevated aria-label="{name}"')

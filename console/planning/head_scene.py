@@ -1,4 +1,4 @@
-"""The head in three dimensions, with markers, trajectories and the crosshair."""
+"""3-D view of the head, with markers, trajectories and the crosshair."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ AWAY_MM = 480.0
 
 
 class HeadScene:
-    """The head's scene of a page, in CT coordinates, metres."""
+    """3-D scene of the head on one page, in CT coordinates, metres."""
 
     def __init__(self, editor: PlanEditor, page_view: PageView, *, low: bool) -> None:
         self._editor, self._page_view, self._low = editor, page_view, low

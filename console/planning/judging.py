@@ -1,4 +1,4 @@
-"""Assessment of a draft, and its HTML: mistakes, reach, clearance, and the expected error at each target.
+"""Assessment of a draft, and its HTML: errors, reach, clearance, and the expected error at each target.
 
 A draft is judged twice: immediately without clearance, and then like `ronna-plan check`.
 """
@@ -35,7 +35,7 @@ SHARES_SHOWN = 6
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """The expected error at one target; the squares of the shares add up to that of `rms_mm`."""
+    """Expected error at one target. The squares of its components add up to that of `rms_mm`."""
 
     rms_mm: float
     limit_mm: float  # contains it with 95 %
@@ -45,7 +45,7 @@ class ExpectedError:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Assessment of a draft; `thorough` as by `ronna-plan check`, without it clearance is unknown."""
+    """Assessment of a draft. `thorough` includes the clearance, as in `ronna-plan check`."""
 
     draft: Draft
     thorough: bool = False
@@ -60,7 +60,7 @@ class Judgement:
 
 
 def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judgement:
-    """Judge the trajectories whose ends are chosen. Never raises for problems of a draft."""
+    """Judge the trajectories that have both ends. Never raises for problems of a draft."""
     judged = Judgement(draft, thorough=thorough or theatre is None, is_arm_known=theatre is not None)
     if not any(item.ends for item in draft.ways):
         return judged
@@ -150,7 +150,7 @@ def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> Expect
 
 
 def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
-    """Word the findings of a check of the arm that passed."""
+    """Describe the findings of an arm check that passed."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
@@ -168,7 +168,7 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
 
 
 def verdict(judged: Judgement, draft: Draft) -> str:
-    """Show the assessment of the draft; until it is checked, the previous one, marked as outdated."""
+    """Show the assessment of the draft. Until it is available, show the previous one, marked as outdated."""
     parts = [
         tag(
             "li",
@@ -188,7 +188,7 @@ def verdict(judged: Judgement, draft: Draft) -> str:
 
 
 def expected(judged: Judgement, draft: Draft) -> str:
-    """Show the expected error at each target, with its margin."""
+    """Show the expected error at each target and its margin."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")
@@ -201,7 +201,7 @@ def expected(judged: Judgement, draft: Draft) -> str:
 
 
 def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:
-    """Mark findings as outdated, in grey and in words, once their draft is not the current one."""
+    """Mark findings as outdated, in grey and in words, if their draft is no longer current."""
     if judged.draft is draft or not content:
         return content
     return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")

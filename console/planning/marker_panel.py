@@ -1,4 +1,4 @@
-"""Panels of the markers: accepted spheres, rejected candidates with reasons, and proposed further sites."""
+"""Panels of the markers: accepted spheres, candidates rejected with reasons, and proposed further sites."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SiteProposal = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class MarkerPanel:
-    """Panel of the markers, rebuilt when spheres or candidates change."""
+    """Panel of the markers, rebuilt whenever spheres or candidates change."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class MarkerPanel:
 
 
 class ProposalPanel:
-    """Panel that proposes a set like `ronna-plan markers`, or one more besides the accepted spheres."""
+    """Panel that proposes a marker set like `ronna-plan markers`, or one more besides accepted spheres."""
 
     def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
         self._editor, self._go = editor, go

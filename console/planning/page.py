@@ -1,4 +1,4 @@
-"""The planner's page: its parts, the effect of a click in them, and the update loop."""
+"""Page of the planner: its parts, the handling of clicks, and the update loop."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def add_planner(app: FastAPI, editor: PlanEditor) -> None:
 
 
 class PlannerPage:
-    """An open page of a session. Viewers see the same draft but cannot change it."""
+    """Page of a session. Viewers see the same draft but cannot change it."""
 
     def __init__(self, editor: PlanEditor, session: Session, *, low: bool) -> None:
         self._editor, self._low = editor, low
@@ -64,7 +64,7 @@ class PlannerPage:
         self._beat = 0
 
     def build(self) -> None:
-        """Create the parts and start filling them."""
+        """Create the parts and start updating them."""
         editor, page_view = self._editor, self._page_view
         with ui.element("header").classes("head"):
             ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
@@ -205,7 +205,7 @@ class PlannerPage:
         self._show_view()
 
     def _show_view(self) -> None:
-        """Show the view of this page at once; other pages are not affected.
+        """Show the view of this page immediately, without affecting other pages.
 
         The scene follows at the next beat: rendered in software it would delay scrolling.
         """

@@ -1,4 +1,4 @@
-"""Slices of a CT for a page: its view, the image of each plane, and the routes that serve them."""
+"""CT slices for a page: its view, the image of each plane, and the routes that serve the images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle be
 
 
 class Plane(StrEnum):
-    """Plane of an image."""
+    """Image planes."""
 
     AXIAL = "axial"
     CORONAL = "coronal"
@@ -59,7 +59,7 @@ DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Pose of an image: its centre, its directions to the right and down, LPS; `step_mm` per pixel."""
+    """Pose of an image in LPS: its centre, and its directions right and down. `step_mm` is per pixel."""
 
     middle_mm: Array
     right: Array
@@ -68,17 +68,17 @@ class Cut:
 
     @cached_property
     def normal(self) -> Array:
-        """Into the image."""
+        """Unit vector into the image."""
         return np.asarray(np.cross(self.right, self.down))
 
     def to_patient_mm(self, x_px: float, y_px: float) -> Point:
-        """Return the position of a point in the image; (0, 0) is the corner of its first pixel."""
+        """Return the LPS position of a point in the image. (0, 0) is the corner of the first pixel."""
         half = SIZE_PX / 2.0
         place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
         return as_point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
-        """Return the image position of a point, px, and its distance behind the image, mm."""
+        """Return the image position of a point in px, and its distance behind the image in mm."""
         away = np.asarray(place_mm, dtype=float) - self.middle_mm
         half = SIZE_PX / 2.0
         return (
@@ -89,13 +89,13 @@ class Cut:
 
 
 def as_point(place: ArrayLike) -> Point:
-    """Return three plain numbers."""
+    """Convert an array to three plain numbers."""
     x, y, z = (float(value) for value in np.asarray(place))
     return x, y, z
 
 
 def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
-    """Render the image, black at the lower end of the window and white at the upper."""
+    """Render the image, black at the lower end of the window and white at the upper end."""
     low, high = window_hu
     hu = sample_cut_hu(volume, cut)
     grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
@@ -105,7 +105,7 @@ def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> byte
 
 
 def sample_cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """Return the HU of every pixel (rows, columns), interpolated; between slices only along a trajectory."""
+    """Return the HU of every pixel (rows, columns), interpolated between slices only along a trajectory."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
     per_px = (
@@ -154,7 +154,7 @@ def _interpolate_between_slices(volume: Volume, first: Array, per_px: Array) -> 
 
 @dataclass
 class PageView:
-    """The view of one page. Every image but the one along a trajectory passes through the crosshair."""
+    """View of one page. All images pass through the crosshair, except the image along a trajectory."""
 
     geometry: VoxelGeometry
     place_mm: Point = (0.0, 0.0, 0.0)
@@ -173,7 +173,7 @@ class PageView:
 
     @property
     def step_mm(self) -> float:
-        """Size of a pixel: without zoom the whole scan fits."""
+        """Pixel size in mm; unzoomed, the whole scan fits."""
         return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
 
     def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
@@ -199,12 +199,12 @@ class PageView:
         return Cut((entry + target) / 2.0, turned, down, self.step_mm)
 
     def go_to(self, place_mm: Point) -> None:
-        """Move the crosshair, within the scan."""
+        """Move the crosshair to a position within the scan."""
         low, high = self._bounds
         self.place_mm = as_point(np.clip(place_mm, low, high))
 
     def scroll(self, plane: Plane, steps: int) -> None:
-        """Scroll by this many slices."""
+        """Scroll by this number of slices."""
         if plane is Plane.ALONG:
             self.turn_deg = (self.turn_deg + TURN_DEG * steps) % 360.0
             return
@@ -214,21 +214,21 @@ class PageView:
         self.go_to(as_point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
 
     def move(self, plane: Plane, right: int, down: int) -> None:
-        """Move the crosshair within an image, by its pixels."""
+        """Move the crosshair within an image, in pixels of the image."""
         if plane is Plane.ALONG:
             return
         across, downwards = (np.array(item) for item in DIRECTIONS[plane])
         self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
-        """Zoom about the crosshair; fully zoomed out, show the whole scan."""
+        """Zoom about the crosshair. Fully zoomed out, show the whole scan."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)
 
 
 def add_pictures(app: Any, editor: PlanEditor) -> None:
-    """Serve the images of a plan's CT; no address reveals whose it is."""
+    """Serve the images of a plan's CT. Their addresses do not reveal the patient."""
 
     async def cut(request: Request) -> Response:
         try:
@@ -246,7 +246,7 @@ def add_pictures(app: Any, editor: PlanEditor) -> None:
 
 
 def _parse_request(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
-    """Parse a request; raises KeyError or ValueError for an invalid one."""
+    """Parse a request; raises KeyError or ValueError if it is invalid."""
     middle, right, down = (_parse_vector(given[name]) for name in "mrd")
     step_mm = float(given["s"])
     is_orthonormal = abs(right @ down) < UNIT and all(

@@ -1,4 +1,4 @@
-"""Structures that the trajectories avoid: drawn in the images or imported, with margins and distances."""
+"""Structures for trajectories to avoid: drawn in the images or imported, with margins and distances."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ShowProblem = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Panel of the structures; strokes and files are added to the one named in its field."""
+    """Panel of the structures. Strokes and files are added to the structure named in its field."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class StructurePanel:
             button.on("click", js_handler=PICK_JS.format(number=upload.id))
 
     def draw(self, place_mm: Point, *, continues: bool) -> None:
-        """Begin or continue a stroke in an image."""
+        """Start or continue a stroke in an image."""
         start_mm = self._last_mm if continues else None
         self._last_mm = place_mm
         self._change(
@@ -111,7 +111,7 @@ class StructurePanel:
                 small_button("−", partial(self._remove, name), f"remove {name}")
 
     def _look_at(self, name: str) -> None:
-        """Go where the current trajectory comes closest to it; without one, to its first point."""
+        """Go to where the current trajectory is closest to the structure, otherwise to its first point."""
         near = {item.trajectory: item for item in self._editor.judged.distances if item.structure == name}
         structure = self._editor.draft.structure(name)
         if self._page_view.way in near:
@@ -150,7 +150,7 @@ class StructurePanel:
 
 
 def _distance_table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """Tabulate distances: a row per structure, a column per trajectory."""
+    """Tabulate distances, with a row per structure and a column per trajectory."""
     known = {(item.structure, item.trajectory): item for item in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(
@@ -181,7 +181,7 @@ def _distance_cell(distance: StructureDistance | None) -> str:
 
 
 def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
-    """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
+    """Add a stroke from `start_mm`, or its first point, to the named structure. Raises PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
     known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
@@ -218,7 +218,7 @@ def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
 
 
 def free_name(draft: Draft) -> str:
-    """Return a name for one more structure."""
+    """Return an unused name for a new structure."""
     return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
 
 

@@ -1,4 +1,4 @@
-"""Panel of the trajectories: the one edited, its ends as numbers, its axis as two angles and a depth."""
+"""Panel of the trajectories: the edited one, its ends as numbers, and its axis as two angles and a depth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENDS = (("entry", "Entry"), ("target", "Target"))
 
 
 class TrajectoryPanel:
-    """Panel of the trajectories, in LPS mm and degrees; each change is one undo step."""
+    """Panel of the trajectories, in LPS mm and degrees. Each change is one undo step."""
 
     def __init__(
         self, editor: PlanEditor, page_view: PageView, on_view_change: Callable[[], None], *, may_edit: bool

@@ -1,1 +1,1 @@
-"""Theatre and head in three dimensions, posed here: the page does no kinematics."""
+"""3-D scenes of theatre and head, posed on the server so that the page needs no kinematics."""

@@ -1,4 +1,4 @@
-"""Bodies of the scene, built from the few shapes of the page library, and the closest checked pair."""
+"""Bodies of the 3-D scene, built from the page library's few shapes, and the closest checked pair."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Call = list[Any]  # to a method of the scene, with its arguments
 
 @dataclass(frozen=True)
 class Closest:
-    """The pair with the least clearance, and that clearance."""
+    """Pair of bodies with the least clearance, and that clearance."""
 
     first: str
     second: str
@@ -30,13 +30,13 @@ class Closest:
 
 
 def axis_ends(values: tuple[float, ...]) -> tuple[Point, Point]:
-    """Split six numbers into the ends of an axis."""
+    """Split six numbers into the two ends of an axis."""
     a, b, c, d, e, f = values
     return (a, b, c), (d, e, f)
 
 
 def rotation_along(start: Point, end: Point) -> Rows:
-    """Return a rotation, by rows, that turns z into the direction from start to end."""
+    """Return a rotation, row by row, that turns z into the direction from start to end."""
     length = math.dist(start, end)
     if length == 0.0:
         return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -59,7 +59,7 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Find the closest of the pairs checked for the arm's motion; None if nothing is near."""
+    """Return the closest of the pairs checked for the arm's motion; None if nothing is near."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
     moving = [axis_ends(one) for one in pose.bodies_mm]
@@ -77,7 +77,7 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
 
 
 def _closest_points(a: Point, b: Point, c: Point, d: Point) -> tuple[Point, Point]:
-    """Find the closest points of two axes by iteration: accurate enough for drawing."""
+    """Find the closest points of two axes iteratively, accurate enough for drawing."""
     low_s, high_s = 0.0, 1.0
     for _ in range(40):  # the distance from a point to a segment is convex along the other
         third = (high_s - low_s) / 3.0
@@ -114,7 +114,7 @@ def _unit(a: Point) -> Point:
 
 
 class Capsule:
-    """A body between two points; its length never changes, so only its pose is sent."""
+    """Body between two points at a constant distance, so that only its pose is sent."""
 
     def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
         length, radius = math.dist(start, end) * METRES, body.radius_mm * METRES
@@ -128,16 +128,16 @@ class Capsule:
         self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Store its pose; returns the calls that place it on an open page."""
+        """Store the capsule's pose. Return the calls that place it on an open page."""
         return placing_calls(self.group, start, rotation_along(start, end))
 
     def delete(self) -> None:
-        """Delete the capsule."""
+        """Delete the capsule from the scene."""
         self.group.delete()
 
 
 class Rod:
-    """A thin line between two points that may both move."""
+    """Thin line between two points that may both move."""
 
     def __init__(self, scene: Any, radius_mm: float, colour: str) -> None:
         radius = radius_mm * METRES
@@ -148,7 +148,7 @@ class Rod:
         self.group.visible(False)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Store its pose; returns the calls that place it on an open page."""
+        """Store the rod's pose. Return the calls that place it on an open page."""
         length = max(math.dist(start, end) * METRES, 1e-6)
         self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
         self.group.visible_ = True
@@ -161,7 +161,7 @@ class Rod:
 
 
 def placing_calls(thing: Any, at_mm: Point, rotation: Rows) -> list[Call]:
-    """Store a pose for pages opened later, and return the calls that apply it on an open one."""
+    """Store a pose for pages opened later. Return the calls that apply it on an open page."""
     thing.x, thing.y, thing.z = (value * METRES for value in at_mm)
     thing.R = rotation
     return [["move", thing.id, thing.x, thing.y, thing.z], ["rotate", thing.id, rotation]]

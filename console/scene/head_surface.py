@@ -1,4 +1,4 @@
-"""The surface of the head from its CT, as a mesh light enough for any graphics hardware."""
+"""Surface of the head from its CT, as a mesh small enough for any graphics hardware."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 def find_series_folder(run: Path) -> Path | None:
-    """Return the folder of a run's CT series: its own, or the requested one."""
+    """Return the folder of a run's CT series: the run's copy, or the requested folder."""
     own = run / "case" / "ct"
     if own.is_dir():
         return own
@@ -34,12 +34,12 @@ def find_series_folder(run: Path) -> Path | None:
 
 
 def build_head_stl(series: Path) -> bytes:
-    """Build binary STL in CT coordinates, metres. Raises the errors of reading, CT-022 without a head."""
+    """Build a binary STL in CT coordinates, metres. Raises reading errors, and CT-022 without a head."""
     return encode_stl(*head_surface(read_series(series)))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
-    """Return corners (n, 3) mm LPS and triangles (m, 3) of the largest body denser than air, hollows filled.
+    """Return corners (n, 3) in LPS mm and triangles (m, 3) of the largest body denser than air, filled.
 
     Raises ValueError if there is none.
     """
@@ -62,7 +62,7 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
-    """Average over whole blocks, slab by slab: a whole volume of floats would be large."""
+    """Average over whole blocks, slab by slab to limit memory: a whole volume of floats would be large."""
     counts = np.array(voxels.shape) // factor
     a, b, c = (int(count_per_axis) for count_per_axis in factor)
     slices, rows, columns = (int(count_per_axis) for count_per_axis in counts)

@@ -1,4 +1,4 @@
-"""Views of tracker and stereo head: measuring volume, lines of sight, the cameras' pyramids."""
+"""Tracker and stereo head in the scene: measuring volume, lines of sight, camera pyramids."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 class Sights:
-    """Lines of sight and volumes of a scene; only changes are sent."""
+    """Lines of sight and volumes of a scene. Sends changes only."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -36,7 +36,7 @@ class Sights:
         self._shown: object = ()
 
     def show(self, view: CaseView, figures: CaseFigures | None) -> None:
-        """Show a moment."""
+        """Show the sights of a moment."""
         tracker = None if figures is None else figures.robot_from_tracker
         key = tracker, view.volume, None if figures is None else figures.spheres
         if key != self._shown:
@@ -54,7 +54,7 @@ class Sights:
 
     @property
     def hidden(self) -> int:
-        """Count the spheres hidden from at least one of the tracker's sensors by the arm."""
+        """Number of spheres that the arm hides from at least one tracker sensor."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(
@@ -117,7 +117,7 @@ class Sights:
 
 
 def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
-    """Return the edges of a measuring volume, mm in the tracker frame."""
+    """Return the edges of a measuring volume in the tracker frame, mm."""
     if volume is None:
         return []
     rings = [[(x * sx, y * sy, z) for sx, sy in CORNERS] for z, x, y in volume.sections_mm]
@@ -127,7 +127,7 @@ def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
 
 
 def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
-    """Test whether a moving body blocks a line of sight."""
+    """Return whether a moving body blocks a line of sight."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return False
     capsules = zip(bodies.moving, pose.bodies_mm, strict=True)

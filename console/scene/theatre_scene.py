@@ -1,4 +1,4 @@
-"""The theatre on a page: arm, head, spheres, trajectories, lines of sight, clearance, and controls."""
+"""3-D scene of the theatre: arm, head, spheres, trajectories, lines of sight, clearance, and controls."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class ScenePanel:
         self._scene.look_at("robot", None)
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show a moment."""
+        """Show the case at one moment."""
         self._figures = figures
         names = [path.name for path in figures.trajectories] if figures else []
         if names != self._names:
@@ -123,7 +123,7 @@ def _age(view: CaseView) -> str:
 
 
 class TheatreScene:
-    """The theatre's scene of a page; `show` sends only changes."""
+    """3-D scene of the theatre on one page. `show` sends only changes."""
 
     def __init__(self, *, low: bool) -> None:
         self._low = low
@@ -154,7 +154,7 @@ class TheatreScene:
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show a moment; `heads` counts how often the surface of the head was built."""
+        """Show the case at one moment. `heads` counts how often the head's surface was built."""
         with self.scene:
             if view.bodies is not self._bodies and view.bodies is not None:
                 self._build_bodies(view.bodies, view.pose.pose if view.pose else None)
@@ -303,11 +303,11 @@ class TheatreScene:
 
     @property
     def hidden(self) -> int:
-        """Count the spheres hidden from the tracker by the arm."""
+        """Number of spheres that the arm hides from the tracker."""
         return self._sights.hidden
 
     def look_at(self, view_name: str, figures: CaseFigures | None) -> None:
-        """Move the camera: to the `robot`, the `head`, behind the `tracker`, or along a trajectory."""
+        """Point the camera at the `robot` or `head`, from behind the `tracker`, or along a trajectory."""
         path = (
             next((item for item in figures.trajectories if item.name == view_name), None) if figures else None
         )
@@ -330,7 +330,7 @@ class TheatreScene:
 
 
 def _instrument_ends(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
-    """Return the planned ends of the instrument at its target; None without one."""
+    """Return the planned ends of the instrument at its target; None without an instrument."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((item for item in figures.trajectories if item.name == name), None) if figures else None
     if topic != AT_TARGET or path is None or view.pose is None:

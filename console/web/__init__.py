@@ -1,1 +1,1 @@
-"""The page: its frame, its style, its socket, and its updates."""
+"""Web page of the console: frame, style, socket, and updates."""

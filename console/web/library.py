@@ -1,4 +1,4 @@
-"""The page library as used by both programs: its style and settings, and the check of its sockets.
+"""Page library as used by console and planner: style, settings, and the check of its sockets.
 
 The library accepts a message from any socket for the page named in it. Here a socket may only address pages
 of its own session, and malformed messages are dropped.
@@ -26,7 +26,7 @@ RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; ot
 
 
 def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:
-    """Serve the pages added to an application. `title` is the same for every patient.
+    """Serve the pages added to an application. `title` must not depend on the patient.
 
     A page that has not been heard from for `reconnect_s` of host time is rebuilt.
     """
@@ -54,18 +54,18 @@ def page_head() -> str:
 
 
 async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
-    """Answer 404 in text: the library's own page would hold up everything else."""
+    """Answer 404 in plain text, since the library's own page would block everything else."""
     return PlainTextResponse("Not found.", 404)
 
 
 def bind_page(client: Any, session: str) -> None:
-    """Bind a page to a session: sockets of others may no longer address it."""
+    """Bind a page to a session, so that sockets of other sessions can no longer address it."""
     _owners[client.id] = session
     client.on_delete(lambda: _owners.pop(client.id, None))
 
 
 def bind_sockets(sio: Any) -> None:
-    """Insert the check before the handlers of the page library."""
+    """Insert the session check before the page library's socket handlers."""
     handlers = sio.handlers["/"]
     for name in FROM_PAGES:
         sio.on(name, _with_check(sio, handlers[name]))

@@ -1,4 +1,4 @@
-"""The case's page: its parts, their content, and the update loop."""
+"""Page of a case: its parts, their content, and the update loop."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class CasePage:
         return self._hub.seated_session == self._session.identifier and self._hub.view.seat is not None
 
     def build(self) -> None:
-        """Create the parts and start filling them."""
+        """Create the parts and start updating them."""
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
             self._add(banner, lambda view: view.banner)
@@ -171,7 +171,7 @@ class CasePage:
             self._add(render, key).classes("body")
 
     def _update_figures(self, view: CaseView) -> object:
-        """Return a key that changes with the figures known at that moment."""
+        """Return a key that changes with the figures known at the shown moment."""
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
@@ -199,7 +199,7 @@ class CasePage:
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
-        """Show facts at once, and signals at the rate of the page."""
+        """Show facts immediately, and signals at the page's refresh rate."""
         loop = asyncio.get_running_loop()
         while True:
             if client.has_socket_connection:
@@ -237,7 +237,7 @@ class CasePage:
 
 
 class MomentPanel:
-    """Slider through a recorded case; at its end it follows the live case."""
+    """Slider through a recorded case. At its end it follows the live case."""
 
     def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
         self._recorded = recorded

@@ -1,1 +1,1 @@
-"""Two GigE Vision cameras that render the scene."""
+"""Simulated stereo head: two GigE Vision cameras that render the scene."""

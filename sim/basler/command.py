@@ -53,7 +53,7 @@ def basler(
 
 
 def keep_freed_memory() -> bool:
-    """Keep freed memory in this process for the next image; False if the C library has no such settings.
+    """Make malloc keep freed memory for the next image. Return False if the C library lacks these settings.
 
     An image needs several arrays of a few megabytes. The C library returns such memory to the kernel when
     freed, and the kernel clears it page by page on the next request. Most images are drawn in `row_bands`;

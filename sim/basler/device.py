@@ -1,4 +1,4 @@
-"""One camera, assembled from settings, acquisition, channels, registers and control port."""
+"""A camera, assembled from settings, acquisition, channels, registers and control port."""
 
 from __future__ import annotations
 
@@ -71,22 +71,22 @@ class Camera:
         )
 
     def open(self) -> None:
-        """Start acquiring on command."""
+        """Start the acquisition thread."""
         self.acquisition.open()
 
     def close(self) -> None:
-        """Stop acquiring and close the channels at once."""
+        """Stop acquiring and close the channels immediately."""
         self.acquisition.close()
         self.channel.shut()
         self.messages.shut()
 
     @property
     def acquiring(self) -> bool:
-        """True while the acquisition is active."""
+        """Whether the acquisition is active."""
         return self.acquisition.running
 
     def load_user_set(self) -> None:
-        """Load the selected user set; one that was never saved has the power-on values."""
+        """Load the selected user set. A set that was never saved holds the power-on values."""
         selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
         settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
         settings.user_set_selector, settings.parameters_locked = selected, locked
@@ -100,7 +100,7 @@ class Camera:
         self._user_sets[selected] = self.settings.copy()
 
     def apply_faults(self) -> None:
-        """Apply the momentary faults since the last call, and a seized control privilege."""
+        """Apply the momentary faults that occurred since the last call, and a seized control privilege."""
         if self.faults.happened("restart"):
             self.restart()
         if self.faults.happened("pulse"):
@@ -108,7 +108,7 @@ class Camera:
         self.privilege.seize(self.faults.active("taken"))
 
     def restart(self) -> None:
-        """Power-cycle: no application in control, power-on settings; saved user sets are kept."""
+        """Power-cycle the camera: no application in control, power-on settings. Saved user sets are kept."""
         self.privilege.drop()
         self.acquisition.stop()
         self.channel.shut()
@@ -121,7 +121,7 @@ class Camera:
         return None if owner is None else owner[0]
 
     def _release_control(self) -> None:
-        """Stop everything: nothing may continue without an application in control."""
+        """Stop all activity, since nothing may continue without an application in control."""
         self.acquisition.stop()
         self.channel.shut()
         self.messages.shut()

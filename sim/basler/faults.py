@@ -24,7 +24,7 @@ Light = NDArray[np.float32]
 
 
 class EmptyBoard:
-    """A board without any fault."""
+    """Stand-in for a fault board that never has a fault."""
 
     empty = True
 
@@ -36,7 +36,7 @@ class EmptyBoard:
 
 
 class CameraFaults:
-    """The faults of one camera; one object per thread, because each has its own board."""
+    """Faults of one camera. Each thread needs its own instance, because each has its own board."""
 
     def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
         self._world = world
@@ -47,11 +47,11 @@ class CameraFaults:
 
     @property
     def scripted(self) -> bool:
-        """Whether the script has any camera fault."""
+        """Whether the script contains any camera fault."""
         return not self._board.empty
 
     def draw_lost_packets(self, block_id: int, packets: int) -> Collection[int]:
-        """Draw the ids of lost packets."""
+        """Draw the ids of packets to lose."""
         if self._board.empty:
             return ()
         lost_ids: set[int] = set()
@@ -69,7 +69,7 @@ class CameraFaults:
         return lost_ids
 
     def draw_packet_order(self, block_id: int, packets: int) -> Sequence[int]:
-        """Draw the packet ids in order of arrival, possibly with duplicates."""
+        """Draw the arrival order of the packet ids, possibly with duplicates."""
         if self._board.empty:
             return range(packets)
         ids = np.arange(packets)
@@ -81,7 +81,7 @@ class CameraFaults:
         return [int(number) for number in ids]
 
     def passes(self, packet_bytes: int) -> bool:
-        """Whether the network passes packets of this size."""
+        """Return whether the network passes packets of this size."""
         if self._board.empty:
             return True
         if self.active("unplug"):
@@ -90,7 +90,7 @@ class CameraFaults:
         return packet_bytes <= min(limits, default=packet_bytes)
 
     def active(self, kind: str) -> bool:
-        """Whether a fault of this kind is active on this camera."""
+        """Return whether a fault of this kind is active on this camera."""
         return bool(self._own_faults(kind))
 
     def happened(self, kind: str) -> bool:
@@ -99,11 +99,11 @@ class CameraFaults:
         return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
-        """Return the largest amount among active faults of this kind; 0 without one."""
+        """Return the largest amount among the active faults of this kind; 0 if there are none."""
         return max((float(fault.arguments[1]) for fault in self._own_faults(kind)), default=0.0)
 
     def drift_ppm(self) -> float:
-        """Return by how much the time stamp counter runs too fast."""
+        """Return the rate error of the time stamp counter in ppm, positive if fast."""
         return sum(float(fault.arguments[1]) for fault in self._own_faults("drift"))
 
     def draw_answer_loss(self) -> bool:
@@ -122,14 +122,14 @@ class CameraFaults:
         return bool(self._noise(self._sent[lane], lane).uniform(0.0, WHOLE) < share)
 
     def light_faults(self) -> tuple[tuple[str, float], ...]:
-        """Return the active faults of the light, by name and amount."""
+        """Return the active light faults, by name and amount."""
         if self._board.empty:
             return ()
         found = [(kind, self.amount(kind)) for kind in ("defocus", "dust") if self.active(kind)]
         return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
 
     def disturb(self, light: Light, left_px: int, top_px: int) -> Light:
-        """Apply the faults of the light to an area (height, width) of the sensor."""
+        """Apply the light faults to an area (height, width) of the sensor."""
         for kind, amount in self.light_faults():
             match kind:
                 case "defocus":

@@ -1,4 +1,4 @@
-"""The message channel of a camera: events, and their reporting until acknowledged."""
+"""Message channel of a camera: events, reported until acknowledged."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DATAGRAM_BYTES = 2048
 
 @dataclass(frozen=True)
 class Event:
-    """An event; block id 0 without a frame. `data` is sent as EVENTDATA."""
+    """A camera event, with block id 0 if it belongs to no frame. `data` is sent as EVENTDATA."""
 
     kind: EventKind
     block_id: int
@@ -61,7 +61,7 @@ class _PendingMessage:
 
 
 class MessageChannel(UdpChannel):
-    """Sends one message at a time to one receiver, repeated until acknowledged or out of retries.
+    """Message channel that sends one message at a time to one receiver, until acknowledged or out of retries.
 
     `now_s` is the host's monotonic clock.
     """
@@ -100,7 +100,7 @@ class MessageChannel(UdpChannel):
             self._port = value
 
     def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
-        """Queue an event; False if it is lost because the queue is full. A closed channel loses nothing."""
+        """Queue an event. Return False if a full queue loses it. A closed channel loses nothing."""
         with self._lock:
             if self.receiver is None:
                 return True
@@ -113,7 +113,7 @@ class MessageChannel(UdpChannel):
         return True
 
     def due_s(self) -> float | None:
-        """Return when the pending message must be repeated; None without one."""
+        """Return the host time at which the pending message must be repeated; None if none is pending."""
         pending = self._pending
         return None if pending is None else pending.due_s
 
@@ -127,7 +127,7 @@ class MessageChannel(UdpChannel):
                     self._handle_acknowledge(datagram)
 
     def repeat_overdue(self) -> None:
-        """Repeat the pending message when its acknowledge is late; give up after the last retry."""
+        """Repeat the pending message if its acknowledge is overdue; give up after the last retry."""
         with self._lock:
             pending = self._pending
             if pending is None or self._now_s() < pending.due_s:
@@ -142,7 +142,7 @@ class MessageChannel(UdpChannel):
             self._transmit(pending.datagram)
 
     def shut(self) -> None:
-        """Close the channel; queued events are dropped."""
+        """Close the channel and drop its queued events."""
         self.port = 0
 
     def _handle_acknowledge(self, datagram: bytes) -> None:
@@ -157,7 +157,7 @@ class MessageChannel(UdpChannel):
                 self._send_next()
 
     def _send_next(self) -> None:
-        """Send the next message: an event with data alone, others combined."""
+        """Send the next message: an event with data by itself, other events combined."""
         while self._waiting and self._pending is None:
             together = [self._waiting.popleft()]
             while (
@@ -191,7 +191,7 @@ class MessageChannel(UdpChannel):
 
 
 class EventReporter:
-    """Reports the events of one camera that have notification on. May be called from any thread."""
+    """Reporter of those events of one camera whose notification is on. Thread-safe."""
 
     def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
         self._settings = settings

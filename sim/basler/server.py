@@ -1,4 +1,4 @@
-"""The stereo head's two cameras in one process: their addresses, and one thread that serves them."""
+"""Server of the stereo head's two cameras in one process: addresses, and a single serving thread."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SIDES = ("left", "right")
 
 
 class CameraPair:
-    """Two cameras over one world, served until ended."""
+    """Two cameras in one world, served until told to end."""
 
     def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
         sockets = bind_pair(addresses)
@@ -88,7 +88,7 @@ def _report(message: str) -> None:
 
 
 def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
-    """Bind control sockets to two given addresses, or to a free pair; raises SIM-004."""
+    """Bind control sockets to two given addresses, or to a free pair of addresses; raises SIM-004."""
     if addresses:
         left, right = addresses
         return _bind(left, right)
@@ -102,7 +102,7 @@ def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
 
 
 def bind_broadcast() -> list[socket.socket]:
-    """Bind sockets that receive broadcasts; several programs may listen in parallel."""
+    """Bind sockets that receive broadcasts. Several programs may listen at the same time."""
     sockets = []
     for address in BROADCAST_ADDRESSES:
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -186,12 +186,12 @@ class ControlServer:
         self._wake()
 
     def _wake(self) -> None:
-        """Make the server check for due work. May be called from another thread."""
+        """Wake the server to check for due work. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
     def _wait_s(self) -> float:
-        """Return the time until something is due: a heartbeat, a message, a delayed answer, the script."""
+        """Return the seconds until something is due: a heartbeat, a message, a delayed answer, the script."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
@@ -241,7 +241,7 @@ class ControlServer:
 
 
 def _delay_answer(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield the answer as altered by the active faults: delay in host time, and datagram."""
+    """Yield the datagrams of an answer under the active faults, each with its host-time delay."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer
@@ -260,5 +260,5 @@ def _delay_answer(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]
 
 
 def _is_same_network(own: str, other: str) -> bool:
-    """Return False for a broadcast from outside to a camera on the loopback network, or the reverse."""
+    """Return whether camera and sender are both on the loopback network, or both outside it."""
     return IPv4Address(own).is_loopback == IPv4Address(other).is_loopback

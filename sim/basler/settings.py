@@ -1,4 +1,4 @@
-"""Settings of a camera and of one frame, and the resulting timing."""
+"""Settings of a camera and of one frame, and the timing derived from them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class EventKind(IntEnum):
 
     @property
     def feature_name(self) -> str:
-        """Entry as spelled in the family."""
+        """Entry name, spelled as in the camera family."""
         return "".join(word.capitalize() for word in self.name.split("_"))
 
 
@@ -117,13 +117,13 @@ class FrameSettings:
 
     @property
     def payload_bytes(self) -> int:
-        """Size of the image on the wire."""
+        """Image size on the wire, in bytes."""
         return self.area.width * self.area.height * bits_per_pixel(self.pixel_format) // 8
 
 
 @dataclass
 class Settings:
-    """Everything in a user set, and the selectors; the defaults are the power-on values."""
+    """Content of a user set, and the selectors. The defaults are the power-on values."""
 
     width: int = SENSOR_WIDTH_PX
     height: int = SENSOR_HEIGHT_PX
@@ -174,12 +174,12 @@ class Settings:
 
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
-    """Return the bits of a pixel on the wire."""
+    """Return the number of bits per pixel on the wire."""
     return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
 
 
 class TheatreClock(Protocol):
-    """The theatre's clock as the cameras use it."""
+    """Theatre clock, with the functions that a camera needs."""
 
     @property
     def paced(self) -> bool: ...
@@ -190,23 +190,23 @@ class TheatreClock(Protocol):
 
 
 def readout_us(frame: FrameSettings) -> float:
-    """Return the time from the end of exposure until the image has left the sensor."""
+    """Return the time from the end of exposure to the end of read-out."""
     return frame.area.height * ROW_US
 
 
 def shortest_period_us(frame: FrameSettings) -> float:
-    """Return the shortest frame period: exposure, read-out and transfer overlap, the slowest decides."""
+    """Return the shortest frame period. Exposure, read-out and transfer overlap, so the slowest decides."""
     return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
 
 
 def free_running_period_us(settings: Settings) -> float:
-    """Return the frame period without a frame trigger."""
+    """Return the frame period in the absence of a frame trigger."""
     shortest = max(shortest_period_us(settings.frame()), 1e6 / FULL_FRAME_RATE_HZ)
     return max(shortest, 1e6 / settings.frame_rate_hz) if settings.frame_rate_enabled else shortest
 
 
 class TriggerMoments:
-    """Theatre time of the triggers of both cameras.
+    """Theatre times of the triggers, common to both cameras.
 
     In real time a trigger acts when it arrives. In lock-step the first camera's frame may have advanced the
     theatre before the second trigger arrives: that one is then backdated to the first, so that a pair
@@ -221,7 +221,7 @@ class TriggerMoments:
         )
 
     def stamp_trigger(self, camera: str) -> int:
-        """Return the theatre time in ns of a trigger that this camera is receiving now."""
+        """Return the theatre time in ns of the trigger that this camera is receiving."""
         now = self._clock.now_ns()
         if self._clock.paced:
             return now
@@ -248,12 +248,12 @@ class Ticks:
         self.latched = 0
 
     def stamp(self, moment_ns: int) -> int:
-        """Return the ticks of a frame; they never repeat, even for frames at the same theatre time."""
+        """Return the time stamp of a frame in ticks, unique even for frames at the same theatre time."""
         self._last_stamp = max(self._ticks_at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
     def count(self, moment_ns: int) -> int:
-        """Return the ticks at a theatre time, for anything but frames."""
+        """Return the ticks at a theatre time. Time stamps of frames use `stamp` instead."""
         return self._ticks_at(moment_ns)
 
     def latch(self) -> None:
@@ -261,7 +261,7 @@ class Ticks:
         self.latched = self._ticks_at(self._clock.now_ns())
 
     def reset(self) -> None:
-        """Restart the counter from zero."""
+        """Reset the counter to zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 

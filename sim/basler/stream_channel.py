@@ -1,4 +1,4 @@
-"""The stream channel of a camera: frames as blocks of packets, their pacing and resending."""
+"""Stream channel of a camera: frames as blocks of packets, their pacing and retransmission."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fau
 
 @dataclass(frozen=True)
 class Frame:
-    """An image ready for the wire, with the settings it was taken with and its time stamp in ticks."""
+    """Image ready for the wire, with the settings of its exposure and its time stamp in ticks."""
 
     settings: FrameSettings
     image: bytes
@@ -54,7 +54,7 @@ class Frame:
 
 
 class Block:
-    """Leader, payload and trailer packets of one frame, created on demand."""
+    """Leader, payload and trailer packets of one frame, built on demand."""
 
     def __init__(self, block_id: int, frame: Frame, packet_size: int) -> None:
         self.block_id = block_id
@@ -65,13 +65,13 @@ class Block:
 
     @property
     def trailer_id(self) -> int:
-        """Packet id of the last packet."""
+        """Packet id of the trailer, the last packet."""
         return self._payloads + 1
 
     def packet(
         self, packet_id: int, status: GevStatus = GevStatus.SUCCESS
     ) -> tuple[bytes, bytes | memoryview]:
-        """Return header and content of a packet, 0 to `trailer_id`."""
+        """Return the header and content of a packet, 0 to `trailer_id`."""
         if packet_id == LEADER_PACKET_ID:
             return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._encode_leader()
         if packet_id == self.trailer_id:
@@ -98,7 +98,7 @@ def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -
 
 
 class UdpChannel:
-    """A channel of the camera to one receiver. `owner_address` is that of the application in control."""
+    """UDP channel from the camera to one receiver. `owner_address` is that of the application in control."""
 
     port: int  # of the receiver; 0 while closed
 
@@ -143,7 +143,7 @@ class StreamChannel(UdpChannel):
 
     @property
     def do_not_fragment(self) -> bool:
-        """True when routers may not split packets."""
+        """Whether routers must not fragment packets."""
         return self._do_not_fragment
 
     @do_not_fragment.setter
@@ -152,7 +152,7 @@ class StreamChannel(UdpChannel):
         self.socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if enabled else PMTU_DONT)
 
     def begin(self) -> None:
-        """Restart block numbers from 1; nothing older can be resent."""
+        """Restart block numbers from 1, after which older blocks can no longer be resent."""
         self._next_block_id = BLOCK_ID_FIRST
         self._kept.clear()
 
@@ -166,7 +166,7 @@ class StreamChannel(UdpChannel):
         return block
 
     def send(self, block: Block, duration_s: float = 0.0) -> None:
-        """Send a block over `duration_s`, like rows leaving the sensor, but never faster than the link."""
+        """Send a block over `duration_s`, at the pace of the read-out but never faster than the link."""
         receiver = self.receiver
         if receiver is None:
             return
@@ -187,7 +187,7 @@ class StreamChannel(UdpChannel):
                 self._send_packet(block, packet_id, GevStatus.SUCCESS, receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
-        """Resend packets, or report the first as unavailable."""
+        """Resend packets, or report the first of them as unavailable."""
         receiver = self.receiver
         if receiver is None:
             return

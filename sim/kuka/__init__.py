@@ -1,1 +1,1 @@
-"""A KR C4 with an arm that has its own true geometry: RSI over UDP, EKI over TCP."""
+"""Simulated KR C4 and an arm with its own true geometry: RSI over UDP, EKI over TCP."""

@@ -1,4 +1,4 @@
-"""Automatic start of the RSI program: a client without EKI finds a streaming controller."""
+"""Automatic start of the RSI program, so that a client without EKI finds a streaming controller."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
-    """Starts the program, and restarts it some time after a run has ended or was stopped.
+    """Starter of the RSI program, which restarts it some time after a run has ended or was stopped.
 
     It also acknowledges the message of a fault or a released emergency stop: the only other way is EKI.
     """
@@ -25,7 +25,7 @@ class Autostart:
             self._controller.start(counts_from_first_reply=True)
 
     def tick(self, now_s: float) -> None:
-        """Restart when it is time; called while the program is stopped or over, and the arm is at rest."""
+        """Restart the program when due. Called while it is stopped or over and the arm is at rest."""
         controller = self._controller
         if not self._armed:
             return
@@ -38,7 +38,7 @@ class Autostart:
             controller.start(counts_from_first_reply=True)
 
     def yield_to_client(self) -> None:
-        """Disarm, and end an automatic run, because a client starts the program explicitly."""
+        """Disarm and end an automatic run, because a client is starting the program explicitly."""
         run = self._controller.run
         if self._armed and run is not None and run.settings.counts_from_first_reply:
             self._controller.cancel()

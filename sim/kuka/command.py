@@ -16,7 +16,7 @@ FAULTS_OF = ("robot",)  # devices whose faults this simulator can have alone
 
 
 class Corrections(StrEnum):
-    """Accumulation of corrections."""
+    """How corrections accumulate."""
 
     ABSOLUTE = "absolute"
     RELATIVE = "relative"
@@ -142,7 +142,7 @@ def _read_context(
 
 
 def _describe_link(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
-    """Return facts about the link for the READY line, and whether the wiring was inferred from tags."""
+    """Return facts about the link for the READY line, and whether the wiring was inferred from the tags."""
     return {
         "wiring": "inferred" if inferred else "context",
         "wired": sorted({wire.object for wire in context.wiring}),

@@ -1,4 +1,4 @@
-"""The controller: drives, operating mode, message, and the one program it runs.
+"""Simulated KR C4 controller: drives, operating mode, message, and the one program it runs.
 
 It owns neither socket nor clock. `RsiRun` is the program while it streams, `EkiMotion` one motion of the EKI
 program, `Manipulator` the arm.
@@ -67,16 +67,16 @@ class Controller:
 
     @property
     def moving(self) -> bool:
-        """True until the arm is at rest."""
+        """Whether the arm is still moving."""
         return self.motion is not None or not self.arm.drives.at_rest
 
     @property
     def may_move(self) -> bool:
-        """True when a program could move the arm now."""
+        """Whether a program could move the arm now."""
         return self.drives_on and not self.interlocks.forbids_drives and self.message is None
 
     def ready(self) -> Acknowledgement:
-        """Return DONE if a program may move the arm now, otherwise the refusal."""
+        """Return DONE if a program may move the arm now; otherwise the refusal."""
         if self.run is not None:
             return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
@@ -106,7 +106,7 @@ class Controller:
         *,
         counts_from_first_reply: bool = False,
     ) -> Acknowledgement:
-        """Execute RSI_ON with the context's settings or others."""
+        """Execute RSI_ON, with the settings of the context or the given ones."""
         answer = self.ready()
         if answer is not DONE:
             return answer
@@ -132,7 +132,7 @@ class Controller:
         return DONE
 
     def cancel(self) -> Acknowledgement:
-        """End RSI or a motion and deselect the program; the arm comes to rest."""
+        """Cancel RSI or a motion and deselect the program. The arm comes to rest."""
         if self.message is not None and self.run is None:
             return Acknowledgement(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
         if self.motion is not None:
@@ -149,12 +149,12 @@ class Controller:
         return DONE
 
     def stop(self, *, fast: bool = False) -> Acknowledgement:
-        """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
+        """Stop the program without cancelling it: the arm brakes, and RSI may go on streaming."""
         self._interrupt("stopped", fast=fast)
         return DONE
 
     def acknowledge(self) -> Acknowledgement:
-        """Acknowledge the message and reset the program; also confirms a question of a running program."""
+        """Acknowledge the message and reset the program, or answer the question of a running program."""
         if self.interlocks.emergency_stop or self.interlocks.guard_matters:
             return Acknowledgement(AckCode.NOT_READY, "emergency stop or guard")
         if self.message is None and self.run is not None and self.run.awaits_confirmation:
@@ -176,7 +176,7 @@ class Controller:
     # -- drives and safety
 
     def switch_drives(self, on: bool) -> Acknowledgement:
-        """Switch the drives; off stops the arm."""
+        """Switch the drives on or off; switching off stops the arm."""
         if on and self.interlocks.forbids_drives:
             return Acknowledgement(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if not on:
@@ -185,26 +185,26 @@ class Controller:
         return DONE
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """Press or release the emergency stop; its message can be acknowledged after the release."""
+        """Press or release the emergency stop. Its message can be acknowledged only after the release."""
         self.interlocks.emergency_stop = pressed
         if pressed:
             self._stop_with(self.parameters.emergency_stop_message, "emergency stop")
 
     def open_guard(self, is_open: bool) -> None:
-        """Open or close the safety gate; open, it stops the arm in the automatic modes."""
+        """Open or close the safety gate. Opening it stops the arm in the automatic modes."""
         self.interlocks.guard_open = is_open
         if self.interlocks.guard_matters:
             self._stop_with(self.parameters.guard_message, "operator safety: guard open")
 
     def turn_key(self, mode: OperationMode) -> None:
-        """Turn the key switch; a change stops a running program and switches the drives off."""
+        """Turn the key switch. A change of mode stops a running program and switches the drives off."""
         if mode is not self.interlocks.mode:
             self._interrupt(f"mode {mode}")
             self.drives_on = False
         self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
-        """Hold or release the enabling switch; releasing it in a test mode stops the program or motion."""
+        """Hold or release the enabling switch. Releasing it in a test mode stops the program or motion."""
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
@@ -212,19 +212,19 @@ class Controller:
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
-        """Hold or release the start key; releasing it in a test mode stops the program."""
+        """Hold or release the start key. Releasing it in a test mode stops the program."""
         self.interlocks.start_key = held
         if self.interlocks.manual and not held and (self.run is not None or self.motion is not None):
             self._interrupt("start key released")
 
     def collide(self) -> None:
-        """Trip the torque monitor: the arm brakes, holds, and shows a message."""
+        """Trip the torque monitor: the arm brakes and holds, and a message appears."""
         self._stop_with(
             self.parameters.collision_message, "collision detected: torque beyond the monitored range"
         )
 
     def overload(self) -> None:
-        """Close the brakes without a message: the program continues, the axes no longer follow."""
+        """Close the brakes without a message: the program continues, but the axes no longer follow."""
         self._overloaded = True
         self.arm.drives.brake()
 
@@ -234,40 +234,40 @@ class Controller:
         return ALL_BRAKES if self.drives_on and not self._overloaded else 0
 
     def trip(self, name: str) -> None:
-        """End a run or motion with the message of one of `TRIPS`."""
+        """End a run or motion with a message from `TRIPS`."""
         if self.run is not None or self.motion is not None:
             self._fail(TRIPS[name](self.parameters))
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections this close to their present values; None removes the clamp."""
+        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
         if self.run is not None:
             self.run.flow.narrow(within_deg)
 
     def restart(self) -> None:
-        """End the program without a message; the caller restarts it once the arm is at rest."""
+        """End the program without a message. The caller restarts it once the arm is at rest."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
     def handle_eki_loss(self) -> None:
-        """React to a lost EKI client: by a parameter, its interrupt cancels the RSI program."""
+        """React to the loss of an EKI client. By a parameter, its interrupt cancels the RSI program."""
         if self.parameters.eki_loss_cancels and self.run is not None:
             self.cancel()
 
     # -- override and frames
 
     def set_override(self, percent: int) -> Acknowledgement:
-        """Set the override of EKI motions and, by a parameter, of the corrections of later runs."""
+        """Set the override of EKI motions and, by a parameter, of the corrections in later runs."""
         if not 1 <= percent <= FULL_OVERRIDE:
             return Acknowledgement(AckCode.BAD_VALUE, "override is 1 to 100")
         self.override_percent = percent
         return DONE
 
     def set_tool(self, number: int, frame: Sequence[float]) -> Acknowledgement:
-        """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and activate it."""
+        """Define and activate a $TOOL, X Y Z (mm) A B C (deg) in the flange frame."""
         return self._define(self.arm.set_tool, number, frame)
 
     def set_base(self, number: int, frame: Sequence[float]) -> Acknowledgement:
-        """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and activate it."""
+        """Define and activate a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT."""
         return self._define(self.arm.set_base, number, frame)
 
     def _define(
@@ -281,7 +281,7 @@ class Controller:
     # -- the cycle
 
     def finish_cycle(self, reply: Reply | None) -> None:
-        """End a cycle of the running program: apply the reply and move the arm."""
+        """Complete a cycle of the running program: apply the reply and move the arm."""
         run = self.run
         if run is None:
             return
@@ -302,7 +302,7 @@ class Controller:
             self._follow(run.command_deg, has_reply=reply is not None)
 
     def settle(self) -> None:
-        """Run one cycle without RSI: the next point of a motion, or settling."""
+        """Run one cycle without RSI: the next point of a motion, or a step towards rest."""
         motion = self.motion
         if motion is None:
             self.arm.settle()
@@ -321,7 +321,7 @@ class Controller:
             motion.report(DONE)
 
     def _follow(self, command_deg: list[float], *, has_reply: bool) -> None:
-        """Advance the arm; stop it when the tool exceeds the speed of T1, which is monitored, not limited."""
+        """Advance the arm by a cycle. In T1, stop it if the tool exceeds the speed limit."""
         if self.interlocks.mode is not OperationMode.T1:
             self.arm.follow(command_deg, has_reply=has_reply)
             return
@@ -342,7 +342,7 @@ class Controller:
         self._end_run(ProState.STOP)
 
     def _stop_with(self, number: int, text: str) -> None:
-        """Switch the drives off and stop the program with a message; it may go on streaming."""
+        """Switch the drives off and stop the program with a message. It may go on streaming."""
         self._display(Message(number, text, drives_off=True))
         self._interrupt(text)
 

@@ -1,4 +1,4 @@
-"""Unconfirmed behaviour of the controller, each as a named parameter with its meaning.
+"""Unconfirmed controller behaviour, each aspect as a named and documented parameter.
 
 The values are best estimates. A driver must live with every alternative; `ronna-sim kuka --set NAME=VALUE`
 chooses one.
@@ -17,7 +17,7 @@ from sim.named_parameters import MaximumValue, apply_assignments
 
 @dataclass(frozen=True)
 class ControllerParameters:
-    """Behaviour of this controller on which public sources are silent or disagree. Degrees, seconds, cycles.
+    """Controller behaviour on which public sources are silent or disagree, in degrees, seconds and cycles.
 
     A number with default 0 may be 0; every other number is positive.
     """

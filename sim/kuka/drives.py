@@ -1,4 +1,4 @@
-"""The drives: how six axes follow a command, and the supervision that trips them.
+"""Simulated drives: the response of six axes to commands, and the supervision that trips them.
 
 Angles are encoder degrees. A list of angles is never modified in place, so an unchanged command is the same
 object, and an arm at rest costs nothing.
@@ -22,7 +22,7 @@ TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
 
 
 class Drives:
-    """Six axes with dead time, lag, exact settling, braking and a motion counter; `step` runs one cycle."""
+    """Six axes with dead time, lag, exact settling, braking and a motion counter. `step` runs one cycle."""
 
     def __init__(
         self, arm: RobotDescription, start_deg: Sequence[float], parameters: ControllerParameters
@@ -47,7 +47,7 @@ class Drives:
         self.start_cycles(IPO_FAST_S)
 
     def restore(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
-        """Continue from an arm's last state: the gear flanks it rests on, and its motion so far."""
+        """Resume from the last state of an arm: the gear flanks it rests on, and its motion number."""
         self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
         self.flanks = list(self._directions)
         self.motion_number, self.moved_s = motion_number, moved_s
@@ -61,7 +61,7 @@ class Drives:
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
     def step(self, command_deg: list[float], *, has_reply: bool = True) -> None:
-        """Advance one cycle. `has_reply` is false when the command is only held, because no reply arrived."""
+        """Advance one cycle. `has_reply` is False if the command is merely held for want of a reply."""
         if command_deg is self.command_deg:
             if self.at_rest:
                 return
@@ -96,19 +96,19 @@ class Drives:
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
     def brake(self, *, fast: bool = False) -> None:
-        """Stop on the axes' braking ramps, ignoring commands."""
+        """Stop on the braking ramps of the axes, ignoring commands."""
         self._braking = not self.at_rest
         parameters = self._parameters
         self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
 
     def stick(self, axes: frozenset[int]) -> None:
-        """Set the axes (0 to 5) that have stick-slip."""
+        """Set the axes (0 to 5) affected by stick-slip."""
         if axes != self._slipping.keys():
             self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
             self.at_rest = self.at_rest and self.axes_deg == self.command_deg
 
     def settle(self) -> None:
-        """Advance one cycle without a program: finish braking, or reach the last command."""
+        """Advance one cycle without a program: finish braking, or approach the last command."""
         if not self._braking:
             self.step(self.command_deg)
             return
@@ -147,7 +147,7 @@ class Drives:
         return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
 
     def _hold_sticking(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
-        """Hold each sticking axis until the command is far enough ahead, then let it catch up."""
+        """Hold each sticking axis until the command is far enough ahead, then release it."""
         for axis in self._slipping:
             ahead = abs(follow_deg[axis] - before_deg[axis])
             if ahead > self._parameters.stick_breakaway_deg:
@@ -158,7 +158,7 @@ class Drives:
                 axes_deg[axis] = before_deg[axis]
 
     def _rest_position(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
-        """Return the rest position: exactly the command, except for sticking axes."""
+        """Return the rest position, which equals the command except for sticking axes."""
         held = [axis for axis, slips in self._slipping.items() if not slips]
         if not held:
             return command_deg
@@ -183,7 +183,7 @@ class Drives:
 
 
 class Supervision:
-    """Drive supervision of one run: rejects steps, speeds, accelerations and angles no arm can follow.
+    """Drive supervision of one run: rejects steps, speeds, accelerations and angles that no arm can follow.
 
     Steps are judged from cycle to cycle, speed and acceleration only if they persist. One value held over a
     lost reply, and the longer step after it, therefore pass at the speeds of a careful client.
@@ -197,7 +197,7 @@ class Supervision:
         *,
         cartesian: bool = False,
     ) -> None:
-        """`cartesian`: poses are corrected, so a wrist axis that cannot follow indicates a singularity."""
+        """If poses are corrected (`cartesian`), a wrist axis that cannot follow indicates a singularity."""
         self._arm = arm
         self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s
@@ -220,7 +220,7 @@ class Supervision:
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
     def clip_to_range(self, command_deg: list[float]) -> list[float]:
-        """Clip the command at the software end switches; the same object if nothing is beyond them."""
+        """Clip the command to the software end switches; returns the same object if it is within range."""
         cut = [
             min(max(angle, joint.lower_deg), joint.upper_deg)
             for angle, joint in zip(command_deg, self._arm.joints, strict=True)
@@ -228,7 +228,7 @@ class Supervision:
         return command_deg if cut == command_deg else cut
 
     def judge(self, command_deg: list[float], before_deg: list[float], *, has_reply: bool) -> Message | None:
-        """Return the message of a stop, or None when the arm can follow.
+        """Return the message of a stop; None if the arm can follow.
 
         Values held for missing replies (`has_reply` is false) do not count as acceleration; after a few of
         them the next command starts from rest.

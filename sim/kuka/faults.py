@@ -1,4 +1,4 @@
-"""The fault script applied to controller, arm and EKI channels, and the log of injected faults."""
+"""Fault injection into controller, arm and EKI channels, and the log of injected faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
 
 
 class FaultLog:
-    """Prints on standard error when faults begin and end. `moment` returns theatre time (s) and the IPOC."""
+    """Log of fault beginnings and ends on standard error. `moment` returns theatre time (s) and IPOC."""
 
     def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
         self._moment = moment
@@ -146,7 +146,7 @@ class ControllerFaults:
                 EKI_FAULTS[kind](server)
 
     def _restart_program(self) -> None:
-        """Start the program again where the arm came to rest."""
+        """Restart the program from the place where the arm came to rest."""
         settings = self._restart
         if settings is None or self._controller.moving:
             return

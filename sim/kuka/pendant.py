@@ -26,7 +26,7 @@ PENDANT_PREFIX = "pendant at "  # of each line of the display
 
 
 class Message(NamedTuple):
-    """A message to acknowledge. With `drives_off` the drives stop, otherwise the arm brakes on its path."""
+    """A message to acknowledge. With `drives_off` the drives stop; otherwise the arm brakes on its path."""
 
     number: int
     text: str
@@ -34,39 +34,39 @@ class Message(NamedTuple):
 
 
 def rsi_timeout(late: int) -> Message:
-    """Message of too many late replies."""
+    """Return the message for too many late replies."""
     return Message(
         RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
     )
 
 
 def rsi_bad(object_name: str) -> Message:
-    """Message of an object without effect at its place."""
+    """Return the message for an RSI object that has no effect in its place."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
 def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
-    """Message of a total correction beyond a monitor's range."""
+    """Return the message for a total correction beyond a monitor's range."""
     return Message(
         RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
     )
 
 
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
-    """Message of a commanded speed above the axis limit."""
+    """Return the message for a commanded speed above the axis limit."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
 
 
 def end_switch(number: int, axis: str, angle_deg: float) -> Message:
-    """Message of a command beyond a software end switch."""
+    """Return the message for a command beyond a software end switch."""
     sign = "+" if angle_deg > 0 else "-"
     return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
 
 
 def near_singularity() -> Message:
-    """Message of a Cartesian correction or path that the joints cannot follow."""
+    """Return the message for a Cartesian correction or path that the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
 
 
@@ -88,7 +88,7 @@ TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
 
 @dataclass
 class Interlocks:
-    """State of interlocks and keys. In T1 and T2 an operator is present and holds the enabling switch."""
+    """State of interlocks and keys. In T1 and T2 an operator is assumed to hold the enabling switch."""
 
     mode: OperationMode = OperationMode.EXT
     emergency_stop: bool = False
@@ -98,22 +98,22 @@ class Interlocks:
 
     @property
     def manual(self) -> bool:
-        """True in the test modes T1 and T2."""
+        """Whether a test mode, T1 or T2, is selected."""
         return self.mode in MANUAL_MODES
 
     @property
     def guard_matters(self) -> bool:
-        """Whether an open guard forbids motion; in the test modes people work inside it."""
+        """Whether an open guard forbids motion. In the test modes it does not: people work inside it."""
         return self.guard_open and not self.manual
 
     @property
     def forbids_drives(self) -> bool:
-        """Whether the drives cannot be switched on."""
+        """Whether the interlocks prevent switching the drives on."""
         return self.emergency_stop or self.guard_matters or (self.manual and not self.enabling_switch)
 
     @property
     def forbids_program(self) -> str:
-        """Reason why no program may run in this mode now; empty when one may."""
+        """Reason why no program may run now in this mode; empty if one may."""
         if self.mode is OperationMode.AUT:
             return "mode AUT: the program can only be started at the pendant"
         if self.manual and not self.start_key:
@@ -122,7 +122,7 @@ class Interlocks:
 
 
 class PendantDisplay:
-    """Prints messages, and EStr texts of the client, on standard error. `now_s` returns theatre time."""
+    """Printer of messages, and the client's EStr texts, on standard error. `now_s` returns theatre time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s
@@ -130,7 +130,7 @@ class PendantDisplay:
         self._notice = ""
 
     def update(self, message: Message | None, notice: str) -> None:
-        """Print a new message, its acknowledgement, or a new text."""
+        """Print a new message, its acknowledgement, or a new EStr text."""
         if message is not self._message:
             shown, self._message = self._message, message
             if message is not None:

@@ -1,4 +1,4 @@
-"""One scan: contents of the field, voxel grid, and its slices as the scanner produces them, with faults."""
+"""One scan: its contents, its voxel grid, and its slices as the scanner produces them, with faults."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WIDE_STORED = 65535  # largest value of 16 bits
 
 @dataclass(frozen=True)
 class Scan:
-    """Everything to paint. `truth` is added to the truth file, `marks` (by number) to its fiducials."""
+    """Contents of a scan. `truth` is added to the truth file, `marks` (by number) to its fiducials."""
 
     scene: Scene
     grid: CtGrid
@@ -42,7 +42,7 @@ class Scan:
 
 
 def plain_scan(scene: Scene) -> Scan:
-    """Return the scan of a scene as it is; raises SIM-001 when it cannot be scanned."""
+    """Return the scan of an unmodified scene; raises SIM-001 if it cannot be scanned."""
     grid, head = place_grid(scene.head, scene.ct), scene.head
     if not head.x_frame:
         return Scan(scene, grid, draw_anatomy(scene))
@@ -57,7 +57,7 @@ def plain_scan(scene: Scene) -> Scan:
 
 
 class Planes:
-    """Paints the slices of a scan in any order, with the scanner's faults; `paint_patches` comes first."""
+    """Painter of a scan's slices in any order, with the scanner's faults. Call `paint_patches` first."""
 
     def __init__(self, scan: Scan) -> None:
         faults, grid = scan.faults, scan.grid
@@ -84,23 +84,23 @@ class Planes:
 
     @property
     def steps(self) -> int:
-        """Count of the patches to paint."""
+        """Number of patches to paint."""
         return len(self._scan.anatomy.places) * len(self._painters)
 
     @property
     def largest_stored(self) -> int:
-        """Largest value that the scanner stores."""
+        """Largest value that the scanner can store."""
         return WIDE_STORED if self._scan.faults.extended_range else LARGEST_STORED
 
     def active(self) -> dict[str, Any]:
-        """Return the faults for the truth file; empty without any."""
+        """Return the faults for the truth file; empty if there are none."""
         faults = self._scan.faults.active()
         if self.moved_from:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}
 
     def paint_patches(self, pool: Executor, progress: Callable[[int], None] = lambda done: None) -> None:
-        """Paint what must be exact; `progress` is called with the count done."""
+        """Paint the regions that must be exact. `progress` is called with the count done."""
         done = 0
         for painter in self._painters:
             patches = []
@@ -128,7 +128,7 @@ class Planes:
         return image
 
     def _paint_tilted(self, number: int) -> Values:
-        """Cut a slice, tilted about its middle row, through straight ones that begin `_span` further down."""
+        """Cut a slice, tilted about its middle row, through straight slices starting `_span` further down."""
         grid = self._grid
         image = np.empty((grid.rows, grid.columns), dtype=np.float32)
         middle = 0.5 * (grid.rows - 1)
@@ -163,7 +163,7 @@ class Planes:
 
 
 def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
-    """Return the first slice after the patient moved, halfway up the markers, and the displacement."""
+    """Draw a patient motion: the first slice after it, halfway up the markers, and the displacement."""
     faults = scan.faults
     if not faults.motion_mm and not faults.slide_mm:
         return 0, (0.0, 0.0, 0.0)
@@ -174,7 +174,7 @@ def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, flo
 
 
 class SlicePainter:
-    """Paints straight slices in any order: head, bodies, marker patches, streaks of metal, noise."""
+    """Painter of straight slices in any order: head, bodies, marker patches, metal streaks, noise."""
 
     def __init__(
         self, scene: Scene, grid: CtGrid, anatomy: Anatomy, faults: ScannerFaults = NO_FAULTS
@@ -200,7 +200,7 @@ class SlicePainter:
         self.patches: tuple[Patch, ...] = ()
 
     def paint_patch(self, number: int) -> Patch:
-        """Paint the surroundings of a place; `patches` must hold all of them before slices are painted."""
+        """Paint the surroundings of a centre. Paint all `patches` before any slice."""
         return paint_patch(
             self._anatomy.places[number],
             self._anatomy.shapes,
@@ -231,7 +231,7 @@ class SlicePainter:
         return image
 
     def _paint_background(self) -> Values:
-        """Paint air and headrest, the same in all slices."""
+        """Paint air and headrest, which are the same in all slices."""
         image = np.full((1, len(self._y), len(self._x)), AIR_HU, dtype=np.float32)
         somewhere = self._z_mm[:1].astype(np.float32)
         for shape in self._anatomy.headrest:
@@ -265,7 +265,7 @@ def slice_noise(
     noise_HU: float,
     kernel: Kernel = KERNELS["standard"],
 ) -> Values:
-    """Draw noise (rows, columns), correlated within the slice by the kernel."""
+    """Draw noise (rows, columns), correlated within the slice according to the kernel."""
     rows, columns = shape
     white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
     blurred = exp(-0.5 * (pixel_mm / kernel.plane_sigma_mm) ** 2)

@@ -1,4 +1,4 @@
-"""The simulated NDI Polaris Spectra or Vicra: a separate process that speaks the unit's protocol.
+"""Simulated NDI Polaris Spectra or Vicra: a separate process that speaks the protocol of the device.
 
 `tracker_unit` holds the state, `unit` its parts and vocabulary; `measurement` turns the scene into frames.
 `handlers` executes commands, `line` carries bytes, `faults` disturbs unit and line.

@@ -1,4 +1,4 @@
-"""`ronna-sim polaris`."""
+"""`ronna-sim polaris`: the simulated tracker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can 
 
 
 class ModelName(StrEnum):
-    """Simulated models."""
+    """Models that can be simulated."""
 
     SPECTRA = "spectra"
     VICRA = "vicra"

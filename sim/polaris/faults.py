@@ -1,4 +1,4 @@
-"""Faults of the unit and of its line to the host.
+"""Faults of the tracker unit and of the line between unit and host.
 
 Unit faults act before each command: alerts, refusals, delays, wired tools, power loss. Line faults act on
 commands and replies: bit errors, lost and doubled bytes, delays. Which command and bit are hit is a function
@@ -28,7 +28,7 @@ BITS = 8
 
 
 class UnitFaults:
-    """Applies the tracker's faults to a unit. Costs one look-up if there are none."""
+    """Tracker faults applied to a unit. Without faults, a call costs one look-up."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -40,19 +40,19 @@ class UnitFaults:
 
     @property
     def any_active(self) -> bool:
-        """Whether the script has a tracker fault, or the effects of one have yet to be undone."""
+        """Whether the script has a tracker fault, or the effects of an earlier one must still be undone."""
         remains = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return remains or not self._board.empty
 
     def power(self) -> Power:
-        """Change of the power supply since the previous call."""
+        """Return how the power supply has changed since the previous call."""
         was_dead, self._dead = self._dead, bool(self._board.active("power_off"))
         if self._dead:
             return Power.GONE
         return Power.RETURNS if was_dead or self._board.happened("unit_restart") else Power.STAYS
 
     def apply(self) -> None:
-        """Apply the faults that need no command: alerts and wired tools."""
+        """Apply faults that act without a command: alerts, and plugging of wired tools."""
         board, unit = self._board, self._unit
         alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
         alerts |= Alert.TOO_HOT if board.active("hot") else Alert(0)
@@ -66,11 +66,11 @@ class UnitFaults:
 
     @property
     def watchdog_trips(self) -> bool:
-        """True once for each spurious watchdog trip."""
+        """Whether a spurious watchdog trip has occurred since the last query."""
         return bool(self._board.happened("watchdog"))
 
     def apply_to_command(self, name: str, argument: str) -> None:
-        """Apply the faults of a command; raises Refusal if one prevents it."""
+        """Apply the faults of a command. Raises Refusal if one prevents the command."""
         for fault in self._board.active("slow"):
             if fault.argument == name:
                 self._unit.clock.sleep(float(fault.arguments[1]))
@@ -93,7 +93,7 @@ class UnitFaults:
             raise Refusal(code)
 
     def _change_plugs(self) -> None:
-        """Plug and unplug tools on cables as scripted."""
+        """Plug and unplug wired tools as scripted."""
         unit = self._unit
         plugged = {int(fault.argument) for fault in self._board.active("plug")}
         pulled = {int(fault.argument) for fault in self._board.active("unplug")}
@@ -119,7 +119,7 @@ class Power(Enum):
 
 
 def _provide_tool(unit: Unit, number: int) -> None:
-    """Provide a test tool for a socket that has none."""
+    """Create a test tool for a socket that has no tool."""
     wired = unit.wired
     wired.count = max(wired.count, number)
     if number not in wired.tools:
@@ -128,7 +128,7 @@ def _provide_tool(unit: Unit, number: int) -> None:
 
 
 class LineFaults:
-    """Disturbs the line between host and unit. Costs one look-up if there are no faults."""
+    """Disturbances of the line between host and unit. Without faults, a call costs one look-up."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -144,7 +144,7 @@ class LineFaults:
         return _flip_bit(line, generator) if line and self._strikes("garble_commands", generator) else line
 
     def to_host(self, line: bytes, reply: bytes) -> bytes:
-        """Return a reply as the host receives it, possibly late; empty if lost."""
+        """Return a reply as the host receives it, possibly delayed; empty if lost."""
         if self._board.empty:
             return reply
         if not reply:  # the unit has no power
@@ -170,13 +170,13 @@ class LineFaults:
         return reply
 
     def _let_host_time_out(self, line: bytes) -> None:
-        """Advance an unpaced theatre by the host's time limit, so that faults end while the host waits."""
+        """Advance an unpaced theatre by the host's time limit, so that faults can end during the wait."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
             self._unit.clock.sleep(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
-        """Let host time and theatre time pass: hosts measure their time limits with their own clock."""
+        """Let host time and theatre time pass. Hosts measure their time limits with their own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
             self._unit.clock.sleep(duration_s)
@@ -187,7 +187,7 @@ class LineFaults:
 
 
 def _flip_bit(data: bytes, generator: np.random.Generator) -> bytes:
-    """Flip one bit, but never into or out of a CR."""
+    """Flip one bit without creating or destroying a CR."""
     damaged = bytearray(data)
     place = int(generator.integers(len(data)))
     bit = int(generator.integers(BITS))

@@ -1,1 +1,1 @@
-"""Starts all simulators over one world, writes the theatre file, compares a finished run with the truth."""
+"""Theatre: starts all simulators in one world, writes the theatre file, and compares runs with the truth."""

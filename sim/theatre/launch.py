@@ -1,4 +1,4 @@
-"""Starts one process per device over one world, and writes the theatre file once all are ready."""
+"""Launcher of a theatre: one process per device in one world, then the theatre file once all are ready."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Theatre:
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
-        """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
+        """`cycle_ms` None keeps the cycle of the robot's context. `parameters` are NAME=VALUE by command.
 
         `saved` is the world of an earlier theatre, to continue from; `records` replace the theatre's own
         calibrations. Raises PRC-001 when a device does not become ready.
@@ -103,7 +103,7 @@ class Theatre:
         return self._control.endpoint
 
     def watch(self, on_end: Callable[[str], None]) -> None:
-        """Call `on_end` with a reason when a device process ends by itself."""
+        """Call `on_end` with the reason when a device process ends unprompted."""
 
         def wait(child: ChildProcess) -> None:
             code = child.process.wait()
@@ -114,7 +114,7 @@ class Theatre:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
-        """Save the state of the world, then end all device processes and the control port."""
+        """Save the state of the world, then stop all device processes and the control port."""
         self._save_world()
         for child in self._children:
             if child.alive:
@@ -125,7 +125,7 @@ class Theatre:
         self._control.close()
 
     def _save_world(self) -> None:
-        """Save the world, after a moving arm has had time to rest: its client may just have died."""
+        """Save the world after giving a moving arm, whose client may just have died, time to come to rest."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
@@ -169,14 +169,14 @@ class Theatre:
 
 
 def _pass_on_pendant(line: str) -> None:
-    """Pass on the messages of the robot's pendant."""
+    """Pass on the messages on the robot's pendant."""
     if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
 
 
 def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
-    """Read calibration records by name; of two with the same name the later wins. Raises SIM-014.
+    """Read calibration records by name. The later of two with the same name wins. Raises SIM-014.
 
     Readers of the theatre file check their content.
     """
@@ -194,7 +194,7 @@ def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
 
 
 def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Sort `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
+    """Group `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
 
     Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
     """

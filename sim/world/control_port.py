@@ -1,4 +1,4 @@
-"""The control port: JSON lines over TCP on loopback, the staff's only access to the simulated room.
+"""Control port: JSON lines over TCP on loopback, the staff's only access to the simulated room.
 
 A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even a
 page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token from
@@ -58,7 +58,7 @@ NO_TOKEN = {"ok": False, "reason": "expected the token from the READY line in th
 
 
 class ControlPort:
-    """Serves a room on a free loopback port until closed."""
+    """Control port of a room, on a free loopback port until closed."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class ControlPort:
 
     @property
     def endpoint(self) -> str:
-        """Address including the token: a secret."""
+        """Address including the token, and therefore secret."""
         address = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
         return ControlAddress(address, self._server.token).text()
 
@@ -97,7 +97,7 @@ class _Server(socketserver.ThreadingTCPServer):
         self.changing = threading.Lock()
 
     def verify_request(self, request: socket.socket | tuple[bytes, socket.socket], _address: Any) -> bool:
-        """Admit a connection; too many drop the oldest untrusted one."""
+        """Admit a connection. Too many connections drop the oldest untrusted one."""
         assert isinstance(request, socket.socket)
         with self.changing:
             if len(self.trusted) == MOST_CONNECTIONS:
@@ -140,7 +140,7 @@ class _Conversation(socketserver.BaseRequestHandler):
             self.server.trusted.append(self.request)
 
     def _receive_next(self, limit_s: float) -> dict[str, Any]:
-        """Receive the next JSON object; hangs up on anything else, or if it is late."""
+        """Receive the next JSON object. Hangs up on anything else, or if it is late."""
         deadline = time.monotonic() + limit_s
         while b"\n" not in self._received:
             self.request.settimeout(max(deadline - time.monotonic(), 0.001))
@@ -163,11 +163,11 @@ class _Conversation(socketserver.BaseRequestHandler):
 
 
 class _HangUp(Exception):
-    """The connection is to be closed."""
+    """Raised to close the connection."""
 
 
 class Room:
-    """Carries out requests in a world; truth at a target is stored in `folder`, if given.
+    """Executor of requests in a world. If `folder` is given, the truth at each target is stored in it.
 
     `devices` are simulated here: faults of others are refused. `loaded` returns the tools that a client
     has loaded into the tracker, if the tracker is in this process.
@@ -189,7 +189,7 @@ class Room:
         self._one_at_a_time = threading.Lock()  # requests may come from several connections
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one request; an unknown or invalid one is answered with the reason."""
+        """Carry out one request. An unknown or invalid request is answered with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
             "step": self._step,
             "work": self._work,
@@ -270,7 +270,7 @@ def _refusal(reason: object, advice: str) -> dict[str, Any]:
 
 
 def _require_number(value: object) -> float:
-    """Require a JSON number: neither text nor a truth value; raises TypeError."""
+    """Return a JSON number; raises TypeError for text, a truth value or anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"expected a number, got {value!r}")
     return float(value)

@@ -1,4 +1,4 @@
-"""Noise as a function, not a stream: equal key and counter yield equal numbers.
+"""Noise as a function rather than a stream: equal keys and counters yield equal numbers.
 
 Results therefore depend neither on the number of previous readings nor on the speed of the machine.
 """
@@ -13,7 +13,7 @@ WORD_MASK = 0xFFFFFFFFFFFFFFFF
 
 
 def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Generator:
-    """Random generator for one event of one device.
+    """Return a random generator for one event of one device.
 
     `counter` is the device's own: frames since TSTART, triggers since AcquisitionStart, motions. `lane`
     separates independent uses within one event.
@@ -25,7 +25,7 @@ def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Gene
 
 
 class ReusedNoise:
-    """The numbers of `noise` for one device, from one generator: a tenth of the cost of a new one.
+    """Cheaper form of `noise` for one device, which reuses a generator at a tenth of the cost.
 
     A new generator first draws a random seed that it then does not use.
     """
@@ -38,7 +38,7 @@ class ReusedNoise:
         self._no_buffer = np.zeros(4, dtype=np.uint64)
 
     def at(self, counter: int, lane: int = 0) -> np.random.Generator:
-        """Random generator for one event, valid until the next call."""
+        """Return the random generator of one event, valid until the next call."""
         self._start[1:3] = lane, counter & WORD_MASK
         self._philox.state = {
             "bit_generator": "Philox",

@@ -1,4 +1,4 @@
-"""Choices that commands offer; importable without anything heavy."""
+"""Choices offered by commands, importable without heavy dependencies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class OnStand(StrEnum):
 
 
 class InstrumentKind(StrEnum):
-    """Instrument in the head of a postoperative scan."""
+    """Kinds of instrument in the head of a postoperative scan."""
 
     ELECTRODE = "electrode"
     NEEDLE = "needle"
@@ -22,7 +22,7 @@ class InstrumentKind(StrEnum):
 
 
 class Carrier(StrEnum):
-    """How the spheres of a named scene are fixed: on individual screws, or on the x-shaped frame."""
+    """Fixation of a named scene's spheres: on individual screws, or on the x-shaped frame."""
 
     FREE = "free"
     XFRAME = "xframe"

@@ -1,4 +1,4 @@
-"""Shared by all device processes of a theatre: open the world, print READY, end in time."""
+"""Common functions of all device processes: open the world, print READY, end with the parent."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's de
 
 
 def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
-    """Print the line `READY {json}`: clients may connect."""
+    """Print the line `READY {json}`, after which clients may connect."""
     resume_garbage_collection()
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
@@ -76,7 +76,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
 
 def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
-    """Report the failure of a thread and end the process, which would otherwise merely fall silent."""
+    """Report the failure of a thread and end the process, which would otherwise stop responding unnoticed."""
     traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
     sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
     sys.stderr.flush()
@@ -86,7 +86,7 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
 def open_world(
     world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
 ) -> World:
-    """Open the theatre's world, or create one for a simulator started alone, on the host's clock.
+    """Open the theatre's world, or create one on the host's clock for a simulator started alone.
 
     `scene` is a built-in name or a file; `devices` are those simulated in a world of its own.
     """
@@ -103,7 +103,7 @@ def open_world(
 def open_own_control_port(
     world: str | None, own: World, devices: Sequence[str], loaded: Callable[[], Sequence[str]] | None = None
 ) -> str | None:
-    """Open the control port of a simulator started alone; None in a theatre, which has its own."""
+    """Open the control port of a simulator started alone. Return None in a theatre, which has its own."""
     return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
 
 
@@ -142,6 +142,6 @@ def load_scene(
 
 
 def fail(message: str, exit_code: int) -> None:
-    """Report why a device process cannot start, and exit."""
+    """Report why a device process cannot start, then exit."""
     sys.stderr.write(message + "\n")
     raise SystemExit(exit_code)

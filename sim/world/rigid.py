@@ -1,4 +1,4 @@
-"""Rigid transforms in plain numpy, without SciPy: device processes must start fast.
+"""Rigid transforms in plain NumPy, without SciPy, so that device processes start fast.
 
 Matrices are (4, 4), in millimetres; quaternions are scalar first.
 """
@@ -24,13 +24,13 @@ def as_point(values: Iterable[float]) -> Point:
 
 
 def as_rounded_point(values: Iterable[float]) -> Point:
-    """Convert an array (3,) to plain numbers of six decimals."""
+    """Convert an array (3,) to plain numbers, rounded to six decimals."""
     x, y, z = (round(float(value), 6) for value in values)
     return x, y, z
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
-    """Rotation matrix (3, 3) of a quaternion of any length."""
+    """Return the rotation matrix (3, 3) of a quaternion of any length."""
     w, x, y, z = np.asarray(quaternion_wxyz, dtype=float) / np.linalg.norm(quaternion_wxyz)
     return np.array(
         [
@@ -42,7 +42,7 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
-    """Unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
+    """Return the unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
     # Plain numbers: operations on single elements of an array take ten times as long.
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=float).tolist()
     trace = a + e + i
@@ -60,7 +60,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
 
 
 def matrix_from(translation_mm: ArrayLike, rotation: ArrayLike) -> Matrix:
-    """Homogeneous matrix of a translation (3,) and a rotation matrix (3, 3)."""
+    """Return the homogeneous matrix of a translation (3,) and a rotation matrix (3, 3)."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation_mm
@@ -68,19 +68,19 @@ def matrix_from(translation_mm: ArrayLike, rotation: ArrayLike) -> Matrix:
 
 
 def matrix_of(pose: PoseRecord) -> Matrix:
-    """Homogeneous matrix of a pose record."""
+    """Return the homogeneous matrix of a pose record."""
     return matrix_from(pose.translation_mm, rotation_from_quaternion(pose.quaternion_wxyz))
 
 
 def pose_of(matrix: ArrayLike) -> PoseRecord:
-    """Pose record of a homogeneous matrix."""
+    """Return the pose record of a homogeneous matrix."""
     values = np.asarray(matrix, dtype=float)
     qw, qx, qy, qz = (float(v) for v in quaternion_from_rotation(values[:3, :3]))
     return PoseRecord(translation_mm=as_point(values[:3, 3]), quaternion_wxyz=(qw, qx, qy, qz))
 
 
 def inverse(matrix: Matrix) -> Matrix:
-    """Inverse of a rigid transform."""
+    """Return the inverse of a rigid transform."""
     rotation = matrix[:3, :3].T
     return matrix_from(-rotation @ matrix[:3, 3], rotation)
 
@@ -92,7 +92,7 @@ def apply(matrix: Matrix, points_mm: ArrayLike) -> Matrix:
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
-    """Rotation matrix of an axis-angle vector (Rodrigues)."""
+    """Return the rotation matrix of an axis-angle vector (Rodrigues)."""
     vector = np.asarray(rotation_vector_rad, dtype=float)
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
@@ -104,7 +104,7 @@ def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
 
 
 def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
-    """Rotation whose third column is `z_axis` and whose first column is as near to `x_hint` as possible."""
+    """Return the rotation with third column `z_axis` and first column as near as possible to `x_hint`."""
     z = np.asarray(z_axis, dtype=float)
     z = z / np.linalg.norm(z)
     x = np.asarray(x_hint, dtype=float)
@@ -116,7 +116,7 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
 
 
 def vector_from_rotation(rotation: ArrayLike) -> Matrix:
-    """Axis-angle vector (3,) of a rotation matrix by less than half a turn."""
+    """Return the axis-angle vector (3,) of a rotation by less than half a turn."""
     w, *axis = quaternion_from_rotation(rotation)
     half_sine = float(np.linalg.norm(axis))
     if half_sine == 0.0:

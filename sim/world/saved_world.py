@@ -1,4 +1,4 @@
-"""The saved state of a theatre's world, for another theatre to continue: the arm, its tool, the time.
+"""Saved state of a theatre's world, for continuation by another theatre: arm, tool and time.
 
 The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
 faults have moved, bent or rotated; a continued world has no other fault until one is injected.
@@ -41,7 +41,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class SavedArm(Strict):
-    """State of the robot: its encoders, and the state that they do not show."""
+    """State of the robot: its encoders, and hidden state that they do not show."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
     flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
@@ -80,7 +80,7 @@ class SavedWorld(Strict):
         )
 
     def restore(self, scene: Scene, *, paced: bool) -> World:
-        """Create a world of that scene that starts from this state."""
+        """Create a world of the given scene, starting from this state."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool, self.mountings)
         world.set_fault_script(self.standing_faults)
@@ -93,7 +93,7 @@ class SavedWorld(Strict):
 
 
 def save_world(world: World, folder: Path) -> None:
-    """Save the state of a world, completely or not at all."""
+    """Save the state of a world atomically."""
     write_atomically(folder / WORLD_FILE, SavedWorld.from_world(world).model_dump_json(indent=1).encode())
 
 
@@ -114,7 +114,7 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """Script that reproduces the displacements and bends by faults, each until its own end."""
+    """Return a script that reproduces displacements and bends by faults, each until its own end."""
     now_s = world.clock.now_s()
     lines = []
     for roll_mm in list_cart_rolls_mm(FaultBoard(world, ROOM), now_s):
@@ -131,7 +131,7 @@ def standing_faults(world: World) -> str:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Hold a folder for one theatre; raises SIM-013 if another one does not end in time."""
+    """Lock a folder for one theatre; raises SIM-013 if another theatre does not end in time."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:

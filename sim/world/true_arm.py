@@ -1,4 +1,4 @@
-"""The true arm: the flange pose for given encoder angles.
+"""True arm: the flange pose at given encoder angles.
 
 The controller relies on its encoders and the nominal chain. The true flange differs by link errors, and by
 errors between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. Long motion
@@ -35,7 +35,7 @@ FLANK_SHARE = 0.5
 
 
 class TrueArm:
-    """True pose of the flange from encoder angles, flanks and motion number."""
+    """True flange pose as a function of encoder angles, gear flanks and motion number."""
 
     def __init__(self, truth: ArmTruth, seed: int) -> None:
         arm = description(truth.variant)
@@ -62,7 +62,7 @@ class TrueArm:
         )
 
     def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
-        """Pose (4, 4) while moving.
+        """Return the flange pose (4, 4) while the arm is moving.
 
         `flanks` is each joint's position in its backlash, -1 to 1; `moved_s` the time in motion so far.
         """
@@ -74,7 +74,7 @@ class TrueArm:
     def at_rest(
         self, encoders_rad: Sequence[float], flanks: Sequence[float], motion_number: int, moved_s: float = 0.0
     ) -> Matrix:
-        """Pose (4, 4) at rest after the motion with this number."""
+        """Return the flange pose (4, 4) at rest after the motion with this number."""
         pose = self.moving(encoders_rad, flanks, moved_s)
         # a shift of the flange: any mounted tool is displaced alike
         pose[:3, 3] += noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
@@ -98,7 +98,7 @@ class TrueArm:
 
 
 class JointChain:
-    """The arm as a chain of joints in Pinocchio, nominal or with link errors: flange in $ROBROOT, mm and rad.
+    """Pinocchio chain of the arm's joints, nominal or with link errors: flange in $ROBROOT, mm and rad.
 
     `links` are the errors of the links after A1 .. A6, each added at the link's far end. One chain belongs to
     one thread: Pinocchio computes in the chain's own memory.
@@ -110,14 +110,14 @@ class JointChain:
         self._q = np.zeros(AXES)
 
     def flange(self, joints_rad: Sequence[float] | Matrix) -> Matrix:
-        """Pose (4, 4) of the flange."""
+        """Return the pose (4, 4) of the flange."""
         self._q[:] = joints_rad
         pin.framesForwardKinematics(self._model, self._data, self._q)
         pose: Matrix = self._data.oMf[self._flange].homogeneous
         return pose
 
     def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:
-        """Joint angles of a flange pose, starting from nearby ones; None without convergence.
+        """Solve for the joint angles of a flange pose, starting from nearby angles. Return None on failure.
 
         Damped least squares, which may not converge near a singularity.
         """
@@ -141,7 +141,7 @@ class JointChain:
 
 @lru_cache(maxsize=8)  # shared: chains only read it and compute in their own data
 def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
-    """Build the model; return it and the index of the flange's frame."""
+    """Build the model. Return it and the index of the flange frame."""
     model, parent = pin.Model(), 0
     for number, joint in enumerate(arm.joints):
         place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
@@ -160,6 +160,6 @@ def _placement_error(link: LinkError) -> pin.SE3:
 
 
 def rotation_vector(rotation: Matrix) -> Matrix:
-    """Axis times angle (rad) of a rotation (3, 3)."""
+    """Return the rotation vector (axis times angle, rad) of a rotation (3, 3)."""
     vector: Matrix = pin.log3(rotation)
     return vector

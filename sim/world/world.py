@@ -1,4 +1,4 @@
-"""The shared world: the scene, the clock, and everything that changes in a running theatre.
+"""Shared world: the scene, the clock, and everything that changes in a running theatre.
 
 One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`: it
 disappears with the last process that holds it, however that process ends. The clock has a block of its own,
@@ -34,13 +34,13 @@ FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
 class ClockRow(NamedTuple):
-    """Location of the clock's own block."""
+    """Location of the clock's own shared block."""
 
     path: Annotated[str, text(100)]
 
 
 class ArmRow(NamedTuple):
-    """An `ArmState` in plain numbers; the flange pose by rows."""
+    """An `ArmState` as plain numbers, the flange pose row by row."""
 
     joints_rad: Annotated[Numbers6, "6d"]
     flange_rows: Annotated[tuple[float, ...], "12d"]
@@ -51,7 +51,7 @@ class ArmRow(NamedTuple):
 
 
 class StepRow(NamedTuple):
-    """The running step."""
+    """The running step, as plain data."""
 
     started_ns: Annotated[int, "q"]  # theatre time
     name: Annotated[str, text(64)]
@@ -73,7 +73,7 @@ _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 @dataclass(frozen=True)
 class ArmState:
-    """The arm's true state: encoder angles, and the flange in the robot frame."""
+    """True state of the arm: encoder angles, and the flange in the robot frame."""
 
     joints_rad: Numbers6
     robot_from_flange: NDArray[np.float64]  # (4, 4)
@@ -84,7 +84,7 @@ class ArmState:
 
 
 class World:
-    """View of the shared block: `create` it in the owning process, `open` it in others."""
+    """View of the shared block. The owning process calls `create`, others call `open`."""
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
@@ -108,7 +108,7 @@ class World:
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
-        """Create a world; `paced` worlds follow the host's clock, which starts at `begins_ns`.
+        """Create a world. A `paced` world follows the host's clock, which starts at `begins_ns`.
 
         Others can open it as long as this object exists.
         """
@@ -140,7 +140,7 @@ class World:
 
     @property
     def clock_endpoint(self) -> str:
-        """Endpoint of this world's clock alone."""
+        """Endpoint of this world's clock only."""
         return f"shm://{self._clock_path}"
 
     def publish_arm(self, state: ArmState) -> None:
@@ -175,22 +175,22 @@ class World:
         return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
-        """True pose (4, 4) of the stereo head's tool centre point, moving with the arm."""
+        """Return the true pose (4, 4) of the stereo head's tool centre point, which moves with the arm."""
         pose: NDArray[np.float64] = self.arm().robot_from_flange @ matrix_of(
             self.scene.mount.flange_from_tool_true
         )
         return pose
 
     def mounted_tool(self) -> int:
-        """Number of the mounted tool."""
+        """Return the number of the mounted tool."""
         return _TOOL.read(self._memory)
 
     def mountings(self) -> int:
-        """Number of times the guide was mounted, each with a slightly different seat."""
+        """Return how many times the guide was mounted. Its seat differs slightly each time."""
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
-        """Mount a tool, or the same one again; for the control port only.
+        """Mount a tool, possibly the one already mounted. For the control port only.
 
         Mountings of the guide are counted, unless a restored world sets `mountings`.
         """
@@ -200,15 +200,15 @@ class World:
         _MOUNTINGS.write(self._memory, mountings)
 
     def on_stand(self) -> OnStand:
-        """Content of the calibration stand."""
+        """Return what is on the calibration stand."""
         return tuple(OnStand)[_STAND.read(self._memory)]
 
     def put_on_stand(self, content: OnStand) -> None:
-        """Change the content of the calibration stand. For the control port only."""
+        """Change what is on the calibration stand. For the control port only."""
         _STAND.write(self._memory, tuple(OnStand).index(content))
 
     def step(self) -> tuple[str, int]:
-        """Name of the running step and the theatre time of its start in ns."""
+        """Return the name of the running step and the theatre time in ns of its start."""
         row = _STEP.read(self._memory)
         return row.name, row.started_ns
 
@@ -217,11 +217,11 @@ class World:
         _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
 
     def fault_version(self) -> int:
-        """Version of the fault script; it changes with every change of the text."""
+        """Return the version of the fault script, which changes whenever the text does."""
         return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
-        """Version and text of the fault script.
+        """Return the version and text of the fault script.
 
         Raises SIM-002 if it was left half written.
         """
@@ -232,7 +232,7 @@ class World:
         raise WorldUnavailable("the fault script in the world was left half written")
 
     def set_fault_script(self, script: str) -> None:
-        """Replace the fault script. For the control port only; the text was checked before."""
+        """Replace the fault script by a text already checked. For the control port only."""
         content = script.encode()
         if len(content) > FAULTS_CAPACITY_BYTES:
             raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
@@ -246,7 +246,7 @@ class World:
 
 
 def _create_block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
-    """Create an anonymous block: its file, its path for others while that is open, and its memory."""
+    """Create an anonymous block. Return its file, its path (valid while the file is open), and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)
     return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

@@ -1,1 +1,1 @@
-"""Random arms at a phantom, many at once: the target error of each strategy."""
+"""Target error of each localization strategy, simulated on many random arms at a phantom."""

@@ -1,4 +1,4 @@
-"""The phantom of the accuracy studies: a head with free spheres or the x-shaped frame, and trajectories.
+"""Phantom of the accuracy studies: a head with free spheres or the x-shaped frame, and trajectories.
 
 The thesis does not publish its phantom. This one is drawn once and is the same in every study. Targets are in
 the middle of an ellipsoid head of normal size, trajectories are tilted. Positions are in front of the arm, as
@@ -39,7 +39,7 @@ ATTEMPTS = 100_000
 
 
 class Markers(StrEnum):
-    """The two ways to register the phantom."""
+    """Marker types for registering the phantom."""
 
     FREE = "free"
     FRAME = "xframe"
@@ -47,7 +47,7 @@ class Markers(StrEnum):
 
 @dataclass(frozen=True)
 class Tilts:
-    """Range of tilts from the vertical, and of their azimuths from the x axis."""
+    """Range of tilts from the vertical, and of azimuths from the x axis."""
 
     tilts_deg: tuple[float, float]
     sides_deg: tuple[float, float]
@@ -66,12 +66,12 @@ class Phantom:
 
 
 def counts_of(markers: Markers) -> tuple[int, ...]:
-    """Numbers of spheres that a registration may use: the frame has only four."""
+    """Return the numbers of spheres that a registration may use. The frame has only four spheres."""
     return (3, 4, 5) if markers is Markers.FREE else (3, 4)
 
 
 def spheres_mm(markers: Markers) -> Array:
-    """Centres of the spheres, phantom frame."""
+    """Return the centres of the spheres in the phantom frame, mm."""
     if markers is Markers.FREE:
         around = AROUND_RAD * np.arange(FREE_SPHERES)
         level, up = math.cos(ABOVE_RAD), np.full(FREE_SPHERES, math.sin(ABOVE_RAD))
@@ -91,7 +91,7 @@ def draw_phantom(
     inner_share: float = INNER_SHARE,
     tilts: Tilts = USUAL_TILTS,
 ) -> Phantom:
-    """The phantom with targets at depths between two limits below the skin, drawn only once.
+    """Return the phantom with targets in a range of depths below the skin. It is drawn only once.
 
     `inner_share` of the head's half axes bounds their positions.
     """
@@ -117,7 +117,7 @@ def draw_phantom(
 
 
 def phantom_pose(number: int) -> Transform:
-    """Pose of the phantom, ROBOT <- CT, in position `number`."""
+    """Return the pose of the phantom, ROBOT <- CT, in position `number`."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM
     turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3) * PLACE_TURN_RAD)

@@ -1,4 +1,4 @@
-"""The nominal arm's joints at every sphere and every target, for one position of the phantom.
+"""Joint angles of the nominal arm at every sphere and target, for one position of the phantom.
 
 Joint ranges, reach and wrist singularity are checked as in a case; collisions and line of sight are not.
 """
@@ -34,7 +34,7 @@ TOOL = Transform(Frame.FLANGE, Frame.TOOL, RigidTransform.from_components(TOOL_M
 
 @dataclass(frozen=True)
 class Postures:
-    """`localizations` are `sets` times all spheres: one set for each of `t` targets, or one for all."""
+    """Postures of a strategy. `localizations` are `sets` times all spheres: a set per target, or one only."""
 
     sets: int
     localizations: PlannedPoses  # sets * n
@@ -43,14 +43,14 @@ class Postures:
     target_arrival: Array  # (t, 6)
 
     def set_of(self, target: int) -> int:
-        """Number of the localization set that serves a target."""
+        """Return the number of the localization set that serves a target."""
         return target if self.sets > 1 else 0
 
 
 def plan_postures(
     strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
 ) -> Postures:
-    """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""
+    """Plan all poses of a strategy; raises STU-010 if one is out of the arm's reach."""
     arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
     is_per_trajectory = strategy.localizes_per_trajectory
@@ -85,7 +85,7 @@ def plan_postures(
 
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
-    """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
+    """Return joints (p, 6) at poses approached along the tool axis, and the backlash side of each joint."""
     joints = [arm.guide_joints(pose) for pose in poses]
     signs = [
         arrival_signs(ARM, pose, joint_vector, TOOL) for pose, joint_vector in zip(poses, joints, strict=True)
@@ -102,7 +102,7 @@ def _best_turn(
     *,
     with_target: bool,
 ) -> Trajectory:
-    """The trajectory at the best turn with everything in reach."""
+    """Return the trajectory with the best free angle at which everything is in reach."""
     for turn in strategy.turns_rad(along, phantom.spheres_mm, robot_from_ct, arm):
         turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
         try:
@@ -120,7 +120,7 @@ def _best_turn(
 def _nearest_turn(
     trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
 ) -> Trajectory:
-    """The trajectory at the free angle nearest to the wanted one with the target in reach."""
+    """Return the trajectory with the free angle nearest to the wanted one at which the target is in reach."""
     for turn in OUTWARDS_RAD:
         turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
         try:

@@ -1,4 +1,4 @@
-"""Arms of parameter set S, drawn like those of the simulated theatre, and their joints at planned poses.
+"""Random arms of parameter set S, drawn as in the simulated theatre, and their joints at planned poses.
 
 The formulas are those of the simulator's true arm, implemented a second time for arrays: a test compares the
 two. Every arm is drawn from the seed and its own number.
@@ -43,7 +43,7 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class RandomArms:
-    """Errors of `a` arms with six joints each. Millimetres and radians."""
+    """Errors of `a` arms with six joints each, in millimetres and radians."""
 
     chain: Chain
     link_translation_mm: Array  # (a, 6, 3)
@@ -58,7 +58,7 @@ class RandomArms:
 
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
-        """The arms with these numbers."""
+        """Draw the arms with these numbers."""
         return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
@@ -84,7 +84,7 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """Keep the errors of one source only; CT and servo errors are not the arm's."""
+        """Keep the errors from one source only. CT and servo errors are not the arm's."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -99,7 +99,7 @@ class RandomArms:
         )
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
-        """True position of the tool, (a, p, 3) mm in the robot frame, without the repeatability error.
+        """Return true tool positions (a, p, 3) in mm, robot frame, without the repeatability error.
 
         Encoder angles (a, p, 6); `flanks` (a, p, 6) give the side of its backlash on which each joint rests.
         """
@@ -118,7 +118,7 @@ class RandomArms:
         return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
     def _displace_point(self, link: int, point: Components) -> Components:
-        """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
+        """Return a point beyond a link's end, displaced by the link's error, in the frame before the link."""
         return translate(
             multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
@@ -139,7 +139,7 @@ class RandomArms:
 
 
 def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
-    """The true arm with this number, and its tool error (3,) mm."""
+    """Draw the true arm with this number, and its tool error (3,) in mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)
@@ -147,7 +147,7 @@ def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
 
 @dataclass(frozen=True)
 class PlannedPoses:
-    """Postures of the nominal arm: joints (p, 6), orientations robot <- tool (p, 3, 3).
+    """Postures of the nominal arm: joints (p, 6), and orientations robot <- tool (p, 3, 3).
 
     `inverse` (p, 6, 6) maps a small motion of the tool (mm, rad) to one of the joints.
     """
@@ -159,7 +159,7 @@ class PlannedPoses:
 
     @classmethod
     def of(cls, kinematics: Kinematics, tool_mm: Array, joints_rad: Array) -> Self:
-        """Build at joint vectors (p, 6)."""
+        """Build from joint vectors (p, 6)."""
         _, rotations = nominal_frames(kinematics.chain, joints_rad, tool_mm)
         inverse = np.empty((len(joints_rad), 6, 6))
         for place, (joints, rotation) in enumerate(zip(joints_rad.tolist(), rotations, strict=True)):
@@ -175,7 +175,7 @@ class PlannedPoses:
 def centre_on_spheres(
     arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
 ) -> tuple[Array, Array]:
-    """Joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
+    """Return joints (a, p, 6) for the true tool on spheres (p, 3), and the believed positions (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
@@ -188,7 +188,7 @@ def centre_on_spheres(
 
 
 def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
-    """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
+    """Return joints (a, p, 6) that bring the nominal tool to positions (a, p, 3), oriented as planned."""
     joints, _ = solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
@@ -204,7 +204,7 @@ def solve_joints(
     missing: Callable[[Array, Array], Array],
     shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    """Solve for joints with nothing `missing` (mm) and the tool oriented as planned; returns its places too.
+    """Solve for joints with zero `missing` (mm) and the tool oriented as planned. Also return its places.
 
     An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
     each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so
@@ -227,7 +227,7 @@ def solve_joints(
 
 
 def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Array, Array]:
-    """Tool points (..., 3) mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
+    """Return tool points (..., 3) in mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
 
     `joints_rad` is (..., n), `tool_mm` (3,) in the flange frame.
     """
@@ -245,7 +245,7 @@ def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Arr
 
 
 def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Components:
-    """Points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
+    """Rotate points about a joint axis by Rodrigues' formula. All arrays have the same shape."""
     (x, y, z), (ax, ay, az) = point, joint.axis
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     along = (ax * x + ay * y + az * z) * (1.0 - cosine)
@@ -257,7 +257,7 @@ def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Com
 
 
 def multiply(matrix: Array, point: Components) -> Components:
-    """Points multiplied by matrices (..., 3, 3) whose leading axes broadcast against the points'."""
+    """Multiply points by matrices (..., 3, 3), whose leading axes broadcast against the points'."""
     x, y, z = point
     first, second, third = (
         matrix[..., row, 0] * x + matrix[..., row, 1] * y + matrix[..., row, 2] * z for row in range(3)
@@ -266,7 +266,7 @@ def multiply(matrix: Array, point: Components) -> Components:
 
 
 def translate(point: Components, offset: ArrayLike) -> Components:
-    """Points plus vectors (..., 3) that broadcast against them."""
+    """Add vectors (..., 3) to points, with broadcasting."""
     vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -1,1 +1,1 @@
-"""Common parts of all campaigns: units of work, workers, ledger, tables and plots."""
+"""Common parts of all study campaigns: units of work, workers, ledger, tables and plots."""

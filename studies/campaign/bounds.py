@@ -1,4 +1,4 @@
-"""95 % confidence bounds of counts and means, so that a table states its own uncertainty."""
+"""95 % confidence bounds of counts and means, so that tables state their own uncertainty."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Bounded:
-    """An estimate and its bounds; `low` is None for a zero count, `high` for a full one."""
+    """An estimate and its bounds. `low` is None for a zero count, `high` for a full count."""
 
     value: float
     low: float | None
@@ -26,7 +26,7 @@ class Bounded:
 
     @property
     def text(self) -> str:
-        """`0.9 to 1.6`; `at most 0.3` for a zero count, `at least 99.7` for a full one; empty if unknown."""
+        """Bounds as text, such as `0.9 to 1.6`, `at most 0.3` or `at least 99.7`; empty if unknown."""
         if self.low is None:
             return "" if self.high is None else f"at most {self.high:.2g}"
         if self.high is None:
@@ -35,17 +35,17 @@ class Bounded:
 
 
 def column(of: str) -> str:
-    """Heading of the bounds of another column."""
+    """Return the heading for the bounds of another column."""
     return f"{of}, {CAPTION}"
 
 
 def cells(name: str, estimate: Bounded, of: str = "") -> dict[str, float | str]:
-    """Return the cells of an estimate and of its bounds, which are those `of` the name without its unit."""
+    """Return the table cells of an estimate and its bounds. `of` is the column name without its unit."""
     return {name: estimate.value, column(of or name.rpartition(" ")[0] or name): estimate.text}
 
 
 def percent(count: float, of: float) -> Bounded:
-    """Share of independent runs, per cent. With no runs: 0 without bounds."""
+    """Return the share of independent runs in per cent; 0 without bounds if there are no runs."""
     number, runs = round(count), round(of)
     if not runs:
         return Bounded(0.0, None, None)
@@ -61,7 +61,7 @@ def percent(count: float, of: float) -> Bounded:
 
 
 def number(count: float) -> Bounded:
-    """Mean of a Poisson distribution from one observed count (exact: Garwood)."""
+    """Return the mean of a Poisson distribution given one observed count, with exact (Garwood) bounds."""
     from scipy.stats import chi2
 
     if not round(count):
@@ -71,7 +71,7 @@ def number(count: float) -> Bounded:
 
 
 def mean(values: ArrayLike) -> Bounded:
-    """Mean of independent values, by Student's distribution; without bounds for a single one."""
+    """Return the mean of independent values, with Student's t bounds; no bounds for a single value."""
     array = np.asarray(values, dtype=float)
     value = float(array.mean())
     if len(array) < 2:
@@ -83,13 +83,13 @@ def mean(values: ArrayLike) -> Bounded:
 
 
 def mean_length(values: ArrayLike) -> Bounded:
-    """Bound the mean of lengths, which cannot be below 0."""
+    """Return the mean of lengths, with a lower bound of at least 0."""
     bound = mean(values)
     return bound if bound.low is None else replace(bound, low=max(0.0, bound.low))
 
 
 def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
-    """Rms of independent values from the sums of their squares and fourth powers; for many runs."""
+    """Return the rms of many independent values, from the sums of their squares and fourth powers."""
     square = squares / runs
     value = float(np.sqrt(square))
     if runs < 2:

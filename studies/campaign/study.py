@@ -1,4 +1,4 @@
-"""Studies, their units of work, and tables of results.
+"""Studies, their units of work, and their result tables.
 
 A unit has a seed of its own, so that every worker gets the same result.
 """
@@ -21,7 +21,7 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Unit:
-    """Runs number `block` of a condition, which is a readable key such as `patient 1, 4 fiducials`."""
+    """Block `block` of the runs of a condition, whose key is readable, such as `patient 1, 4 fiducials`."""
 
     condition: str
     block: int
@@ -33,19 +33,19 @@ class Unit:
 
 
 class Study(Protocol):
-    """A picklable study whose `run` depends only on its arguments."""
+    """A picklable study, whose `run` depends on nothing but its arguments."""
 
     @property
     def name(self) -> str:
-        """Name of the command that runs it."""
+        """Name of the command that runs the study."""
         ...
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results as plain data."""
+        """Return everything the results depend on, as plain data."""
         ...
 
     def units(self) -> Sequence[Unit]:
-        """All units, in a fixed order that does not depend on the workers."""
+        """Return all units, in a fixed order that does not depend on the workers."""
         ...
 
     def run(self, unit: Unit) -> Sums:
@@ -54,12 +54,12 @@ class Study(Protocol):
 
 
 def omit_empty_own(settings: dict[str, object]) -> dict[str, object]:
-    """User methods are a setting only of studies that have some."""
+    """Return the settings without the entry for user methods if it is empty."""
     return {key: value for key, value in settings.items() if key != "own" or value}
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
-    """The random numbers of a unit; they depend only on the study's seed, the condition and the block."""
+    """Return the random generator of a unit, seeded by the study's seed, the condition and the block only."""
     condition = zlib.crc32(unit.condition.encode())
     return np.random.default_rng(np.random.SeedSequence([seed, condition, unit.block]))
 
@@ -72,7 +72,7 @@ def blocks(condition: str, runs: int, block_runs: int) -> list[Unit]:
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
-    """Sums per condition, in their order."""
+    """Add up the sums of each condition, in order of the conditions."""
     total: dict[str, Counter[str]] = {}
     for unit, sums in finished:
         total.setdefault(unit.condition, Counter()).update(sums)
@@ -81,7 +81,7 @@ def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Su
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain values; `note` explains the figures and cites the source of published ones."""
+    """A table of plain values. `note` explains the figures and cites the source of published ones."""
 
     title: str
     columns: Sequence[str]
@@ -90,7 +90,7 @@ class Table:
 
     @classmethod
     def of(cls, title: str, rows: Iterable[Mapping[str, Cell]], note: str = "") -> Self:
-        """Build from rows that all map the same columns to their cells."""
+        """Build from rows that are mappings from the same columns to their cells."""
         listed = list(rows)
         return cls(title, list(listed[0]) if listed else (), [tuple(row.values()) for row in listed], note)
 
@@ -102,7 +102,7 @@ class Table:
         return "\n".join([*lines, "", self.note, ""]) if self.note else "\n".join([*lines, ""])
 
     def csv(self) -> str:
-        """Return the table for a spreadsheet, with all digits."""
+        """Return the table as CSV for a spreadsheet, with all digits."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.columns)
@@ -120,7 +120,7 @@ class Table:
 
 
 def yes_or_no(met: bool) -> str:
-    """Word a goal so that a missed one is seen."""
+    """Format whether a goal was met, so that a missed goal stands out."""
     return "yes" if met else "NO"
 
 

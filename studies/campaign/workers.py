@@ -1,4 +1,4 @@
-"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster.
+"""Execution of a study's units: in this process, on this computer's cores, or on a Dask cluster.
 
 A user method that does not respond is named: an endless loop looks like long work.
 """
@@ -48,7 +48,7 @@ def run_study(
     progress: Callable[[float], None] = lambda share: None,
     tell: Tell = lambda text: None,
 ) -> None:
-    """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
+    """Run the missing units and record them. `workers=1` stays in this process; None uses every core.
 
     User methods always run in other processes: a crash there does not end the campaign, and `tell` is called
     with the name of one that does not respond. Raises STU-003 to STU-005, for user methods STU-012 to
@@ -66,16 +66,16 @@ def run_study(
 
 
 class SilenceWatch:
-    """Reports once each unit that has been running for `limit_s`."""
+    """Monitor that reports, once, each unit that has been running for `limit_s`."""
 
     def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
-        """Watch the user methods `names`; without any, report nothing."""
+        """Monitor calls of the user methods `names`. Without any, report nothing."""
         self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
         self._since: dict[str, float] = {}
         self._announced: set[str] = set()
 
     def report_silent(self, keys: Iterable[str]) -> None:
-        """Call at least every `limit_s` with the units that are running."""
+        """Report units that have run too long. Call at least every `limit_s` with the running units."""
         now_s = time.monotonic()
         since = {key: self._since.get(key, now_s) for key in keys}
         self._since = since
@@ -108,7 +108,7 @@ def _runner(
 
 
 def _list_plugins(study: Study) -> tuple[PluginMethod, ...]:
-    """The user methods in a study, if it accepts any."""
+    """Return the user methods in a study; empty if it accepts none."""
     return getattr(study, "own", ())
 
 
@@ -138,7 +138,7 @@ def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
 
 
 def _require_address(scheduler: str) -> None:
-    """Reject other text here: Dask's client would fail half constructed and complain much later."""
+    """Raise an error unless the text is an address. Dask's client would fail late and half constructed."""
     try:
         parts = urlsplit(scheduler)
         whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port

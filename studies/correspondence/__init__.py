@@ -1,1 +1,1 @@
-"""Correspondence methods, by the thesis' protocols and ours."""
+"""Correspondence methods, compared by the thesis' protocols and ours."""

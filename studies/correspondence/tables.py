@@ -1,4 +1,4 @@
-"""Outcomes of the correspondence study in the thesis' terms, next to the thesis' figures."""
+"""Outcome tables of the correspondence study in the thesis' terms, next to the thesis' figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a parti
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate each noise model, 5 to 8 fiducials pooled, and the e that reproduce the thesis' figures."""
+    """Tabulate each noise model, 5 to 8 fiducials pooled, and the values of e that reproduce the thesis."""
     found = outcome_shares(sums)
     made = [
         Table(
@@ -61,7 +61,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 @dataclass(frozen=True)
 class Series:
-    """Identifies results: noise model, method, e as text (empty for ours), number of fiducials."""
+    """Key of a result series: noise model, method, e as text (empty for ours), number of fiducials."""
 
     noise: NoiseReading
     method: str
@@ -70,13 +70,13 @@ class Series:
 
     @property
     def tolerance_mm(self) -> float | None:
-        """The method's e."""
+        """Parameter e of the method, mm."""
         return float(self.tolerance) if self.tolerance else None
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Shares of the runs in per cent, in total and as a range over the numbers of outliers.
+    """Shares of the runs in per cent: in total, and as a range over the numbers of outliers.
 
     `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
     """
@@ -90,16 +90,16 @@ class Shares:
 
     @property
     def lost(self) -> float:
-        """No answer at all."""
+        """Share of runs without any answer."""
         return self.unsuccessful - self.part
 
     def bound_share(self, share: float) -> Bounded:
-        """A share of the runs, per cent, with its bounds."""
+        """Return a share of the runs in per cent, with its bounds."""
         return percent(share / 100.0 * self.runs, self.runs)
 
 
 def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
-    """Outcomes of the runs of each series, over patients."""
+    """Return the outcome shares of each series, pooled over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
     for condition, content in sums.items():
         noise, _, fiducials, outliers = condition_of(condition)
@@ -157,7 +157,7 @@ def _format_range(ends: Range) -> str:
 
 
 def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
-    """Counts over 5 to 8 fiducials: single cells are too small to judge."""
+    """Tabulate counts pooled over 5 to 8 fiducials, because single cells are too small to judge."""
     rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
@@ -192,7 +192,7 @@ def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
 
 
 def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
-    """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
+    """Tabulate the values of e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
         of_method = {
@@ -225,7 +225,7 @@ def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
 def _format_tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
-    """The values of e at which all members hold, neighbouring ones as a range."""
+    """Format the values of e at which all members hold, joining neighbouring values to ranges."""
     good = [all(holds(series, one) for series, one in members if float(series.tolerance) == e) for e in tried]
     spans: list[list[float]] = []
     for number, (e, one) in enumerate(zip(tried, good, strict=True)):
@@ -249,7 +249,7 @@ def _is_false_within(series: Series, one: Shares) -> bool:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Success of the thesis' method, validated, against its parameter e, one plot per noise model."""
+    """Plot the success of the thesis' validated method against its parameter e, one plot per noise model."""
     found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
@@ -267,7 +267,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Runs without success by fiducials and method, one plot per noise model."""
+    """Plot runs without success by fiducials and method, one plot per noise model."""
     found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):

@@ -1,4 +1,4 @@
-"""Three and four markers implanted with a template: do they match five to eight without one?
+"""Comparison of three and four template-implanted markers with five to eight markers placed freely.
 
 The thesis' protocol (5.3.1) on its three heads, except for the sites. They are not random and displaced by up
 to 10 mm, but from the template that `ronna-plan template` makes for each head, each sphere slightly off.
@@ -67,7 +67,7 @@ class TemplateStudy:
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Conditions in the order noise model, patient, markers, outliers."""
+        """List the conditions in the order noise model, patient, markers, outliers."""
         return [
             unit
             for noise in NoiseReading
@@ -78,7 +78,7 @@ class TemplateStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Outcomes of every method, as `method|outcome` -> count."""
+        """Return the outcome counts of every method, keyed `method|outcome`."""
         noise, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
@@ -96,7 +96,7 @@ class TemplateStudy:
 
 @cache
 def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
-    """The template's spheres (count, 3) on a head of the study."""
+    """Return the template's spheres (count, 3) on a head of the study."""
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=HALF_AXES_MM[patient])
     return np.array(propose_template(head, count, margin_mm).centres_mm)
 
@@ -124,7 +124,7 @@ def _solve_by_each(
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate each noise model, method and number of markers beside five to eight markers."""
+    """Tabulate each noise model, method and number of markers next to five to eight markers."""
     counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
     for condition, content in sums.items():
         noise, _, markers, outliers = condition_of(condition)

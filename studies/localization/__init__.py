@@ -1,1 +1,1 @@
-"""Accuracy of sphere localization in the CT, on phantom families and by the thesis' protocol."""
+"""Accuracy of sphere localization in CT, on phantom families and by the thesis' protocol."""

@@ -1,4 +1,4 @@
-"""Spheres in phantom CTs: ours next to the thesis' two methods, on families not used for tuning.
+"""Sphere localization in phantom CTs: ours and the thesis' two methods, on families not used for tuning.
 
 Also the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
 its known coordinates and to each other, and FLE is computed from FRE. Human picks are simulated with the FLE
@@ -53,7 +53,7 @@ SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, wh
 
 
 class Method(StrEnum):
-    """The localization method."""
+    """Localization methods."""
 
     OURS = "combined"
     THESIS_LINE = "thesis-line"
@@ -67,7 +67,7 @@ AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 @dataclass(frozen=True)
 class LocalizationStudy:
-    """Number of volumes per family and protocol, and of sets of five scans of the frame."""
+    """Number of volumes per family and protocol, and of five-scan sets of the frame."""
 
     volumes: int
     sets: int = 1
@@ -81,13 +81,13 @@ class LocalizationStudy:
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """A unit per volume, then one per set."""
+        """Return one unit per volume, then one per set of frame scans."""
         conditions = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
         volumes = [unit for condition in conditions for unit in blocks(condition, self.volumes, 1)]
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
 
     def run(self, unit: Unit) -> Sums:
-        """Counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
+        """Return counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
         family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -107,7 +107,7 @@ class LocalizationStudy:
 
 
 def localize_by(method: Method, volume: Volume) -> Localization | None:
-    """Localize by a built-in method; None without a plausible number of markers."""
+    """Localize by a built-in method. Return None without a plausible number of markers."""
     try:
         if method is Method.OURS:
             return localize(volume)
@@ -126,7 +126,7 @@ def _count_localization(method: Method, scan: PhantomScan) -> dict[str, float]:
 def _count_outcomes(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
-    """Count hits, misses and errors in a volume, with covariances if there are markers.
+    """Count hits, misses and errors in a volume. Covariances are judged only if there are markers.
 
     Spheres cut by the field of view count neither as missed nor as false.
     """
@@ -162,7 +162,7 @@ def _count_outcomes(
 
 
 def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
-    """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
+    """Localize five scans of the frame. Return the FRE to its coordinates and of the ten pairs, by method."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
@@ -187,7 +187,7 @@ def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocaliz
 
 
 def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
-    """Squared FREs (mm2) of all scans (4, 3) to the frame's coordinates and to each other."""
+    """Return squared FREs (mm2) of all scans (4, 3), to the frame's coordinates and to each other."""
     frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
     for who, scans in points.items():
@@ -209,7 +209,7 @@ def _refine_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
 
 
 def _match_in_order(found_mm: Array, centres_mm: Array) -> Array | None:
-    """The found points in the order of the true ones; None unless they match one to one."""
+    """Return the found points in the order of the true points; None unless they match one to one."""
     if len(found_mm) == 0:
         return None
     distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)

@@ -1,4 +1,4 @@
-"""The thesis' localization protocol: 12 scans of patients and 8 of a phantom, 116 spheres, one frame in each.
+"""Localization protocol of the thesis: 12 patient and 8 phantom scans, 116 spheres, one frame in each.
 
 Phantoms stand in for both. The number of spheres implies that some scans contain more than the frame's four;
 their distribution is our choice, and the frame is the close one. Every scan has its own scale error, as with
@@ -70,20 +70,20 @@ THESIS_SCANS: tuple[ThesisScan, ...] = (
 
 
 def draw_scale(random: np.random.Generator, count: int, largest: float = LARGEST_SCALE_ERROR) -> Array:
-    """Factors (count, 3) by which scans are too large along left, posterior and superior."""
+    """Draw factors (count, 3) by which scans are too large along left, posterior and superior."""
     plane, feed = random.uniform(-largest, largest, (2, count))
     return np.asarray(1.0 + np.column_stack([plane, plane, feed]))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizedScan:
-    """A method's result in a scan: centres (n, 3), LPS mm, and CPU time."""
+    """Result of a method in a scan: centres (n, 3) in LPS mm, and CPU time."""
 
     centres_mm: Array
     cpu_s: float
 
     def frame_mm(self, scale: Array) -> Array | None:
-        """The frame's spheres (4, 3) in order, in a scan of this scale; None if the frame is refused."""
+        """Return the frame's spheres (4, 3) in order, in a scan of this scale; None if none is accepted."""
         seen_mm = self.centres_mm * scale
         try:
             return np.asarray(seen_mm[find_layout(FRAME_MM, seen_mm).order])
@@ -92,7 +92,7 @@ class LocalizedScan:
 
 
 def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
-    """Localize the scan with our method and with both of the thesis'."""
+    """Localize the scan with our method and both methods of the thesis."""
     found = {}
     for method in AUTOMATIC:
         began_s = time.process_time()
@@ -104,7 +104,7 @@ def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
 
 @dataclass(frozen=True)
 class ThesisLocalizationStudy:
-    """A unit per scan. CPU times differ from run to run; nothing else does."""
+    """One unit per scan. Only the CPU times differ from run to run."""
 
     seed: int = 0
     name: str = "localization-thesis"
@@ -120,11 +120,11 @@ class ThesisLocalizationStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """The scans in order."""
+        """Return one unit per scan, in order."""
         return [Unit(scan.condition, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Counts, CPU seconds, and the coordinates of the frame's spheres as found by each method, mm."""
+        """Return counts, CPU seconds, and the frame coordinates found by each method, mm."""
         (drawn,) = (scan for scan in THESIS_SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -146,7 +146,7 @@ class ThesisLocalizationStudy:
 
 
 def points_as_sums(who: str, points_mm: Array) -> Sums:
-    """Coordinates (4, 3) as entries of the only unit of a condition."""
+    """Encode coordinates (4, 3) as entries of the only unit of a condition."""
     return {
         f"{who}|{row} {axis}": float(value)
         for row, point in enumerate(points_mm)
@@ -155,7 +155,7 @@ def points_as_sums(who: str, points_mm: Array) -> Sums:
 
 
 def points_of(sums: Sums, who: str) -> Array | None:
-    """The coordinates (4, 3) back; None if the frame was not found."""
+    """Decode the coordinates (4, 3); None if the frame was not found."""
     keys = [[f"{who}|{row} {axis}" for axis in AXES] for row in range(len(FRAME_MM))]
     if keys[0][0] not in sums:
         return None
@@ -163,7 +163,7 @@ def points_of(sums: Sums, who: str) -> Array | None:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate detection, the errors of tables 2 and 3, gains over people, and times."""
+    """Tabulate detection, the errors of tables 2 and 3, the gain over human operators, and times."""
     return [_tabulate_detection(sums), _tabulate_errors(sums), _tabulate_gains(sums), _tabulate_times(sums)]
 
 
@@ -200,7 +200,7 @@ def _tabulate_detection(sums: Mapping[str, Sums]) -> Table:
 
 
 def fle_mm(scans: Sequence[Array], scales: Array) -> tuple[float, float, float]:
-    """Compute the FLE of scans (4, 3), axes scaled by `scales` (d, s, 3), mm; means over the draws.
+    """Compute the FLE in mm of scans (4, 3), axes scaled by `scales` (d, s, 3), as means over the draws.
 
     FLE by eq. 36 against the frame's coordinates, averaged over the scans; the underlying FRE, likewise; FLE
     by eq. 37 and 38 between all pairs of scans.
@@ -223,7 +223,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
 
 
 def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
-    """The frame in every phantom scan in which the method found it."""
+    """Return the frame in every phantom scan where the method found it."""
     every = (
         points_of(content, method.value)
         for condition, content in sums.items()

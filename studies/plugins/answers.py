@@ -1,4 +1,4 @@
-"""User methods as the studies call them, with every answer checked for its kind.
+"""Wrappers that call user methods and check every answer against the requirements of its kind.
 
 Arguments cannot be modified, and errors are reported with their line. Strategies are in `strategy`.
 """
@@ -33,7 +33,7 @@ ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm ov
 
 @dataclass(frozen=True)
 class CheckedPlugin:
-    """A named user method in this process; `result` and `form` word its required answer."""
+    """A named user method in this process. `result` and `form` describe the required answer."""
 
     name: str
     function: Callable[..., Any]
@@ -42,11 +42,11 @@ class CheckedPlugin:
 
     @classmethod
     def of(cls, method: PluginMethod) -> Self:
-        """Load into this process. Raises STU-012."""
+        """Load the method into this process. Raises STU-012."""
         return cls(method.name, method.function())
 
     def _as_numbers(self, answer: object) -> Array:
-        """Convert an answer to an array. Raises STU-014 unless it holds real numbers."""
+        """Convert an answer to an array. Raises STU-014 unless it consists of real numbers."""
         try:
             converted = np.asarray(answer)
         except (TypeError, ValueError, OverflowError):  # such as rows of unequal length
@@ -62,7 +62,7 @@ class CheckedPlugin:
 
 
 class PluginPairing(CheckedPlugin):
-    """Called like `Pairing`; raises STU-013 and STU-014."""
+    """User pairing method, called like `Pairing`; raises STU-013 and STU-014."""
 
     result = "a pairing"
     form = "None, or whole numbers (k, 2): indices from 0 of image and physical points, each point once"
@@ -70,7 +70,7 @@ class PluginPairing(CheckedPlugin):
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> Pairs | None:
-        """Pairs (k, 2); None without a unique answer."""
+        """Return pairs (k, 2); None without a unique answer."""
         answer = call_plugin(
             self.name,
             self.function,
@@ -99,13 +99,13 @@ class PluginPairing(CheckedPlugin):
 
 
 class PluginLocalizer(CheckedPlugin):
-    """Called like `Localizer`; raises STU-013 and STU-014."""
+    """User localizer, called like `Localizer`; raises STU-013 and STU-014."""
 
     result = "centres"
     form = "numbers (n, 3): patient coordinates LPS in mm, as returned by volume.geometry.to_patient_mm"
 
     def __call__(self, volume: Volume) -> Array:
-        """Centres (n, 3), LPS mm."""
+        """Return centres (n, 3) in LPS mm."""
         try:
             answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
         except MarkerCountWrong:  # how our localizer says that there are none
@@ -127,13 +127,13 @@ class PluginLocalizer(CheckedPlugin):
 
 
 class PluginRegistration(CheckedPlugin):
-    """Called like `PairedRegistration`; raises STU-013 and STU-014."""
+    """User registration, called like `PairedRegistration`; raises STU-013 and STU-014."""
 
     result = "a rigid transform"
     form = "a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1"
 
     def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
-        """The transform physical <- image."""
+        """Return the transform physical <- image."""
         answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
@@ -160,7 +160,7 @@ def call_plugin(
     passed: tuple[type[Exception], ...] = (),
     **named: object,
 ) -> Any:
-    """The answer to these arguments; raises STU-013 for every error of the method, except `passed`.
+    """Return the answer to these arguments; raises STU-013 for any error of the method except `passed`.
 
     The global generators are seeded before each call, so that a unit's result does not depend on its worker.
     Prints of the method go to standard error: standard output is for results.
@@ -189,7 +189,7 @@ def _read_only(value: object) -> object:
 
 
 def _locate_error(function: Callable[..., Any], error: BaseException) -> str:
-    """The last line within the method's own file, otherwise the very last one."""
+    """Return the last traceback line in the method's own file; otherwise the very last line."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
     last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])

@@ -1,4 +1,4 @@
-"""The four kinds of user methods: how each is called, and what it must return.
+"""Four kinds of user methods: how each is called, and what it must return.
 
 A function (for a strategy a class) is named as `module:function`, or by an entry point in the group of its
 kind, as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MethodKind(StrEnum):
-    """Task of a user method; each kind has its own entry point group and studies."""
+    """Task of a user method. Each kind has its own entry point group and studies."""
 
     LOCALIZER = "localizer"
     PAIRING = "pairing"
@@ -30,26 +30,26 @@ class MethodKind(StrEnum):
 
     @property
     def group(self) -> str:
-        """The entry point group."""
+        """Entry point group of the kind."""
         plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
         return f"ronna_hw.{plural}"
 
 
 class Localizer(Protocol):
-    """Finds the centres of spheres in a CT."""
+    """Localizer of spheres in a CT."""
 
     def __call__(self, volume: Volume) -> ArrayLike:
-        """Centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
+        """Return centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
         ...
 
 
 class Pairing(Protocol):
-    """Pairs the points of two sets, in any order, with outliers in both."""
+    """Pairing of the points of two sets, in any order, with outliers in both."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> ArrayLike | None:
-        """Indices (k, 2) of pairs image, physical; None without a unique answer.
+        """Return indices (k, 2) of pairs image, physical; None without a unique answer.
 
         `image_mm` is (n, 3), `physical_mm` (m, 3); a sigma is one standard deviation per axis.
         """
@@ -57,12 +57,12 @@ class Pairing(Protocol):
 
 
 class PairedRegistration(Protocol):
-    """Fits paired points rigidly."""
+    """Rigid fit of paired points."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array
     ) -> RigidTransform | ArrayLike:
-        """The transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
+        """Return the transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
 
         Points are (n, 3), with the same marker in the same row; `covariance_mm2` (n, 3, 3) is the error of
         each pair in the physical frame.
@@ -71,10 +71,10 @@ class PairedRegistration(Protocol):
 
 
 class StrategyFactory(Protocol):
-    """Creates a localization strategy, without arguments: usually its class."""
+    """Factory of a localization strategy, called without arguments: usually its class."""
 
     def __call__(self) -> Strategy:
-        """An object with the members of `procedures.strategies.strategy.Strategy`."""
+        """Return an object with the members of `procedures.strategies.strategy.Strategy`."""
         ...
 
 

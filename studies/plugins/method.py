@@ -1,4 +1,4 @@
-"""User methods by reference: small enough to send to a worker, which runs the same version or none.
+"""References to user methods, small enough to send to workers, which run the same version or refuse.
 
 The version is the hash of the method's module and of the modules of its folder or package that it imports.
 """
@@ -31,7 +31,7 @@ _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this proce
 
 @dataclass(frozen=True)
 class PluginMethod:
-    """`module:function` of one kind, its name in tables, and the hash of its files: see `hash_of`."""
+    """`module:function` of one kind, its name in tables, and the hash of its files (see `hash_of`)."""
 
     kind: MethodKind
     name: str
@@ -39,7 +39,7 @@ class PluginMethod:
     sha256: str
 
     def function(self) -> Callable[..., Any]:
-        """The function, in this process; raises STU-012 if the file is missing or has changed."""
+        """Load the function in this process; raises STU-012 if the file is missing or has changed."""
         found, module = _import_method(self.reference, self.kind)
         if hash_of(module) != self.sha256:
             raise MethodRefused(
@@ -52,7 +52,7 @@ class PluginMethod:
 
     @property
     def source(self) -> Path | None:
-        """The file to send to remote workers; None if installed or part of a package."""
+        """File to send to remote workers; None if the method is installed or part of a package."""
         module = sys.modules[self.reference.partition(":")[0]]
         if module.__file__ is None or "." in module.__name__:
             return None
@@ -61,7 +61,7 @@ class PluginMethod:
 
 
 def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """The method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
+    """Return the method named by `text`: an entry point of its kind, or `module:function`. Raises STU-012.
 
     Modules are searched as Python does, and last in the current folder.
     """
@@ -75,22 +75,22 @@ def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
 
 
 def list_installed_plugins() -> tuple[str, ...]:
-    """Names of all installed user methods, of every kind."""
+    """Return names of all installed user methods, of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
 def signature_of(kind: MethodKind) -> str:
-    """Return the call signature of a kind, as shown in messages."""
+    """Return the call signature of a kind, as displayed in messages."""
     return str(inspect.Signature([one.replace(annotation=one.empty) for one in _required_parameters(kind)]))
 
 
 def is_in_site_packages(file: Path) -> bool:
-    """Whether a file belongs to an installed package."""
+    """Return whether a file belongs to an installed package."""
     return not {*INSTALLED}.isdisjoint(file.parts)
 
 
 def local_modules(module: ModuleType) -> Mapping[str, Path]:
-    """The file of each module by name, from the import statements; nothing is executed.
+    """Return the file of each imported module by name, from import statements. Executes nothing.
 
     For an installed module, those of its package count; for a file of the user's own, those of its folder and
     their packages. Anything imported by a computed name, compiled or read as data is not found.
@@ -108,7 +108,7 @@ def local_modules(module: ModuleType) -> Mapping[str, Path]:
 
 
 def hash_of(module: ModuleType) -> str:
-    """SHA-256 of the module's file, or of all files if there are more; empty for a module without a file."""
+    """Return the SHA-256 of a module's file, or of all its files; empty for a module without a file."""
     files = local_modules(module)
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     if len(hashes) < 2:
@@ -119,7 +119,7 @@ def hash_of(module: ModuleType) -> str:
 
 class _LocalModuleFinder(ModuleFinder):
     def __init__(self, folder: Path, only: str | None) -> None:
-        """Search `folder`, and within it the package `only` if given."""
+        """Search `folder`, and in it only the package `only` if given."""
         super().__init__(path=[str(folder)])
         self._only = only
 
@@ -175,7 +175,7 @@ def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any]
 
 
 def _require_signature(kind: MethodKind, reference: str, function: Callable[..., Any]) -> None:
-    """Check that it accepts the arguments it will be given."""
+    """Raise an error unless the method accepts the arguments that it will be given."""
     required = _required_parameters(kind)
     places = [one.name for one in required if one.kind is not one.KEYWORD_ONLY]
     names = {one.name: None for one in required if one.kind is one.KEYWORD_ONLY}

@@ -1,4 +1,4 @@
-"""User strategies, with all answers checked: axes, poses at the spheres, turns."""
+"""User strategies with checked answers: axes, poses at the spheres, turns."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ CALLS = ("localized_along", "localization_poses", "turns_rad")
 
 @dataclass(frozen=True)
 class PluginStrategy:
-    """A `Strategy` that calls the user's; raises STU-012 to STU-014."""
+    """A `Strategy` that delegates to the user's; raises STU-012 to STU-014."""
 
     name: str
     user_strategy: Strategy
 
     @classmethod
     def of(cls, method: PluginMethod) -> Self:
-        """Load into this process. Raises STU-012 and STU-013."""
+        """Load the strategy into this process. Raises STU-012 and STU-013."""
         made = call_plugin(method.name, method.function())
         for flag in FLAGS:
             if not isinstance(value := call_plugin(f"{method.name}.{flag}", getattr, made, flag, None), bool):
@@ -97,7 +97,7 @@ class PluginStrategy:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Turns about the axis, best first."""
+        """Return turns about the axis in rad, best first."""
         turns = self._call("turns_rad", along, fiducials_mm, robot_from_ct, arm)
         if not turns or not all(isinstance(one, int | float) for one in turns):
             raise self._wrong_answer("turns_rad", "at least one finite angle in rad", _format_answer(turns))
@@ -108,7 +108,7 @@ class PluginStrategy:
         return turns
 
     def _read_flag(self, flag: str) -> bool:
-        """A property may be recomputed, and differ, on each access."""
+        """Read a boolean property once, since it may be recomputed and differ on each access."""
         value = call_plugin(f"{self.name}.{flag}", getattr, self.user_strategy, flag)
         if not isinstance(value, bool):
             raise self._wrong_answer(flag, "True or False", f"{value!r}")

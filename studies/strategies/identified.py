@@ -1,4 +1,4 @@
-"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and the errors that remain.
+"""Localization strategies on arms identified as by `ronna-arm calibrate`, and the remaining errors.
 
 A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
 identified once, at the phantom's first position, and used at all positions. Identification measures the
@@ -51,7 +51,7 @@ HIGHEST = 99.0  # per cent
 
 @dataclass(frozen=True)
 class IdentifiedStudy:
-    """`arms` random arms of parameter set S, each identified and then used at all positions."""
+    """`arms` random arms of parameter set S, each identified first and then used at all positions."""
 
     arms: int = 100
     seed: int = 0
@@ -61,11 +61,11 @@ class IdentifiedStudy:
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Blocks of arms."""
+        """Split the arms into blocks."""
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what.
+        """Return errors in mm, keyed `strategy|spheres|arm|place|target`, and per arm, `arm|number|what`.
 
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """
@@ -109,7 +109,7 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate the errors at the targets and the errors after identification."""
+    """Tabulate the target errors and the errors left after identification."""
     errors = _collect_errors(sums)
     arms, predictions = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
@@ -172,7 +172,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """A box for each strategy and number of spheres."""
+    """Plot a box for each strategy and number of spheres."""
     groups = {
         f"{strategy} {count}": each.ravel() for (strategy, count), each in _collect_errors(sums).items()
     }
@@ -180,7 +180,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
-    """Errors (arms, trials) in mm."""
+    """Collect the errors (arms, trials) in mm."""
     found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for content in sums.values():
         for key, error_mm in content.items():
@@ -212,7 +212,7 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
 
 
 def _list_candidates(spheres_mm: Array) -> LookArrays:
-    """Measurement poses that the nominal arm reaches, not yet taken."""
+    """Return measurement poses that the nominal arm reaches and that have not been used yet."""
     reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
     found = []
     for number, sphere in enumerate(spheres_mm):
@@ -235,13 +235,13 @@ def _list_candidates(spheres_mm: Array) -> LookArrays:
 
 @dataclass(frozen=True)
 class BelievedArm:
-    """The arm model that the controller uses."""
+    """Arm model that the controller uses."""
 
     deviations: ArmDeviations
     flange_from_tool: Transform
 
     def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
-        """Positions (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
+        """Return tool positions (p, 3) in mm and orientations (p, 3, 3), robot frame, at joints (p, 6)."""
         poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
         turned = poses[:, :3, :3]
         places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
@@ -256,7 +256,7 @@ def compute_identified_errors_mm(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Error vectors (t, c, 3) mm of one arm, like `Scene.errors_mm` for many; `numbers` is its own."""
+    """Return error vectors (t, c, 3) in mm of one arm, like `Scene.errors_mm` for many."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])
@@ -286,7 +286,7 @@ def compute_identified_errors_mm(
 
 
 def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
-    """Joints (t, 6) that the controller commands to have its tool at these places."""
+    """Return the joints (t, 6) that the controller commands to bring its tool to these places."""
     joints, _ = solve_joints(
         planned.targets,
         lambda joints: believed.tool(joints, planned.target_arrival),

@@ -1,4 +1,4 @@
-"""Localization strategies on random arms (thesis 5.4): the protocol of table 4, run on a few hundred arms.
+"""Localization strategies on random arms (thesis 5.4): the protocol of table 4 on a few hundred arms.
 
 A trial is arm x position of the phantom x target x strategy x number of spheres. Parameter set S of the arm's
 errors; our own phantom. In addition to the trials: the effect of each source alone, whether predicted regions
@@ -43,7 +43,7 @@ READ_AGAIN = ("nos", "thesis-ocs")  # strategies run under the other interpretat
 
 @dataclass(frozen=True)
 class StrategiesStudy:
-    """`arms` random arms, each at all positions with all strategies; user strategies next to the thesis'."""
+    """`arms` random arms, each at all positions with all strategies, the thesis' and the user's."""
 
     arms: int = 200
     seed: int = 0
@@ -59,7 +59,7 @@ class StrategiesStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """A condition per part of the study, marker type and position."""
+        """List the conditions: every part of the study, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
         parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
         if self.own:
@@ -78,7 +78,7 @@ class StrategiesStudy:
         return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Errors in mm of single trials, or sums of them; see the keys of each part."""
+        """Return errors in mm of single trials, or sums of errors. Each part has its own keys."""
         part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
@@ -97,7 +97,7 @@ class StrategiesStudy:
 
 
 def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
+    """Return error sums by single source, `strategy|spheres|source`, and counts, `strategy|spheres`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
     for strategy in ALONE:
@@ -113,7 +113,7 @@ def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Predicted and actual: scenario|strategy|spheres|targets, inside, actual2, predicted2."""
+    """Return predicted and actual errors, keyed `scenario|strategy|spheres|` and a quantity."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
     for scenario in PREDICTED:
@@ -129,7 +129,7 @@ def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
+    """Return an error histogram and each arm's sum: `scenario|strategy|spheres|` bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
     for one in SCENARIOS:
@@ -146,7 +146,7 @@ def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Trials under another interpretation of the protocol, keys as for `Scene.trials`."""
+    """Return trials under another interpretation of the protocol, keyed as by `Scene.trials`."""
     return scene.trials(
         arms,
         READ_AGAIN,

@@ -1,4 +1,4 @@
-"""The study of `ronna-campaign worlds`: each world run as a user would, by commands, and judged by truth."""
+"""`ronna-campaign worlds`: each random world is run by commands, as a user would, and judged by the truth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LONGEST_WARNING = 100  # characters of a row
 
 @dataclass(frozen=True)
 class WorldsStudy:
-    """Worlds number 0 to `cases` - 1 of a seed, each carried out in a folder of its own under `folder`."""
+    """Worlds number 0 to `cases` - 1 of a seed, each carried out in a subfolder of `folder`."""
 
     cases: int
     seed: int
@@ -55,7 +55,7 @@ class WorldsStudy:
         return [Unit(f"world {number}", 0, 1) for number in range(self.cases)]
 
     def run(self, unit: Unit) -> Sums:
-        """Carry out one world; its folder says more than the sums."""
+        """Carry out one world. Its folder contains more than the returned sums."""
         number = int(unit.condition.split()[1])
         found = run_world(self.world(number), self.place(number))
         worst = found.worst
@@ -69,7 +69,7 @@ class WorldsStudy:
         return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
-        """The worst cases, and the shares of each verdict."""
+        """Tabulate the worst cases, and the share of each verdict."""
         judged = {int(key.split()[1]): one for key, one in sums.items()}
         return [self._tabulate_summary(judged), self._tabulate_worst(judged)]
 
@@ -112,7 +112,7 @@ class WorldsStudy:
         ]
 
     def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
-        """The goals that these cases miss, in words."""
+        """Describe the goals that these cases miss."""
         counts = _count_verdicts(sums.values())
         silent = sum(counts[one] for one in SILENT)
         missed = []
@@ -134,7 +134,7 @@ class WorldsStudy:
 
 
 def run_world(world: World, folder: Path) -> Judgement:
-    """Run the case of a world in a new folder and judge it; raises STU-015 when no run was written.
+    """Run the case of a world in a new folder and judge it; raises STU-015 if no run was written.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
     """
@@ -168,7 +168,7 @@ def run_world(world: World, folder: Path) -> Judgement:
 
 
 def document(world: World, found: Judgement) -> dict[str, Any]:
-    """A judged world as plain data."""
+    """Return a judged world as plain data."""
     return {
         "world": asdict(world),
         "verdict": found.verdict.value,
@@ -205,7 +205,7 @@ def _parse_output(output: str) -> dict[str, Any]:
 
 
 def _read_error_text(output: str) -> str:
-    """Code and message of the error that ended a run, empty without one."""
+    """Return the code and message of the error that ended a run; empty if none did."""
     error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 

@@ -1,4 +1,4 @@
-"""A world drawn at random: a scene, and at most one change between re-localization and the last retreat.
+"""Random world: a scene, and at most one change between re-localization and the last retreat.
 
 It depends only on its seed and number, so that every one can be repeated alone.
 """
@@ -23,7 +23,7 @@ SCENES = (MINI, "default")
 
 
 class ChangedObject(StrEnum):
-    """Object that changes."""
+    """Kind of object that changes."""
 
     HEAD = "head"
     CART = "cart"
@@ -35,7 +35,7 @@ class ChangedObject(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """A lasting change and its concealment from the tracker; `lines` form a fault script."""
+    """A lasting change, and its concealment from the tracker. `lines` form a fault script."""
 
     what: ChangedObject
     step: str
@@ -45,24 +45,24 @@ class Change:
 
     @property
     def moment(self) -> str:
-        """The moment in words."""
+        """Description of the moment of the change."""
         return f"{self.step} + {self.after_s:.2f} s"
 
     @property
     def script(self) -> str:
-        """The fault script of the whole case."""
+        """Fault script of the whole case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """The change in words."""
+        """Description of the change."""
         changed = "; ".join(one for one in self.lines if not one.startswith("tracker occlude"))
         return f"{changed}, {self.hidden}" if self.hidden else changed
 
 
 @dataclass(frozen=True)
 class World:
-    """A case: its scene, and the change in it."""
+    """A case: its scene, and the change during it."""
 
     number: int
     scene: str
@@ -73,13 +73,13 @@ class World:
 
     @property
     def arguments(self) -> list[str]:
-        """The options of `ronna-procedure run` for it, without its fault script."""
+        """Options of `ronna-procedure run` for the case, without its fault script."""
         options = ["--sim", "--scene", self.scene, "--seed", str(self.scene_seed)]
         return [*options, "--markers", str(self.markers), "--targets", str(self.targets)]
 
 
 def draw_world(seed: int, number: int, scene: str = MINI, *, quiet: bool = False) -> World:
-    """Draw world `number` of a seed; a quiet one has no change."""
+    """Draw world `number` of a seed. A quiet world has no change."""
     generator = np.random.default_rng(np.random.SeedSequence([seed, number, int(quiet)]))
     mini = scene == MINI
     scene_seed = int(generator.integers(0, 10_000))
@@ -128,7 +128,7 @@ def _draw_change_lines(generator: np.random.Generator, what: ChangedObject) -> l
 
 
 def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
-    """Draw a vector of a random length in a random direction."""
+    """Draw a vector of random length in a random direction."""
     normal_draw = generator.standard_normal(3)
     return [
         float(value) for value in normal_draw * (generator.uniform(0.0, most) / np.linalg.norm(normal_draw))

@@ -1,4 +1,4 @@
-"""Write the tables of the reference pages below the mark; the words above it are written by hand.
+"""Generator of the tables in the reference pages, below the mark. The text above it is written by hand.
 
 `make docs` runs it; a test compares the committed pages with its output.
 """
@@ -53,7 +53,7 @@ MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->
 
 
 def tables() -> dict[str, str]:
-    """Return the content below the mark, by file name."""
+    """Return the content below the mark of each page, by file name."""
     return {
         "answers.md": table(
             ("topic", "words", "on real devices"),
@@ -94,12 +94,12 @@ def tables() -> dict[str, str]:
 
 
 def with_table(page: str, content: str) -> str:
-    """Return the page with this content below its mark."""
+    """Return the page with this content below the mark."""
     return page.partition(MARK)[0] + MARK + content
 
 
 def list_step_results() -> list[type[StepResult]]:
-    """Collect the results of all steps: of a case in order, then of calibrations by name."""
+    """List the results of all steps: those of a case in order, then those of calibrations by name."""
     for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
         importlib.import_module(module.name)
     ours = [model for model in StepResult.__subclasses__() if model.__module__.startswith("procedures.")]
@@ -108,7 +108,7 @@ def list_step_results() -> list[type[StepResult]]:
 
 
 def list_errors_with_code() -> list[type[RonnaError]]:
-    """Every error of ours that has a code, in the order of codes."""
+    """List all error classes that have a code, ordered by code."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             # ronna_hw defines its few errors where they are raised; every other package has an errors.py.
@@ -146,7 +146,7 @@ def _tabulate_exported_fields() -> str:
 
 
 def _tabulate_branches() -> str:
-    """The decision points and failure branches."""
+    """Tabulate the decision points and failure branches."""
     return table(
         ("what happens", "in", "noticed by", "then", "ends in", "question", "code"),
         [

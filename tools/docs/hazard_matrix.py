@@ -1,4 +1,4 @@
-"""The trace matrix: each hazard with its control, and the tests that would detect the loss of the control.
+"""Trace matrix: each hazard with its control, and the tests that would detect the loss of the control.
 
 Tests are parsed, not run: a `hazard` mark counts if its test is expected to pass.
 """
@@ -19,7 +19,7 @@ _MARK = re.compile(r"pytest\.mark\.(\w+)(?:\((\d+)\))?")
 
 
 class Status(StrEnum):
-    """Control status of a hazard."""
+    """Status of a hazard's control."""
 
     COVERED = "covered"
     PARTLY = "partly"
@@ -27,7 +27,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Hazard:
-    """A line of the table; `remains` is empty only when the hazard is covered."""
+    """A hazard in the table. `remains` is empty only if the hazard is covered."""
 
     number: int
     hazard: str
@@ -42,7 +42,7 @@ class Hazard:
 
 @dataclass(frozen=True)
 class BoundTest:
-    """A test with a hazard mark; `path` is relative to the repository."""
+    """A test with a hazard mark. `path` is relative to the repository."""
 
     number: int
     path: str
@@ -56,12 +56,12 @@ class BoundTest:
 
 
 def read_hazards(path: Path = REFERENCE / "hazards.toml") -> list[Hazard]:
-    """The hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
+    """Read the hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
     return sorted(read_rows(path, "hazard", Hazard), key=lambda hazard: hazard.number)
 
 
 def find_bound_tests(tests: Path = TESTS) -> list[BoundTest]:
-    """Every test with a hazard mark, in order of hazard, file and name."""
+    """Find all tests with a hazard mark, ordered by hazard, file and name."""
     found: list[BoundTest] = []
     for path in sorted(tests.rglob("test_*.py")):
         source = path.read_text(encoding="utf-8")
@@ -78,7 +78,7 @@ def find_bound_tests(tests: Path = TESTS) -> list[BoundTest]:
 
 
 def hazard_table() -> str:
-    """Compose the matrix, below the number of hazards of each status."""
+    """Compose the matrix, preceded by the number of hazards of each status."""
     hazards, tests = read_hazards(), find_bound_tests()
     statuses = [hazard.status for hazard in hazards]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)

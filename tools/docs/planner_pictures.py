@@ -1,4 +1,4 @@
-"""Take the docs' pictures of the planner, from a real plan in a real browser.
+"""Screenshots of the planner for the docs, from a real plan in a real browser.
 
 .venv/bin/python tools/docs/planner_pictures.py [FOLDER]     # docs/pictures by default; half a minute
 """
@@ -22,7 +22,7 @@ PAGES = tuple((scheme, size) for size in ((1280, 720), (390, 844)) for scheme in
 
 
 def main() -> None:
-    """Write the pictures."""
+    """Write the screenshots."""
     if MISSING:
         sys.exit(MISSING)
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"

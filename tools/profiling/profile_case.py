@@ -1,4 +1,4 @@
-"""Profile a simulated case: processor seconds by process and step, and a flame graph of all processes.
+"""Profiler of a simulated case: CPU seconds by process and step, and a flame graph of all processes.
 
     make profile
     make profile CASE="--scene mini --seed 3"
@@ -42,7 +42,7 @@ app = typer.Typer(add_completion=False)
 
 
 class Used(NamedTuple):
-    """Processor seconds that a process used in one period."""
+    """CPU seconds that a process used in one period."""
 
     at_s: float  # host time, seconds since the epoch
     role: str
@@ -74,7 +74,7 @@ def profile(
 
 
 def watch(command: Sequence[str]) -> Iterator[Used]:
-    """Run a command; yield what each of its processes uses, by period. Raises CalledProcessError."""
+    """Run a command and yield the usage of each of its processes by period. Raises CalledProcessError."""
     before: dict[psutil.Process, float] = {}
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as running:
         program = psutil.Process(running.pid)
@@ -93,12 +93,12 @@ def watch(command: Sequence[str]) -> Iterator[Used]:
 
 
 def role_of(words: Sequence[str]) -> str:
-    """Name of the process with this command line; `theatre`, `kuka`, ... are the simulators."""
+    """Return the name of the process with this command line. `theatre`, `kuka`, ... are the simulators."""
     return next((role for word, role in ROLES.items() if word in words[1:6]), "program")
 
 
 def steps(journal: Path) -> list[tuple[float, str]]:
-    """Start of each stage of a case, in order: host time in seconds, and name of the step or `end`."""
+    """Return the start of each stage of a case: host time in seconds, and name of the step or `end`."""
     starts, ended_s = [], 0.0
     for line in read_journal(journal):
         at_s = datetime.fromisoformat(str(line["host_time"])).timestamp()
@@ -110,7 +110,7 @@ def steps(journal: Path) -> list[tuple[float, str]]:
 
 
 def show(used: Sequence[Used], starts: Sequence[tuple[float, str]], wall_s: float) -> None:
-    """Print processor seconds by step and process."""
+    """Print CPU seconds by step and process."""
     names = [BEFORE, *(name for _, name in starts)]
     cells: defaultdict[tuple[str, str], float] = defaultdict(float)
     for one in used:

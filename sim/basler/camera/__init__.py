@@ -1,1 +1,1 @@
-"""One camera: its features, its acquisition, and its view of the theatre."""
+"""A simulated camera: its features, its acquisition, and its view of the theatre."""

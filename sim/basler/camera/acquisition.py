@@ -34,7 +34,7 @@ FRAMES_LATE = 3  # how far a free run may lag before it drops frames
 
 @dataclass(frozen=True)
 class _Exposure:
-    """A frame to take: its acquisition, its number in that, its start and settings."""
+    """A scheduled exposure: its acquisition, its frame number in it, its start time and settings."""
 
     acquisition: int
     number: int
@@ -88,19 +88,19 @@ class Acquisition:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, at the latest after the current frame."""
+        """Stop the thread once the current frame is complete."""
         with self._changed:
             self._running, self._closed = False, True
             self._changed.notify_all()
 
     @property
     def running(self) -> bool:
-        """True from AcquisitionStart to the end of the acquisition."""
+        """Whether an acquisition is active, from AcquisitionStart to its end."""
         return self._running
 
     @property
     def missed_triggers(self) -> int:
-        """Frame triggers since AcquisitionStart that arrived while the camera was busy."""
+        """Number of frame triggers since AcquisitionStart that were lost because the camera was busy."""
         return self._missed_triggers
 
     @property
@@ -131,14 +131,14 @@ class Acquisition:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Execute AcquisitionStop: a frame being sent is completed, no other follows."""
+        """Execute AcquisitionStop: finish the frame being sent, then send no more."""
         with self._changed:
             self._running = False
             self._acquisition += 1
             self._waiting.clear()
 
     def software_trigger(self) -> None:
-        """Execute TriggerSoftware: fire the selected trigger, if its source is software."""
+        """Execute TriggerSoftware: fire the selected trigger if its source is software."""
         selected = Trigger(self._settings().trigger_selector)
         self._fire(selected, TriggerSource.SOFTWARE)
 
@@ -186,7 +186,7 @@ class Acquisition:
         return len(self._waiting) >= FRAMES_IN_PROGRESS or self._clock.now_ns() < self._ready_ns
 
     def _schedule_exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
-        """Schedule a frame; the last one ends the acquisition or the permission."""
+        """Schedule a frame. The last one ends the acquisition, or the permission of its trigger."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
@@ -254,7 +254,7 @@ class Acquisition:
 
 
 class TriggerCounter:
-    """Numbers the triggers since AcquisitionStart, which seed the noise: a retaken image is the same image.
+    """Counter of triggers since AcquisitionStart. It seeds the noise, so retaking an image reproduces it.
 
     A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
     neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
@@ -271,7 +271,7 @@ class TriggerCounter:
         self._started = False
 
     def next(self, view: object) -> int:
-        """Number a trigger. `view` holds all that the image depends on, for comparison; None if unknown."""
+        """Return the number of the next trigger. `view` is all that the image depends on; None if unknown."""
         if self._started:
             self._number += 1
         elif view is None or view != self._view:

@@ -19,7 +19,7 @@ Number = int | float
 
 
 class CameraState(Protocol):
-    """The camera as its features see it."""
+    """Camera state that the features read and write."""
 
     @property
     def settings(self) -> Settings: ...
@@ -39,7 +39,7 @@ class CameraState(Protocol):
 
 
 class Kind(Enum):
-    """GenICam node of a feature."""
+    """GenICam node type of a feature."""
 
     INTEGER = "Integer"
     FLOAT = "Float"
@@ -76,7 +76,7 @@ class Feature:
     visibility: str = "Beginner"
 
     def accepts(self, camera: CameraState, value: Number) -> bool:
-        """Whether a value may be written."""
+        """Return whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
         if self.kind is Kind.BOOLEAN:
@@ -90,12 +90,12 @@ class Feature:
 
 
 def resolve_limit(limit: Limit, camera: CameraState) -> Number:
-    """Return the value of a limit."""
+    """Return the value of a limit, which may depend on the camera's state."""
     return limit(camera) if callable(limit) else limit
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """Define a feature backed by an attribute of the settings."""
+    """Define a feature backed by an attribute of the frame settings."""
     return Feature(
         name,
         category,
@@ -107,7 +107,7 @@ def setting(name: str, category: str, about: str, attribute: str, **more: Any) -
 
 
 def choice(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """Define an enumeration backed by an attribute of the settings."""
+    """Define an enumeration backed by an attribute of the frame settings."""
     return setting(name, category, about, attribute, kind=Kind.ENUMERATION, **more)
 
 
@@ -130,7 +130,7 @@ def constant(name: str, category: str, about: str, value: float, **more: Any) ->
 
 
 def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
-    """Define an enumeration with a single entry: the family's name, one choice here."""
+    """Define an enumeration that the camera family defines but this camera restricts to a single entry."""
     return constant(
         name,
         category,

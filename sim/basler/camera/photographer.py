@@ -1,4 +1,4 @@
-"""The images of one camera: one per trigger, or from a ring of prepared ones when free-running."""
+"""Image source of one camera: an image per trigger, or prepared images in a ring when free-running."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FrameSource(Protocol):
     """Source of the images of an acquisition."""
 
     def place(self) -> bytes | None:
-        """Return the camera's position for comparison, None if unknown. May be called from any thread."""
+        """Return the camera's position for comparison; None if unknown. Thread-safe."""
         ...
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
@@ -35,7 +35,7 @@ class FrameSource(Protocol):
         ...
 
     def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        """Take a frame without a trigger, possibly with slightly older settings."""
+        """Return a free-running frame, possibly taken with slightly older settings."""
         ...
 
 
@@ -69,7 +69,7 @@ class Photographer:
         return self._ring.image(frame, number)
 
     def draw(self, frame: FrameSettings, pose: Pose | None, number: int, lane: int) -> bytes:
-        """Draw and read out one image."""
+        """Render and read out one image."""
         if frame.test_image is not RampImage.OFF:
             return to_wire(ramp_image(frame, number), frame.pixel_format)
         with self._drawing:
@@ -88,7 +88,7 @@ class Photographer:
         return to_wire(pixels, frame.pixel_format)
 
     def dependencies(self, frame: FrameSettings) -> tuple[object, Pose | None]:
-        """Return all that an image depends on, for comparison, and the pose of the head."""
+        """Return everything an image depends on, for comparison, and the pose of the head."""
         pose = self._view.pose()
         position = None if pose is None else pose.tobytes()
         in_view = (self._view.head_mounted, self._view.stand_has_ball)
@@ -96,7 +96,7 @@ class Photographer:
 
 
 class ImageRing:
-    """Images prepared for a free run, renewed in the background when the view has changed.
+    """Ring of prepared images for a free run, renewed in the background when the view has changed.
 
     Meanwhile the stream continues with the old ones: it never waits for drawing.
     """
@@ -127,7 +127,7 @@ class ImageRing:
         time.sleep(REFRESH_PAUSE_S)
 
     def _draw_next(self, frame: FrameSettings) -> None:
-        """Add an image; when the view has changed, it replaces all others."""
+        """Draw one more image. If the view has changed, it replaces all others."""
         dependencies, pose = self._photographer.dependencies(frame)
         kept = self._images if dependencies == self._drawn_for else ()
         image = self._photographer.draw(frame, pose, len(kept), RING_LANE)
@@ -135,7 +135,7 @@ class ImageRing:
 
 
 def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:
-    """Encode an image (rows, columns) of even width as on the wire."""
+    """Encode an image (rows, columns) of even width in the pixel format of the wire."""
     if pixel_format is PixelFormat.MONO12:
         return pixels.astype("<u2").tobytes()
     if pixel_format is PixelFormat.MONO12_PACKED:
@@ -149,12 +149,12 @@ def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:
 
 
 def depth_bits(pixel_format: PixelFormat) -> int:
-    """Return the bits of a pixel value."""
+    """Return the bit depth of a pixel value."""
     return 8 if bits_per_pixel(pixel_format) == 8 else 12
 
 
 def ramp_image(frame: FrameSettings, number: int) -> Pixels:
-    """Draw a diagonal ramp that repeats every 256 (or 4096) pixels; the moving one shifts by 1 per frame."""
+    """Draw a diagonal ramp with a period of 256 (or 4096) pixels; the moving ramp shifts by 1 per frame."""
     shift = number if frame.test_image is RampImage.MOVING else 0
     rows = np.arange(frame.area.y, frame.area.y + frame.area.height)[:, None]
     columns = np.arange(frame.area.x, frame.area.x + frame.area.width)[None, :]

@@ -1,4 +1,4 @@
-"""The view of one camera: the spheres in front of it, and the disturbances of its image."""
+"""View of one camera: the spheres in front of it, and the disturbances of its image."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class View:
 
 
 class Disturbances:
-    """The optical disturbances of one camera, from the fault script and the scene."""
+    """Optical disturbances of one camera, from the fault script and the scene."""
 
     def __init__(self, world: World, camera: CameraTruth) -> None:
         self._world = world
@@ -111,7 +111,7 @@ class Disturbances:
 
     @cached_property
     def _worn(self) -> Disturbance:
-        """Permanent defects: spots of worn film, as dark as a stain."""
+        """Spots of worn film: permanent defects, as dark as a stain."""
         scene = self._world.scene
         spots = tuple(
             (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))
@@ -121,7 +121,7 @@ class Disturbances:
         return Disturbance(stains=spots) if spots else CLEAR
 
     def now(self) -> Disturbance:
-        """Return the active disturbances; costs one query when there are no faults."""
+        """Return the active disturbances. Without faults this costs a single query."""
         room = self._room.now()
         if self._board.empty:
             return self._worn if room is NOTHING_MOVED else replace(self._worn, room=room)
@@ -145,7 +145,7 @@ class Disturbances:
         return [fault for fault in self._board.active(kind) if fault.argument == self._side]
 
     def _drift_rad(self, fault: Fault) -> float:
-        """Return how far a drift has progressed since it began, or since its step was entered."""
+        """Return the drift in rad since its onset, or since its step was entered."""
         begun_s = self._world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
         acting_s = self._world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE

@@ -1,1 +1,1 @@
-"""The control side of a camera (GVCP): registers, privilege, acknowledges, and the GenICam XML."""
+"""Control channel of a camera (GVCP): registers, privilege, acknowledges, and the GenICam XML."""

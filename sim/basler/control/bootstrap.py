@@ -1,4 +1,4 @@
-"""The registers that the standard requires of every camera, including those of the message channel."""
+"""Bootstrap registers required by the GigE Vision standard, including those of the message channel."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def add_bootstrap(
     ticks: Ticks,
     acquiring: Callable[[], bool],
 ) -> None:
-    """Add the standard's registers of one camera; CCP is written by the control port itself."""
+    """Add the bootstrap registers of one camera, except CCP, which the control port writes itself."""
     _add_identity(registers, identity)
     _add_description(registers)
     _add_control(registers, privilege)
@@ -231,13 +231,13 @@ def _constant_word(value: int) -> Word:
 
 
 def _stored_word(allowed: int) -> Word:
-    """Define a register that stores the allowed bits written to it, without any effect."""
+    """Define a register that stores the permitted bits written to it and has no other effect."""
     content = {"value": 0}
     return Word(lambda: content["value"], lambda value: content.update(value=value & allowed))
 
 
 def _attribute_word(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
-    """Define a register that is an attribute of a part of the camera."""
+    """Define a register backed by an attribute of a camera component."""
 
     def write(value: int) -> None:
         if value > most:

@@ -1,4 +1,4 @@
-"""All features in the order of their registers, and the registers of each: value, minimum, maximum, step.
+"""Register table of all features, in address order: value, minimum, maximum and step of each.
 
 Names are those of the camera family (SFNC 1.x). Features of transport, actions, user sets and events are
 defined here, those of frames in `capture_features`.

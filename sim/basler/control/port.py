@@ -1,4 +1,4 @@
-"""GVCP commands of one camera: one datagram in, at most one out, and no sockets."""
+"""GVCP command processing of one camera, without sockets: each datagram yields at most one answer."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ ADDRESS_BYTES = 4
 
 
 class CommandIgnored(Exception):
-    """A command that gets no answer."""
+    """Raised for a command that must not be answered."""
 
 
 @dataclass(frozen=True)
 class Actions:
-    """Effects of commands beyond registers."""
+    """Effects of commands other than register accesses."""
 
     resend: Callable[[int, int, int], None]
     """Block id, first and last packet."""
@@ -91,7 +91,7 @@ class ControlPort:
         }
 
     def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
-        """Execute a datagram's command and return the answer, or None."""
+        """Execute the command in a datagram and return the answer; None if it gets no answer."""
         if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
             return None
         _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
@@ -131,7 +131,7 @@ class ControlPort:
         return self._registers.read(0, DISCOVERY_BYTES)
 
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
-        """Accept only the present address: it is that of the camera's socket."""
+        """Execute FORCEIP. Only the present address is accepted, since the camera's socket is bound to it."""
         if len(payload) != FORCEIP_BYTES:
             raise Refusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
@@ -225,7 +225,7 @@ class AnsweredCommand:
 
 
 class ReplayCache:
-    """Keeps the last modifying command of each application: a repeated one is answered, not executed again.
+    """Cache of each application's last modifying command, so that a repetition is answered, not executed.
 
     `now_s` is the host's monotonic clock.
     """
@@ -235,7 +235,7 @@ class ReplayCache:
         self._last: OrderedDict[Peer, AnsweredCommand] = OrderedDict()
 
     def find(self, peer: Peer, datagram: bytes) -> AnsweredCommand | None:
-        """Return the answer to this command, including its request id, if it was the last one."""
+        """Return the stored answer if this command (with its request id) was the last one; otherwise None."""
         last = self._last.get(peer)
         if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
             return None

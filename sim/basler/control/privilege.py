@@ -39,15 +39,15 @@ class Privilege:
         self._heartbeat_ms = max(HEARTBEAT_MINIMUM_MS, value)
 
     def may_read(self, peer: Peer) -> bool:
-        """False if another application has exclusive access."""
+        """Return whether no other application has exclusive access."""
         return self.owner in (None, peer) or not self.value & CCP_EXCLUSIVE
 
     def may_write(self, peer: Peer) -> bool:
-        """Whether this application is in control."""
+        """Return whether this application is in control."""
         return self.owner == peer
 
     def request(self, peer: Peer, value: int) -> GevStatus:
-        """Write the CCP register; returns the status."""
+        """Write the CCP register and return the GVCP status."""
         if self.owner not in (None, peer):
             return GevStatus.ACCESS_DENIED
         if value & ~(CCP_EXCLUSIVE | CCP_CONTROL):
@@ -65,7 +65,7 @@ class Privilege:
             self._refreshed_s = self._now_s()
 
     def seize(self, is_seized: bool) -> None:
-        """Put another application in control while `is_seized`, regardless of the previous state."""
+        """Put another application in control while `is_seized`, whoever was in control before."""
         if is_seized and self.owner != OTHER_APPLICATION:
             self.drop()
             self.owner, self.value = OTHER_APPLICATION, CCP_CONTROL
@@ -78,7 +78,7 @@ class Privilege:
             self._release()
 
     def seconds_left(self) -> float | None:
-        """Return the time until the owner loses control; None without an owner."""
+        """Return the seconds until the owner loses control; None without an owner."""
         if self.owner in (None, OTHER_APPLICATION):
             return None
         return self._refreshed_s + self._heartbeat_ms / 1e3 - self._now_s()

@@ -1,4 +1,4 @@
-"""The registers of a camera: single words and blocks of memory, each with its own read and write."""
+"""Registers of a camera: single words and memory blocks, each with its own read and write functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
 class Refusal(Exception):
-    """An access refused with a status code; `written` counts the bytes or registers written before."""
+    """Access refused with a status code. `written` counts the bytes or registers written before it."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
         super().__init__(status.name)
@@ -28,7 +28,7 @@ class Word:
 
 @dataclass(frozen=True)
 class Memory:
-    """A block of memory; its size is a multiple of 4. `write` receives the whole new content."""
+    """A block of memory whose size is a multiple of 4. `write` receives the whole new content."""
 
     address: int
     size: int
@@ -36,12 +36,12 @@ class Memory:
     write: Callable[[bytes], None] | None = None
 
     def content(self) -> bytes:
-        """Return the content, padded with zeros."""
+        """Return the content, zero-padded to the size of the block."""
         return self.read().ljust(self.size, b"\0")[: self.size]
 
 
 class RegisterMap:
-    """All registers of one camera, by address."""
+    """Register map of one camera, by address."""
 
     def __init__(self) -> None:
         self._words: dict[int, Word] = {}
@@ -85,7 +85,7 @@ class RegisterMap:
             word.write(value)
 
     def read(self, address: int, count: int) -> bytes:
-        """Read `count` bytes across the registers and blocks they span; raises Refusal."""
+        """Read `count` bytes, across registers and blocks; raises Refusal."""
         _check_alignment(address, count)
         content = bytearray()
         while len(content) < count:
@@ -98,7 +98,7 @@ class RegisterMap:
         return bytes(content)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes, register by register; raises Refusal with the number of bytes written before."""
+        """Write bytes, register by register; raises Refusal with the number of bytes already written."""
         _check_alignment(address, len(data))
         done = 0
         while done < len(data):

@@ -36,7 +36,7 @@ class EventData:
 
     @property
     def name(self) -> str:
-        """Name of the node, as spelled in the family."""
+        """Node name, spelled as in the camera family."""
         return f"{self.kind.feature_name}Event{self.what}"
 
     @property
@@ -164,7 +164,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """Generate the description; its version follows from its content: no client uses an outdated copy."""
+    """Generate the GenICam XML. Its version depends on its content, so no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {

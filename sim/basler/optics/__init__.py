@@ -1,1 +1,1 @@
-"""The image of a stereo camera: spheres on posts, light, lens and sensor."""
+"""Image formation in a stereo camera: spheres on posts, light, lens and sensor."""

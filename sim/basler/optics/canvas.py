@@ -1,4 +1,4 @@
-"""The lens, the light that arrives on a part of the sensor behind it, and its blur.
+"""The lens, the irradiance behind it on a part of the sensor, and the defocus blur.
 
 Camera frame: x right, y down, z along the optical axis. Pixels: (0, 0) is the centre of the top-left pixel.
 """
@@ -94,7 +94,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Area:
-    """An area of interest on the sensor, pixels."""
+    """Area of interest on the sensor, in pixels."""
 
     x: int
     y: int
@@ -102,11 +102,11 @@ class Area:
     height: int
 
     def expand(self, margin: int) -> Area:
-        """Return the area extended by a margin on all sides, possibly beyond the sensor."""
+        """Return the area expanded by a margin on all sides, possibly beyond the sensor."""
         return Area(self.x - margin, self.y - margin, self.width + 2 * margin, self.height + 2 * margin)
 
     def intersect(self, other: Area) -> Area:
-        """Return the intersection; width or height are 0 without one."""
+        """Return the intersection, with zero width or height if the areas are disjoint."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         right = min(self.x + self.width, other.x + other.width)
         bottom = min(self.y + self.height, other.y + other.height)
@@ -129,7 +129,7 @@ def row_bands(height: int, width: int) -> Iterator[slice]:
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
-    """Return the image area of points (n, 3), with a margin for those between; empty behind the lens."""
+    """Return the image area of points (n, 3), with a margin for what lies between; empty behind the lens."""
     points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
     if not len(points):
         return Area(0, 0, 0, 0)
@@ -141,26 +141,26 @@ def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
 
 @dataclass(frozen=True)
 class Canvas:
-    """Light in electrons per microsecond for each pixel of `area`."""
+    """Light on `area` in electrons per microsecond, pixel by pixel."""
 
     area: Area
     light: Image
 
     def part(self, area: Area) -> Image:
-        """Return a view of the light in `area`, which lies inside."""
+        """Return a view of the light in `area`, which must lie inside this canvas."""
         top, left = area.y - self.area.y, area.x - self.area.x
         return self.light[top : top + area.height, left : left + area.width]
 
 
 @dataclass(frozen=True)
 class Dot:
-    """Dot products of a vector with the rays of an area: the sum of a row and a column."""
+    """Dot products of a vector with the rays of an area, stored as a row and a column to be added."""
 
     rows: Image  # (height, 1)
     columns: Image  # (1, width)
 
     def sum_rows(self, rows: slice, out: Image | None = None) -> Image:
-        """Return the products of some rows, in `out` if given."""
+        """Return the dot products of some rows, in `out` if given."""
         total: Image = np.add(self.rows[rows], self.columns, out=out)
         return total
 
@@ -190,7 +190,7 @@ class Rays:
         return Dot(rows.astype(np.float32)[:, None], columns.astype(np.float32)[None, :])
 
     def square_rows(self, rows: slice, out: Image | None = None) -> Image:
-        """Return the squared length of each ray of some rows, in `out` if given."""
+        """Return the squared ray lengths of some rows, in `out` if given."""
         along_x, along_y = self._along_axes
         x, y = along_x.sum_rows(rows, out), along_y.sum_rows(rows)
         x *= x
@@ -205,12 +205,12 @@ class Rays:
 
 
 def spread_px(sigma_px: float) -> int:
-    """Return how far the blur spreads light."""
+    """Return the distance in pixels over which the blur spreads light."""
     return ceil(SPREAD_SIGMAS * sigma_px) + 1
 
 
 def blur(patch: Image, sigma_px: float) -> Image:
-    """Convolve a patch (rows, columns) with a Gaussian; its border is extended outwards."""
+    """Convolve a patch (rows, columns) with a Gaussian, extending its border outwards."""
     if sigma_px <= KERNEL_LIMIT_PX:
         spread = spread_px(sigma_px)
         steps = np.arange(-spread, spread + 1)
@@ -240,7 +240,7 @@ def _convolve(patch: Image, kernel: Image) -> Image:
 
 
 def _convolve_axis(padded: Image, kernel: Image, axis: int, out: Image | None = None) -> Image:
-    """Convolve along an axis, which becomes shorter by the kernel's length less one; in `out` if given."""
+    """Convolve along one axis, which shrinks by the kernel length minus one; writes to `out` if given."""
     spread = len(kernel) // 2
     length = padded.shape[axis] - 2 * spread
 

@@ -1,4 +1,4 @@
-"""The light on one camera's sensor: spheres from far to near, blurred by depth, and disturbances."""
+"""Light on one camera's sensor: spheres drawn from far to near, blurred by depth, and disturbances."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 @dataclass(frozen=True)
 class Glare:
-    """A lamp reflected by something wet: a bright disc on the sensor."""
+    """Reflection of a lamp in a wet surface: a bright disc on the sensor."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -61,7 +61,7 @@ class Occluder:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbances of one camera's view at one moment, comparable and hashable; stains by sphere number."""
+    """Disturbances of one camera's view at one moment, comparable and hashable. Stains by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()
@@ -78,7 +78,7 @@ CLEAR = Disturbance()
 
 
 class Optics:
-    """Lens, lighting and the grains seen so far of one camera."""
+    """Lens, lighting and cached sphere grains of one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
         self.lens = Lens.from_camera(camera)
@@ -87,7 +87,7 @@ class Optics:
         self._grains: dict[int, Grain] = {}
 
     def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
-        """Return electrons per microsecond (height, width) on an area of the sensor."""
+        """Return the light on an area of the sensor, (height, width) in electrons per microsecond."""
         around = area.expand(MARGIN_PX) if spheres else area
         canvas = Canvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
@@ -145,7 +145,7 @@ class Optics:
         return image
 
     def _illuminate(self, image: BodyImage, strength: np.float32) -> None:
-        """Turn brightness into light, in place."""
+        """Convert brightness to light, in place."""
         light = image.light
         light *= self._lighting.on_film(image.area)
         light *= strength
@@ -160,7 +160,7 @@ class Optics:
 
 
 def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
-    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
+    """Hide a sphere's rim behind an edge that is as sharp as the image of the sphere."""
     outline = lens.project(sphere.outline_mm())
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     radius = float(np.ptp(outline, axis=0).mean()) / 2
@@ -192,12 +192,12 @@ def add_glare(canvas: Canvas, glare: Glare) -> None:
 
 
 def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
-    """Return the sphere that the camera is aimed at; None without any."""
+    """Return the sphere nearest to the optical axis; None without spheres."""
     return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
 
 
 def _soft_edge(sigmas: Array | Image) -> Image:
-    """Return the coverage by an object with a blurred edge, by the distance from it in its sigmas."""
+    """Return the coverage by an object with a blurred edge, given the distance from the edge in sigmas."""
     cover: Image = (sigmas > 0.0).astype(np.float32)
     soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
     cover[soft] = np.interp(sigmas[soft], *_edge_table())

@@ -1,4 +1,4 @@
-"""From illumination to pixel values: light across the sensor, and its read-out with noise, gain and bits."""
+"""Image sensor: illumination across it, and read-out with noise, gain and quantization."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FALL_OFF = 0.06  # towards the corners
 
 
 class Lighting:
-    """Light of one camera: a gradient of its own, and a fall-off towards the corners."""
+    """Illumination of one camera: an individual gradient, and a fall-off towards the corners."""
 
     def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
         self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
@@ -32,13 +32,13 @@ class Lighting:
         self._background_slope = slopes[2:] * BACKGROUND_SLOPE
 
     def on_film(self, area: Area) -> Image:
-        """Return electrons per microsecond (height, width) from a film of unit brightness."""
+        """Return the light from a film of unit brightness, (height, width) in electrons per microsecond."""
         light = self._light_surface(area, self._slope, FALL_OFF)
         light *= np.float32(FILM_ELECTRONS_PER_US)
         return light
 
     def on_background(self, area: Area) -> Image:
-        """Return electrons per microsecond (height, width) from an empty background."""
+        """Return the light from the empty background, (height, width) in electrons per microsecond."""
         light = self._light_surface(area, self._background_slope, 0.0)
         light *= np.float32(BACKGROUND_ELECTRONS_PER_US)
         return light
@@ -61,7 +61,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor whose full well is full scale at unity gain."""
+    """A sensor whose full well gives full scale at unity gain."""
 
     read_noise_electrons: float
     full_well_electrons: float
@@ -106,7 +106,7 @@ class Sensor:
 
 
 def _draw_normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
-    """Draw normal numbers, four from each 64-bit word, in a third of the time of the usual method."""
+    """Draw normal numbers, four from each 64-bit word: three times as fast as NumPy's own method."""
     count = rows * columns
     words = generator.integers(0, 2**64 - 1, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     numbers: Image = _normal_table().take(words.view(np.uint16)[:count]).reshape(rows, columns)

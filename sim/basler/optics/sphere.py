@@ -1,4 +1,4 @@
-"""The image of one retro-reflective sphere, exact at the rim, and of the stalk that carries it.
+"""Image of a retro-reflective sphere, exact at the rim, and of the stalk that carries it.
 
 Lit from around the lens, the film returns light to the camera from everywhere, a quarter less at the limb.
 Inside, one ray per pixel; in a band along the rim 4 x 4 exact rays per pixel, each weighted by its distance
@@ -49,11 +49,11 @@ class Sphere:
 
     @cached_property
     def tangent_mm(self) -> float:
-        """Distance from the centre of projection to the points of tangency."""
+        """Distance from the centre of projection to the tangent points."""
         return float((self.distance_mm**2 - self.radius_mm**2) ** 0.5)
 
     def outline_mm(self) -> Vector:
-        """Return points (n, 3) of the circle where rays are tangent to the sphere."""
+        """Return points (n, 3) on the circle where rays are tangent to the sphere."""
         axis = self.centre_mm / self.distance_mm
         across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[0]) > 0.5 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
@@ -66,7 +66,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class BodyImage:
-    """Coverage, light and depth per pixel of `area`; depth is infinite where a pixel's centre misses."""
+    """Coverage, light and depth of each pixel of `area`. Depth is infinite where the pixel centre misses."""
 
     area: Area
     cover: Image
@@ -92,7 +92,7 @@ def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage
 
 @dataclass(frozen=True)
 class SphereRays:
-    """The rays of an area, and their dot products that draw a sphere."""
+    """Rays of an area, with the dot products needed to draw a sphere."""
 
     rays: Rays
     along: Dot  # the centre projected on each ray, times the ray's length
@@ -101,7 +101,7 @@ class SphereRays:
 
     @classmethod
     def of(cls, sphere: Sphere, rays: Rays) -> SphereRays:
-        """Return the rays of an area for a sphere."""
+        """Compute the rays of an area for a sphere."""
         x, y, z = sphere.centre_mm
         across = ([z, 0.0, -x], [0.0, z, -y], [y, -x, 0.0])
         first, second, third = (rays.dot(np.array(each)) for each in across)
@@ -109,7 +109,7 @@ class SphereRays:
         return cls(rays, rays.dot(sphere.centre_mm), (first, second, third), (right, down, post))
 
     def squared_miss_distance(self, rows: slice) -> Image:
-        """Return the squared cross product of each ray with the centre: (miss distance times ray length)^2.
+        """Return the squared cross product of each ray and the centre: (miss distance times ray length)^2.
 
         Unlike a difference of large squares it keeps its digits in single precision.
         """
@@ -126,7 +126,7 @@ class SphereRays:
 def _draw_inside(
     sphere: Sphere, lens: Lens, film: Film, rays: SphereRays, image: BodyImage, rows: slice
 ) -> Image:
-    """Draw some rows, one ray per pixel; returns how far inside the outline each pixel is."""
+    """Draw some rows, one ray per pixel. Return the depth inside the outline of each pixel."""
     miss = rays.squared_miss_distance(rows)
     squared = rays.rays.square_rows(rows)
     inside_px: Image = miss / squared
@@ -192,7 +192,7 @@ def _sample_rim(
 
 
 def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> Values:
-    """Return the brightness by angle of incidence, with cos^2 = discriminant / (radius^2 ray^2)."""
+    """Return the brightness for an angle of incidence, with cos^2 = discriminant / (radius^2 ray^2)."""
     limb: Values = discriminant / squared
     limb *= LIMB_DARKENING / sphere.radius_mm**2
     limb += 1.0 - LIMB_DARKENING
@@ -215,7 +215,7 @@ SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the ax
 
 @dataclass(frozen=True)
 class Section:
-    """A cylinder on the stalk's axis; distances are from the sphere's centre towards the skull."""
+    """A cylinder on the stalk's axis, bounded by distances from the sphere's centre towards the skull."""
 
     begin_mm: float
     end_mm: float
@@ -231,7 +231,7 @@ SECTIONS = (
 
 
 def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
-    """Return points (n, 3) that enclose a sphere's stalk, or some of its sections."""
+    """Return points (n, 3) that enclose a sphere's stalk, or the given sections of it."""
     across, over, post = sphere.camera_from_sphere.T
     angle = np.linspace(0.0, 2 * np.pi, STALK_OUTLINE_POINTS, endpoint=False)[:, None]
     circle = np.cos(angle) * across + np.sin(angle) * over
@@ -280,7 +280,7 @@ Drawn = tuple[Image, Image, Image]  # cover, light and depth
 
 
 def _add_section(layers: Sequence[Image], side: Drawn, end: Drawn) -> None:
-    """Add side and end of a section, where nearer, to cover, light and depth; `side` is overwritten."""
+    """Add side and end of a section, where nearer, to cover, light and depth. Overwrites `side`."""
     cover, light, depth = side
     end_cover, end_light, end_depth = end
     on_end = end_cover > cover
@@ -358,7 +358,7 @@ def _draw_end(
 
 
 def _edge_cover(distance_mm: Image, radius_mm: float, px_per_mm: float) -> Image:
-    """Turn distances of pixel centres from the axis, in place, into coverage of the pixels."""
+    """Convert distances of pixel centres from the axis to pixel coverage, in place."""
     cover = distance_mm
     np.subtract(np.float32(radius_mm), distance_mm, out=cover)
     cover *= np.float32(px_per_mm)

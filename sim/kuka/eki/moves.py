@@ -1,4 +1,4 @@
-"""PTP_AXIS, PTP_POS and LIN of the project's channel, and the strict parsing of command attributes."""
+"""Motion commands of the project's EKI channel (PTP_AXIS, PTP_POS, LIN), and strict parsing of attributes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 
 
 def integer(arguments: Mapping[str, str], name: str, default: int | None = None) -> int:
-    """Parse an integer; ValueError when it is malformed, or missing without a default."""
+    """Parse an integer; raises ValueError if it is malformed, or required but missing."""
     if default is not None and name not in arguments:
         return default
     try:
@@ -35,14 +35,14 @@ def integer(arguments: Mapping[str, str], name: str, default: int | None = None)
 
 
 def flag(arguments: Mapping[str, str], name: str) -> bool:
-    """Parse 0 or 1; ValueError for anything else."""
+    """Parse 0 or 1; raises ValueError for anything else."""
     if arguments.get(name) not in ("0", "1"):
         raise ValueError(f"{name} is 0 or 1")
     return arguments[name] == "1"
 
 
 def number(arguments: Mapping[str, str], name: str, default: float | None = None) -> float:
-    """Parse a number up to `LARGEST` in magnitude; ValueError for others, or if missing without a default."""
+    """Parse a number up to `LARGEST` in magnitude; raises ValueError if invalid or required but missing."""
     if default is not None and name not in arguments:
         return default
     try:
@@ -55,7 +55,7 @@ def number(arguments: Mapping[str, str], name: str, default: float | None = None
 
 
 def share(arguments: Mapping[str, str], name: str) -> float:
-    """Parse a percentage of at most 100 as a fraction; 1 if missing."""
+    """Parse a percentage up to 100 and return it as a fraction; 1 if missing."""
     value = number(arguments, name, 100.0)
     if not LEAST_PERCENT <= value <= 100.0:
         raise ValueError(f"{name} must be a percentage from {LEAST_PERCENT} to 100")
@@ -73,12 +73,12 @@ def axes(arguments: Mapping[str, str]) -> list[float]:
 
 
 def escape(content: str, longest: int) -> str:
-    """Escape an attribute's value, cut to the length of a KRL string."""
+    """Escape an attribute value, truncated to the length of a KRL string."""
     return content[:longest].translate(_ESCAPED)
 
 
 class EkiMoves:
-    """Starts motions; `report_end` is called with each outcome."""
+    """Motion commands of a client. Calls `report_end` with the outcome of each motion."""
 
     def __init__(self, controller: Controller, report_end: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
@@ -104,7 +104,7 @@ class EkiMoves:
         return self._point_to_point(goal, arguments)
 
     def lin(self, arguments: Mapping[str, str]) -> Acknowledgement:
-        """Move on a line to X..C (mm, deg) in BASE; Tool, Base, Vel (m/s). S and T do not apply."""
+        """Move on a straight line to X..C (mm, deg) in BASE; Tool, Base, Vel (m/s). S and T do not apply."""
         pose = pose_of_frame(frame(arguments))
         speed_m_s = number(arguments, "Vel")
         if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:
@@ -154,7 +154,7 @@ class EkiMoves:
         )
 
     def _prepare(self, arguments: Mapping[str, str]) -> Acknowledgement | None:
-        """Activate the tool and base of a motion if it may start; otherwise return the refusal."""
+        """Activate the tool and base of a motion that may start. Return the refusal if it may not."""
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:

@@ -1,4 +1,4 @@
-"""The project's EKI channel: commands, acknowledgements, and the state, also sent unsolicited."""
+"""EKI channel of this project: commands, acknowledgements, and unsolicited state messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LAST_TOOL, LAST_BASE = 16, 32
 
 
 class ProjectChannel:
-    """Serves one client; losing it ends only the conversation."""
+    """Channel for one client, whose loss ends only the conversation."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -70,18 +70,18 @@ class ProjectChannel:
         server.attach(self)
 
     def client_connected(self) -> None:
-        """Send the state to a client that has connected."""
+        """Send the state to a newly connected client."""
         self._sent = ()
         self._idle_until_s = time.monotonic() + self._controller.parameters.first_request_s
         self.tick(time.monotonic())
 
     def client_disconnected(self) -> None:
-        """Handle the loss of the client; a parameter decides whether that ends a running program."""
+        """Handle the loss of the client. A parameter decides whether it ends a running program."""
         self._autostart.arm()
         self._controller.handle_eki_loss()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer a command; skip anything else."""
+        """Answer a command; ignore anything else."""
         if element.tag != CMD:
             return
         self._idle_until_s = inf
@@ -104,7 +104,7 @@ class ProjectChannel:
         self.tick(time.monotonic())
 
     def _report_motion_end(self, answer: Acknowledgement) -> None:
-        """Acknowledge a motion a second time, now that it is done or aborted."""
+        """Acknowledge a motion a second time, once it is done or aborted."""
         self._acknowledge(self._motion_id, self._motion_name, answer)
 
     def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:
@@ -114,7 +114,7 @@ class ProjectChannel:
         )
 
     def tick(self, now_s: float) -> float:
-        """Send the state if it has changed or its period is over; returns when to call again."""
+        """Send the state if it has changed or its period is over. Return when to call again."""
         if self._server.connected and now_s > self._idle_until_s and not self._server.silent:
             self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:

@@ -1,4 +1,4 @@
-"""The EKI channel of KUKA's C++ client SDK: program control by numbered requests, status on change."""
+"""EKI channel of KUKA's C++ client SDK: program control by numbered requests, and status on change."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ OPERATION_MODES = {OperationMode.T1: 1, OperationMode.T2: 2, OperationMode.AUT: 
 
 
 class SdkChannel:
-    """Serves one client; the program's state is reset when it disconnects."""
+    """Channel for one client, whose disconnection resets the program's state."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -127,7 +127,7 @@ class SdkChannel:
         # The status reports what has changed one loop later.
 
     def tick(self, now_s: float) -> float:
-        """Send the status if it has changed; returns when to call again."""
+        """Send the status if it has changed. Return when to call again."""
         if not self._server.connected:
             return inf
         again_s = now_s + SUBMIT_CYCLE_S

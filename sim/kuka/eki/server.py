@@ -1,4 +1,4 @@
-"""One EKI channel: a TCP server for a single client that cuts requests from a stream.
+"""TCP server of one EKI channel, which serves a single client and splits the stream into requests.
 
 The stream has no framing: a request ends with its root element. Anything before a root (NUL padding, line
 ends, leftovers) is skipped; requests may arrive split or merged. The program reads one per loop of the submit
@@ -37,7 +37,7 @@ _OPENING = re.compile(rb"<[A-Za-z_]")
 
 
 class Peer(Protocol):
-    """The program behind a channel."""
+    """Program behind a channel."""
 
     def client_connected(self) -> None:
         """Called when a client has connected."""
@@ -50,7 +50,7 @@ class Peer(Protocol):
 
 
 class EkiServer:
-    """Non-blocking server: the owner selects on `sockets`, calls `serve`, and `flush` when `due_s` has come.
+    """Non-blocking server. The owner selects on `sockets`, calls `serve`, and calls `flush` at `due_s`.
 
     `spacing_s` is the program's loop time: at most one telegram is read and one written per loop.
     """
@@ -76,13 +76,13 @@ class EkiServer:
 
     @property
     def endpoint(self) -> str:
-        """Endpoint for clients, with the actual port when port 0 was requested."""
+        """Endpoint for clients, with the port actually bound if port 0 was requested."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 
     @property
     def connected(self) -> bool:
-        """True while a client is connected."""
+        """Whether a client is connected."""
         return self._client is not None
 
     @property
@@ -92,7 +92,7 @@ class EkiServer:
 
     @property
     def due_s(self) -> float | None:
-        """Host time at which `flush` has something to read or to write, or None."""
+        """Host time at which `flush` next has something to read or write; None if nothing is pending."""
         moments = [self._next_s] if self._outgoing else []
         if self._unread and not self.silent:
             moments.append(self._next_read_s)
@@ -100,15 +100,15 @@ class EkiServer:
 
     @property
     def writes_later(self) -> bool:
-        """Whether anything is queued for writing."""
+        """Whether anything is queued for a later write."""
         return bool(self._outgoing)
 
     def corrupt_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Apply `halve`, `prepend_garbage` or `pad_with_nul` to the next telegram of the present client."""
+        """Apply `halve`, `prepend_garbage` or `pad_with_nul` to the next telegram for the present client."""
         self._corrupt = how if self.connected else None
 
     def fill_buffer(self) -> None:
-        """Fill the buffer, so that the present client's next request does not fit."""
+        """Fill the buffer so that the present client's next request does not fit."""
         self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
@@ -119,7 +119,7 @@ class EkiServer:
             self._read()
 
     def send(self, text: str) -> None:
-        """Queue one telegram, written as soon as the spacing allows."""
+        """Queue one telegram, to be written as soon as the spacing allows."""
         if self._client is not None and not self.silent:
             self._outgoing.append(text.encode("utf-8"))
             self._write()
@@ -182,7 +182,7 @@ class EkiServer:
 
     @staticmethod
     def _is_readable(client: socket.socket) -> bool:
-        """Whether a client has sent something or disconnected."""
+        """Return whether a client has sent something or disconnected."""
         try:
             client.recv(1, socket.MSG_PEEK)
         except BlockingIOError:
@@ -242,7 +242,7 @@ def pad_with_nul(telegram: bytes) -> bytes:
 
 
 def split_requests(stream: bytes) -> tuple[list[bytes], bytes]:
-    """Split a stream into complete root elements and a remainder that may still become one."""
+    """Split a stream into complete root elements and a remainder that may still become complete."""
     requests: list[bytes] = []
     position = 0
     while True:

@@ -1,4 +1,4 @@
-"""KUKA's Ethernet file: layout of the telegrams, and address of the client.
+"""KUKA's RSI Ethernet file: layout of the telegrams, and address of the client.
 
 The wiring of the channels is not in the file but in the RSI context; without one it is inferred from
 the commonly used tags.
@@ -35,7 +35,7 @@ _TAG = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)?")
 
 
 def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int) -> RsiContext:
-    """Return the effective context: layout from the file, the rest from `context` or inferred from the tags.
+    """Return the effective context: layout from the file, the rest from `context` or inferred from tags.
 
     Raises KRC-001 with every mistake, and for a name of more than `longest_name` characters.
     """

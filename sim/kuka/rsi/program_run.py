@@ -1,4 +1,4 @@
-"""One run of the RSI program, from RSI_ON to RSI_OFF: telegram out, reply in, command for the drives.
+"""One run of the RSI program, from RSI_ON to RSI_OFF: telegrams out, replies in, commands to the drives.
 
 It has neither socket nor clock: the caller sends what `telegram` returns, passes every datagram to `read`,
 and ends each cycle with `finish`.
@@ -33,7 +33,7 @@ PATH_FAST = "PathFast"
 
 
 def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters) -> int:
-    """Return the IPOC of a run's first telegram, a multiple of the cycle; runs are numbered from 1."""
+    """Return the IPOC of a run's first telegram, a multiple of the cycle. Runs are numbered from 1."""
     stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_STEP) % (1 << parameters.ipoc_bits)
     return stamp - stamp % cycle_ms
 
@@ -52,7 +52,7 @@ class RunSettings:
 
 
 class RsiRun:
-    """State of one run. Once `over`, `message` is the reason; None if the client requested the end."""
+    """State of one run. Once `over`, `message` gives the reason; None if the client requested the end."""
 
     def __init__(self, settings: RunSettings, arm: Manipulator, parameters: ControllerParameters) -> None:
         context = settings.context
@@ -112,12 +112,12 @@ class RsiRun:
 
     @property
     def command_deg(self) -> list[float]:
-        """The commanded axes; the same object while nothing changes."""
+        """Commanded axes in degrees. The object stays the same while nothing changes."""
         return self.flow.command_deg
 
     @property
     def correction_stats(self) -> tuple[int, int]:
-        """Stat outputs of AXISCORR and POSCORR: whether active, and which limits clamp."""
+        """Stat outputs of AXISCORR and POSCORR: whether each is active, and which limits clamp it."""
         axis, position = self.flow.stats
         mask = -1 if self._parameters.stat_tells_limits else ACTIVE_BIT
         return axis & mask, position & mask
@@ -128,7 +128,7 @@ class RsiRun:
 
     @property
     def streams(self) -> bool:
-        """Whether telegrams are sent; a program may begin streaming late."""
+        """Whether telegrams are being sent. A program may begin streaming late."""
         return self.sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
@@ -136,12 +136,12 @@ class RsiRun:
         return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
 
     def with_other_stamp(self, telegram: bytes) -> bytes:
-        """Return the telegram as another arm's controller might write it."""
+        """Return the telegram with the IPOC that another arm's controller might write."""
         other = (self.ipoc + self._ipoc_range // 2) % self._ipoc_range
         return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
-        """Parse the reply to this cycle's telegram; None for a broken, foreign or outdated one."""
+        """Parse the reply to this cycle's telegram. Return None if it is broken, foreign or outdated."""
         reply = self._reader.read(data)
         if reply is not None and reply.ipoc == self.ipoc:
             return reply
@@ -149,7 +149,7 @@ class RsiRun:
         return None
 
     def finish(self, reply: Reply | None) -> None:
-        """End the cycle with or without a reply; sets `over` when the run ends."""
+        """Finish the cycle, with or without a reply. Sets `over` when the run ends."""
         self._cycles += 1
         if not self.sent_once and not self.streams:
             self._enter_movecorr()
@@ -178,13 +178,13 @@ class RsiRun:
             self._enter_movecorr()
 
     def hold(self) -> None:
-        """Keep streaming but ignore corrections: the program is stopped, not cancelled."""
+        """Keep streaming but ignore corrections, since the program is stopped but not cancelled."""
         self.held = True
         self.state = RsiState.ON
 
     @property
     def awaits_confirmation(self) -> bool:
-        """True while an operator must confirm that corrections become active."""
+        """Whether an operator must confirm before corrections become active."""
         return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
 
     def confirm(self) -> None:
@@ -218,7 +218,7 @@ class RsiRun:
             self._end(message)
 
     def _handle_stop(self) -> bool:
-        """Handle a rising edge at STOP; returns True if the run continues."""
+        """Handle a rising edge at STOP. Return whether the run continues."""
         if self._stop_mode == INFO_MESSAGE:
             self.notice = "STOP1: stop requested"
             return True

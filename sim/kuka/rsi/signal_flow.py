@@ -1,4 +1,4 @@
-"""The RSI signal flow: from the ETHERNET object through wiring and corrections to a joint command."""
+"""RSI signal flow, from the ETHERNET object through wiring and corrections to a joint command."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp this close to the present totals, None: by the context only; returns True if changed."""
+        """Clamp this close to the present totals; None keeps the context's limits. Return whether changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -87,7 +87,7 @@ class AxisCorrector:
         return True
 
     def apply(self, inputs_deg: Sequence[float]) -> Message | None:
-        """Add one cycle's inputs; returns the monitor's message if a total exceeds its limit."""
+        """Add one cycle's inputs. Return the monitor's message if a total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
             if self._relative
@@ -109,7 +109,7 @@ class AxisCorrector:
 
 
 class PositionCorrector:
-    """POSCORR and POSCORRMON of one run: corrections of the tool's pose, clamped and monitored.
+    """POSCORR and POSCORRMON of one run: corrections of the tool pose, clamped and monitored.
 
     `start` is the pose (4, 4) of the tool centre point at RSI_ON and `reference` the rotation (3, 3) of the
     correction system, both in $ROBROOT. `inverse` finds joints (deg) for a pose, near given joints.
@@ -140,7 +140,7 @@ class PositionCorrector:
         self.stat = 0
 
     def apply(self, inputs: Sequence[float]) -> Message | None:
-        """Apply one cycle's X Y Z (mm) A B C (deg); returns the message of a stop, or None."""
+        """Apply one cycle's X Y Z (mm) A B C (deg). Return the message of a stop, or None."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
@@ -180,12 +180,12 @@ class PositionCorrector:
 
 
 def _angle(rotation: Matrix) -> float:
-    """Return the angle of a rotation matrix in rad, exact near zero as well."""
+    """Return the angle of a rotation matrix in rad, exact even near zero."""
     return float(np.arctan2(np.linalg.norm(_axis(rotation)), np.trace(rotation) - 1.0))
 
 
 def _axis(rotation: Matrix) -> Matrix:
-    """Return the axis of a rotation matrix, (3,), times twice the sine of its angle."""
+    """Return the rotation axis of a matrix, (3,), times twice the sine of its angle."""
     return np.array(
         [
             rotation[2, 1] - rotation[1, 2],
@@ -196,12 +196,12 @@ def _axis(rotation: Matrix) -> Matrix:
 
 
 class EthernetOutputs:
-    """Outputs of the ETHERNET object: the last values, held or reset to zero by HOLDON."""
+    """Outputs of the ETHERNET object: the last values, held or reset to zero according to HOLDON."""
 
     def __init__(
         self, context: RsiContext, missing_element: Literal["holdon", "kept", "zero"] = "holdon"
     ) -> None:
-        """`missing_element` is the treatment of an element that a reply lacks."""
+        """`missing_element` states how to treat an element that a reply lacks."""
         self._hold = [bool(element.holdon) for element in context.receive]
         self._keep = (
             self._hold if missing_element == "holdon" else [missing_element == "kept"] * len(self._hold)
@@ -210,7 +210,7 @@ class EthernetOutputs:
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
     def update(self, values: Sequence[float | None] | None) -> list[float]:
-        """Apply a reply's values, or None for a cycle without a reply."""
+        """Apply the values of a reply; None stands for a cycle without one."""
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
@@ -224,7 +224,7 @@ class EthernetOutputs:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Positions, among the received elements, of the inputs of each object; None for an unwired one."""
+    """Positions, among the received elements, of each object's inputs; None for an unwired input."""
 
     axes: tuple[int | None, ...] | None
     frame: tuple[int | None, ...] | None
@@ -258,7 +258,7 @@ class SignalFlow:
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """`share` of a correction takes effect; below 1 if the override scales it."""
+        """Apply only a fraction `share` of each correction, below 1 if the override scales corrections."""
         self._inputs = inputs
         self._relative = relative
         self._share = share
@@ -270,7 +270,7 @@ class SignalFlow:
         self._base_deg = self.command_deg
 
     def stop_rises(self, values: list[float]) -> bool:
-        """Return True in the cycle in which STOP's input becomes true."""
+        """Return whether STOP's input became True in this cycle."""
         place = self._inputs.stop
         if place is None:
             return False
@@ -280,7 +280,7 @@ class SignalFlow:
         return rises
 
     def correct(self, values: list[float]) -> Message | None:
-        """Correct for one cycle; `command_deg` stays the same object if nothing changes."""
+        """Apply one cycle's corrections. `command_deg` stays the same object if nothing changes."""
         if values == self._last and not self._relative:
             return None
         self._last = values
@@ -306,7 +306,7 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections this close to their present values; None removes the clamp."""
+        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 

@@ -32,7 +32,7 @@ RAY_MM = 25.0  # half the length of a band that starts at metal
 
 
 class Purpose(StrEnum):
-    """Permitted use of a family."""
+    """Purpose that a family may be used for."""
 
     TUNING = "tuning"
     JUDGING = "judging"
@@ -48,7 +48,7 @@ class Headrest(StrEnum):
 
 @dataclass(frozen=True)
 class PostStreaks:
-    """Streaks of the markers' metal: peak, distance from which they fade, number of lobes."""
+    """Streaks from the metal of the markers: peak, distance at which they fade, number of lobes."""
 
     hu: Range
     fall_mm: Range
@@ -57,7 +57,7 @@ class PostStreaks:
 
 @dataclass(frozen=True)
 class MarkerBands:
-    """Bright or dark straight streaks: how many near each marker, and where.
+    """Straight bright or dark streaks: their number and place near each marker.
 
     `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
     sphere.
@@ -74,7 +74,7 @@ class MarkerBands:
 
 @dataclass(frozen=True)
 class Family:
-    """Contents of the scans of one family. Values are drawn uniformly from the ranges, once per scan."""
+    """Contents of the scans of one family. Each scan draws its values uniformly from the ranges."""
 
     name: str
     purpose: Purpose
@@ -243,7 +243,7 @@ FAMILIES: dict[str, Family] = {
 def draw_bands(
     kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
 ) -> tuple[Band, ...]:
-    """Draw the bands of each marker; none if the family has none."""
+    """Draw the bands of each marker. The result is empty if the family has no bands."""
     if kind is None:
         return ()
     return tuple(

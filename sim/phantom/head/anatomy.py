@@ -1,4 +1,4 @@
-"""The head: its layers by depth below the skin, the anatomy beyond them, headrest, cable and markers."""
+"""The head to paint: layers by depth below the skin, further anatomy, headrest, cable and markers."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ SCREW_IN_BONE_MM = 5.0
 
 
 class HeadLayers:
-    """Intensity of the head's layers by depth, with edges blurred by `blur_mm` (standard deviation)."""
+    """Intensity of the head's layers by depth, with edges blurred by a Gaussian of `blur_mm`."""
 
     def __init__(self, centre: Point, semi_axes: Point, blur_mm: float) -> None:
         self.centre = centre
@@ -92,7 +92,7 @@ class HeadLayers:
         self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
-        """Return the HU at these points; air outside the head."""
+        """Return the HU at the given points; outside the head, that of air."""
         depth = ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
         place = (depth + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
         last = np.float32(len(self._table) - 1)
@@ -100,7 +100,7 @@ class HeadLayers:
         return hu
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
-        """Return half extents in x and y of the head's section at `z_mm`, with a margin; None without one."""
+        """Return half extents in x and y of the head at `z_mm`, with a margin; None outside the head."""
         a, b, c = (axis + margin_mm for axis in self.semi_axes)
         squared = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
@@ -117,7 +117,7 @@ def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Marker:
-    """A sphere on its post, as painted; `post` is the material."""
+    """A sphere on its post, as painted. `post` is the material of the post."""
 
     fiducial: Fiducial
     hu: float
@@ -127,7 +127,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Everything to paint over the head's layers, in this order, and where metal causes streaks."""
+    """Everything painted over the head's layers, in painting order, and the sources of metal streaks."""
 
     headrest: tuple[Shape, ...]  # the same in all slices
     surroundings: tuple[Shape, ...]
@@ -139,7 +139,7 @@ class Anatomy:
 
     @property
     def places(self) -> tuple[Point, ...]:
-        """Places to paint finely: the markers, then the look-alikes."""
+        """Centres of the regions to paint finely: first the markers, then the look-alikes."""
         return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
@@ -153,7 +153,7 @@ class Anatomy:
 
 
 def draw_anatomy(scene: Scene) -> Anatomy:
-    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that is off the head."""
+    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that misses the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
     teeth, fillings = jaw_teeth(head, generator)
@@ -163,14 +163,14 @@ def draw_anatomy(scene: Scene) -> Anatomy:
 
 
 def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
-    """A sphere on a screw in the skull, with a flange on the skin."""
+    """Return a sphere on a screw in the skull, with a flange on the skin."""
     to_skin = distance_to_skin(fiducial, head)
     to_tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
     return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
 
 
 def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
-    """A free-floating sphere without film."""
+    """Return a free-floating sphere without film."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
 
@@ -178,7 +178,7 @@ def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
 def marker_on_foot(
     fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
 ) -> Marker:
-    """A sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
+    """Return a sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     metal = bool(generator.uniform() < METAL_POSTS)
     post_hu = POST_METAL_HU if metal else POST_POLYMER_HU
@@ -207,7 +207,7 @@ def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
 
 
 def trough(head: Head) -> tuple[Shape, ...]:
-    """A trough of foam with a thin shell, under the back of the head."""
+    """Return a trough of foam with a thin shell, under the back of the head."""
     inner = max(head.semi_axes_mm[:2]) + FOAM_GAP_MM
     outer = inner + FOAM_MM
     centre, cosine = head.centre_ct_mm, cos(HEADREST_HALF_ARC_RAD)
@@ -218,7 +218,7 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
-    """A sheathed wire next to the head."""
+    """Return a sheathed wire next to the head."""
     centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
     centre = shift_point(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
@@ -235,7 +235,7 @@ def ventricles(head: Head) -> tuple[Shape, ...]:
 
 
 def sinuses(head: Head) -> tuple[Shape, ...]:
-    """Air in the forehead, the cheeks and behind the nose."""
+    """Return air in the forehead, the cheeks and behind the nose."""
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
@@ -245,7 +245,7 @@ def sinuses(head: Head) -> tuple[Shape, ...]:
 def jaw_teeth(
     head: Head, generator: np.random.Generator, count: int = FILLINGS
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
-    """An arch of teeth in a jaw; some of them have metal fillings."""
+    """Return an arch of teeth in a jaw; some of them have metal fillings."""
     middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)

@@ -1,4 +1,4 @@
-"""Objects of the markers' polymer and about their size that are not whole spheres.
+"""Objects of about the markers' size, made of the same polymer, that are not whole spheres.
 
 Each function draws one object next to the head or on the skin, with the points at which a localizer may
 mistake it for a sphere: these are painted as precisely as markers.
@@ -27,7 +27,7 @@ STEEPEST = 0.5  # slope of a body's own direction towards the skin, so that it d
 
 @dataclass(frozen=True)
 class LookAlike:
-    """Kind of the object, its bodies in painting order, and the points that may deceive a localizer."""
+    """A look-alike: its kind, its bodies in painting order, and the points that may deceive a localizer."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -36,7 +36,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Place of an object: a point on the skin, the outward normal there, and the generator for the rest."""
+    """Seat of an object: a point on the skin, its outward normal, and a generator for further draws."""
 
     skin: Vector
     normal: Vector
@@ -49,7 +49,7 @@ class Seat:
         return self.between(*POLYMER_HU)
 
     def middle(self) -> Vector:
-        """Draw a point next to the head."""
+        """Draw a centre next to the head."""
         return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
 
     def along(self) -> Vector:
@@ -90,13 +90,13 @@ def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: flo
 
 
 def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
-    """Turn an ellipsoid in any direction."""
+    """Orient an ellipsoid at random."""
     a, b, c = semi_axes
     return Egg(hu, as_rounded_point(centre), (a, b, c), seat.axes())
 
 
 def capsule(seat: Seat) -> LookAlike:
-    """A rod round at both ends, 2 to 24 mm longer than wide."""
+    """Return a rod round at both ends, 2 to 24 mm longer than wide."""
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
     body = _capsule(seat.polymer(), middle - half, middle + half, seat.between(5.5, 6.0))
@@ -104,7 +104,7 @@ def capsule(seat: Seat) -> LookAlike:
 
 
 def round_ended_rod(seat: Seat) -> LookAlike:
-    """A rod with one end round, the other flat."""
+    """Return a rod with one end round, the other flat."""
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
     rod = _rod(hu, end, along, seat.between(12.0, 30.0), radius)
@@ -112,14 +112,14 @@ def round_ended_rod(seat: Seat) -> LookAlike:
 
 
 def egg(seat: Seat) -> LookAlike:
-    """An ellipsoid a quarter to a seventh longer than wide."""
+    """Return an ellipsoid a quarter to a seventh longer than wide."""
     middle, longer = seat.middle(), seat.between(0.07, 0.2)
     sizes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
     return _make_look_alike("egg", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def beads(seat: Seat) -> LookAlike:
-    """Three to five balls of a marker's size in a row, on a string."""
+    """Return three to five balls of a marker's size in a row, on a string."""
     count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
     first, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius = seat.between(5.6, 5.9)
@@ -129,7 +129,7 @@ def beads(seat: Seat) -> LookAlike:
 
 
 def knob(seat: Seat) -> LookAlike:
-    """A ball at the end of a rod that is much thicker than a post."""
+    """Return a ball at the end of a rod that is much thicker than a post."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     rod = _rod(hu, middle, along, seat.between(16.0, 26.0), seat.between(3.6, 5.0))
     return _make_look_alike("knob", [rod, _ball(hu, middle, seat.between(5.6, 5.9))], middle)
@@ -144,7 +144,7 @@ def elbow(seat: Seat) -> LookAlike:
 
 
 def thumb(seat: Seat) -> LookAlike:
-    """A rod that narrows towards its round end."""
+    """Return a rod that narrows towards its round end."""
     end, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
     steps = np.arange(0.0, 16.0, 1.0)
@@ -153,7 +153,7 @@ def thumb(seat: Seat) -> LookAlike:
 
 
 def dome(seat: Seat) -> LookAlike:
-    """Half a ball on the skin, a little more or less."""
+    """Return roughly half a ball on the skin."""
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
     ball = _dome(seat.polymer(), centre, seat.normal, radius, -seat.between(0.0, 2.0))
@@ -161,7 +161,7 @@ def dome(seat: Seat) -> LookAlike:
 
 
 def mushroom(seat: Seat) -> LookAlike:
-    """A cap on a stem: two thirds to nine tenths of a ball's height, flat below."""
+    """Return a cap on a stem, flat below, two thirds to nine tenths of a ball's height."""
     middle, hu = seat.middle(), seat.polymer()
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
     stem = _rod(METAL_HU, middle + 2.5 * -seat.normal, -seat.normal, 24.0, 1.5)
@@ -169,7 +169,7 @@ def mushroom(seat: Seat) -> LookAlike:
 
 
 def barrel(seat: Seat) -> LookAlike:
-    """A cylinder as high as wide, with rounded edges."""
+    """Return a cylinder as high as it is wide, with rounded edges."""
     middle, radius = seat.middle(), seat.between(5.2, 5.9)
     hu, along = seat.polymer(), as_rounded_point(seat.along())
     length, edge = seat.between(10.5, 12.5), seat.between(2.0, 4.2)
@@ -179,21 +179,21 @@ def barrel(seat: Seat) -> LookAlike:
 
 
 def button(seat: Seat) -> LookAlike:
-    """A lens: an ellipsoid flattened by a fifth to a half."""
+    """Return a lens: an ellipsoid flattened by a fifth to a half."""
     middle, width = seat.middle(), seat.between(5.75, 6.6)
     sizes = (width, width, width * seat.between(0.5, 0.8))
     return _make_look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def hollow_ball(seat: Seat) -> LookAlike:
-    """A ball of a marker's size with air inside."""
+    """Return a ball of a marker's size with air inside."""
     middle = seat.middle()
     core = _ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
     return _make_look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def other_ball(seat: Seat) -> LookAlike:
-    """A whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
+    """Return a whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
     middle = seat.middle()
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
@@ -201,13 +201,13 @@ def other_ball(seat: Seat) -> LookAlike:
 
 
 def near_ball(seat: Seat) -> LookAlike:
-    """A whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
+    """Return a whole ball 10.6 to 11.2 mm in diameter, closer to a marker than `other_ball`."""
     middle = seat.middle()
     return _make_look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
 
 def gel(seat: Seat) -> LookAlike:
-    """A drop of gel with air bubbles."""
+    """Return a drop of gel with air bubbles."""
     middle, hu = seat.middle(), seat.between(*GEL_HU)
     bubbles = []
     for _ in range(int(seat.random.integers(2, 5))):
@@ -218,14 +218,14 @@ def gel(seat: Seat) -> LookAlike:
 
 
 def ring(seat: Seat) -> LookAlike:
-    """A thick ring."""
+    """Return a thick ring."""
     middle, tube = seat.middle(), seat.between(2.4, 3.2)
     body = Ring(seat.polymer(), as_rounded_point(middle), seat.axes()[0], seat.between(2.6, 3.4), tube)
     return _make_look_alike("ring", [body], middle)
 
 
 def acrylic_teeth(seat: Seat) -> LookAlike:
-    """Three artificial teeth in a row."""
+    """Return three artificial teeth in a row."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     places = [middle + along * 9.0 * k for k in (-1, 0, 1)]
     sizes = ((4.6, 5.4), (5.0, 5.8), (5.6, 7.0))
@@ -234,21 +234,21 @@ def acrylic_teeth(seat: Seat) -> LookAlike:
 
 
 def pearl(seat: Seat) -> LookAlike:
-    """A ball of polymer around a metal core."""
+    """Return a ball of polymer around a metal core."""
     middle = seat.middle()
     core = _ball(METAL_HU, middle, seat.between(1.0, 2.2))
     return _make_look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def threaded_ball(seat: Seat) -> LookAlike:
-    """A ball with a pin all the way through it."""
+    """Return a ball with a pin all the way through it."""
     middle, along = seat.middle(), seat.along()
     pin = _rod(METAL_HU, middle - 12.0 * along, along, 24.0, seat.between(0.8, 1.6))
     return _make_look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
 
 
 def plated_dome(seat: Seat) -> LookAlike:
-    """Half a ball and more on a plate."""
+    """Return a little more than half a ball, on a plate."""
     middle, hu, inward = seat.middle(), seat.polymer(), -seat.normal
     below = seat.between(0.0, 3.5)
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -below)
@@ -265,7 +265,7 @@ def peanut(seat: Seat) -> LookAlike:
 
 
 def cup_electrode(seat: Seat) -> LookAlike:
-    """A dome of polymer over a metal disc on the skin."""
+    """Return a dome of polymer over a metal disc on the skin."""
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
     cap = _dome(seat.polymer(), centre, seat.normal, seat.between(5.6, 6.0), 0.0)
     disc = _rod(METAL_HU, centre - 1.5 * seat.normal, seat.normal, 1.5, seat.between(3.0, 5.0))

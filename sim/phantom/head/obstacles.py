@@ -76,13 +76,13 @@ class Obstacles:
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
-    """Return the skin point in a direction from the head's centre, CT frame, and the outward normal there."""
+    """Return the skin point in a direction from the head's centre (CT frame), and its outward normal."""
     point, normal = skin_at(direction, head.semi_axes_mm)
     return point + np.array(head.centre_ct_mm), normal
 
 
 def cushion(head: Head) -> Obstacles:
-    """A flat block of foam on a board, under the back of the head."""
+    """Return a flat block of foam on a board, under the back of the head."""
     back = head.centre_ct_mm[1] + head.semi_axes_mm[1] + CUSHION_GAP_MM
     x = head.centre_ct_mm[0]
     foam = Slab(FOAM_HU, (x - CUSHION_HALF_WIDTH_MM, back), (x + CUSHION_HALF_WIDTH_MM, back + CUSHION_MM))
@@ -95,7 +95,7 @@ def cushion(head: Head) -> Obstacles:
 
 
 def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
-    """Pins pressed into the skull, in their holders."""
+    """Return pins pressed into the skull, with their holders."""
     shapes: list[Shape] = []
     streaks = []
     for azimuth in PIN_AZIMUTHS_RAD[:count]:
@@ -115,7 +115,7 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
 
 
 def electrode(head: Head, direction: Vector) -> Obstacles:
-    """A metal cup on the skin with its lead, which runs towards the feet."""
+    """Return a metal cup on the skin and its lead, which runs towards the feet."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
     downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
@@ -130,7 +130,7 @@ def electrode(head: Head, direction: Vector) -> Obstacles:
 
 
 def bolt(head: Head, direction: Vector) -> Obstacles:
-    """The bolt of a depth electrode."""
+    """Return the bolt of a depth electrode."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
     start = shift_point(as_point(skin), outward, -BOLT_IN_SKULL_MM)
@@ -138,14 +138,14 @@ def bolt(head: Head, direction: Vector) -> Obstacles:
 
 
 def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:
-    """A layer around the whole head."""
+    """Return a layer around the whole head."""
     return Obstacles((EllipsoidShell(hu, head.centre_ct_mm, head.semi_axes_mm, thickness_mm),))
 
 
 def distractor(
     head: Head, direction: Vector, cylinder: bool, generator: np.random.Generator
 ) -> tuple[Shape, Point]:
-    """A ball or a cylinder of polymer next to the head, and its centre."""
+    """Return a ball or a cylinder of polymer next to the head, and its centre."""
     skin, normal = skin_point(head, direction)
     middle = as_point(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
     hu = float(generator.uniform(*DISTRACTOR_HU))
@@ -162,7 +162,7 @@ def distractor(
 
 
 def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> tuple[Fiducial, ...]:
-    """Place the frame's spheres; raises SIM-001 if the frame is not clear of the head."""
+    """Place the frame's spheres; raises SIM-001 if the frame collides with the head."""
     in_frame = np.array(FRAMES[frame])
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
@@ -181,14 +181,14 @@ def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> t
 
 
 def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
-    """Put the frame's spheres on short posts that end in the bars, any others on screws of their own."""
+    """Put the frame's spheres on short posts that end in the bars, and all others on individual screws."""
     flange_mm = BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM
     on_frame = [marker_on_foot(one, flange_mm, BAR_BELOW_MM, generator) for one in head.fiducials[:SPHERES]]
     return (*on_frame, *(marker_on_post(one, head, generator) for one in head.fiducials[SPHERES:]))
 
 
 def frame_shapes(head: Head, frame: str, generator: np.random.Generator) -> tuple[Shape, ...]:
-    """Return the two crossed bars and the foot of the frame."""
+    """Return the frame's two crossed bars and its foot."""
     first_x, third_x = FRAMES[frame][0][0], FRAMES[frame][2][0]
     hu = float(generator.choice(BAR_HU))
     down = as_point(-np.array(head.fiducials[0].post_ct))

@@ -1,4 +1,4 @@
-"""Solid bodies by their signed depth: millimetres below the surface, negative outside.
+"""Solid bodies defined by their signed depth: millimetres below the surface, negative outside.
 
 Depth is exact except for ellipsoids and cables, where it is first-order near the surface. Coordinates are CT
 LPS mm; x, y and z may be any arrays that broadcast together.
@@ -21,11 +21,11 @@ Bounds = tuple[Point, Point]  # lowest and highest x, y, z
 
 
 class Shape(Protocol):
-    """A body of one intensity."""
+    """A body of uniform intensity."""
 
     @property
     def hu(self) -> float:
-        """Intensity."""
+        """Intensity in HU."""
         ...
 
     def bounds(self) -> Bounds:
@@ -71,7 +71,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class EllipsoidShell:
-    """The space between an ellipsoid and `thickness` outside it."""
+    """A shell around an ellipsoid, `thickness` deep."""
 
     hu: float
     centre: Point
@@ -115,7 +115,7 @@ class Rod:
 
 @dataclass(frozen=True)
 class Trough:
-    """Part of an endless tube along z, behind the head; `half_arc_cosine` is how far it extends around."""
+    """Part of an infinite tube along z, behind the head. `half_arc_cosine` bounds its arc."""
 
     hu: float
     centre: Point
@@ -138,7 +138,7 @@ class Trough:
 
 @dataclass(frozen=True)
 class Slab:
-    """An endless bar along z; `low` and `high` are its corners in x and y."""
+    """An infinite bar along z; `low` and `high` are its corners in x and y."""
 
     hu: float
     low: tuple[float, float]
@@ -156,7 +156,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class Cable:
-    """A cable that winds along z: its centre swings by `swing` with the given wavelength."""
+    """A cable that meanders along z. Its centre swings by `swing` with the given wavelength."""
 
     hu: float
     centre: Point
@@ -180,7 +180,7 @@ class Cable:
 
 
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
-    """Return the depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad f|.
+    """Return the depth below an ellipsoid, to first order near its surface: f (1 - f) / |grad f|.
 
     f is the radius in semi-axes.
     """
@@ -211,7 +211,7 @@ def _around_line(start: Sequence[float], end: Sequence[float], radius: float) ->
 
 @dataclass(frozen=True)
 class Capsule:
-    """A rod with round ends: everything within `radius` of the line from `start` to `end`."""
+    """A rod with round ends: all points within `radius` of the segment from `start` to `end`."""
 
     hu: float
     start: Point
@@ -235,7 +235,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Egg:
-    """An ellipsoid with semi-axes along the rows of `axes`; depth is first-order near its surface."""
+    """An ellipsoid with semi-axes along the rows of `axes`. Its depth is first-order near the surface."""
 
     hu: float
     centre: Point
@@ -285,7 +285,7 @@ class Barrel:
 
 @dataclass(frozen=True)
 class Dome:
-    """The part of a ball beyond a plane: `height` mm above its centre, along `outward`."""
+    """The part of a ball beyond a plane that lies `height` mm above its centre along `outward`."""
 
     hu: float
     centre: Point
@@ -305,7 +305,7 @@ class Dome:
 
 @dataclass(frozen=True)
 class Ring:
-    """A torus around an axis: `radius` to the middle of the tube, whose radius is `tube`."""
+    """A torus around an axis, with the major radius `radius` and the minor radius `tube`."""
 
     hu: float
     centre: Point
@@ -334,7 +334,7 @@ def _along(x: Values, y: Values, z: Values, origin: Point, direction: np.ndarray
 def _height_and_distance(
     x: Values, y: Values, z: Values, origin: Point, axis: Point
 ) -> tuple[Values, Values]:
-    """Return the height along a unit axis through `origin`, and the distance from it."""
+    """Return the height along a unit axis through `origin`, and the distance from that axis."""
     height = _along(x, y, z, origin, np.array(axis))
     squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
     across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))

@@ -1,1 +1,1 @@
-"""The simulated scanner: voxel grid, blur, noise, and the DICOM series."""
+"""Simulated CT scanner: voxel grid, blur, noise, and the DICOM series."""

@@ -1,4 +1,4 @@
-"""Writes slices as a DICOM CT series. The same scene yields the same bytes."""
+"""Writer of slices as a DICOM CT series. The same scene yields the same bytes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FILE_PATTERN = "slice-*.dcm"
 
 
 class DicomSeries:
-    """One series in a folder. UIDs hash the whole scene, and the occasion of a later scan."""
+    """One series in a folder. Its UIDs are hashes of the whole scene and of the occasion of a later scan."""
 
     def __init__(
         self,
@@ -62,13 +62,13 @@ class DicomSeries:
         self._frame_uid = self._make_uid("frame of reference")
 
     def prepare(self) -> None:
-        """Create the folder, and remove the slices of an earlier series."""
+        """Create the folder and remove the slices of an earlier series."""
         self._folder.mkdir(parents=True, exist_ok=True)
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()
 
     def write(self, number: int, stored: NDArray[np.uint16]) -> None:
-        """Write one slice of stored values; call it from one thread."""
+        """Write one slice of stored values. Not thread-safe."""
         from pydicom.dataelem import DataElement
         from pydicom.dataset import Dataset
         from pydicom.uid import UID
@@ -88,7 +88,7 @@ class DicomSeries:
         write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
-        """Return the position of the first pixel of a slice tilted about its middle row."""
+        """Return the position of the first pixel of a slice that is tilted about its middle row."""
         grid, half_mm = self._grid, 0.5 * (self._grid.rows - 1) * self._grid.pixel_mm
         x, y, z = grid.origin_mm
         y += half_mm * (1.0 - cos(self._tilt_rad))
@@ -96,7 +96,7 @@ class DicomSeries:
 
     @cached_property
     def _shared(self) -> dict[int, bytes]:
-        """Attributes that all slices share, encoded once."""
+        """Encoded attributes common to all slices."""
         from pydicom.dataset import Dataset
         from pydicom.uid import CTImageStorage
 
@@ -145,7 +145,7 @@ class DicomSeries:
 
 
 def _encode_elements(data: Dataset) -> dict[int, bytes]:
-    """Encode each attribute as explicit VR little endian, by tag."""
+    """Encode attributes as explicit VR little endian, by tag."""
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_data_element
 
@@ -175,7 +175,7 @@ def _encode_meta(instance: UID) -> bytes:
 
 
 def to_stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
-    """Convert HU to stored values up to `largest`; values beyond saturate, as on a scanner."""
+    """Convert HU to stored values up to `largest`. Values beyond it saturate, as on a scanner."""
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 

@@ -1,4 +1,4 @@
-"""Effects of a real scanner beyond noise: geometry that is not as stated, kernels, beam hardening.
+"""Imperfections of real scanners other than noise: misstated geometry, kernels, beam hardening.
 
 Every fault has a size; the default is none. The truth remains that of the scene: markers where they are.
 """
@@ -49,7 +49,7 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class ScannerFaults:
-    """Faults of one scan; the patient moves halfway up the markers, in any direction and along the table."""
+    """Faults of one scan. The patient moves halfway up the markers, in a random direction and along z."""
 
     tilt_deg: float = 0.0  # of the gantry
     table_scale: float = 0.0  # true over stated table feed, minus 1
@@ -75,7 +75,7 @@ class ScannerFaults:
 
     @property
     def stated_tilt_deg(self) -> float:
-        """Tilt that the headers state."""
+        """Gantry tilt stated in the headers."""
         return 0.0 if self.tilt_hidden else self.tilt_deg
 
     def active(self) -> dict[str, Any]:
@@ -88,7 +88,7 @@ NO_FAULTS = ScannerFaults()
 
 
 def hardening(image: Values, pixel_mm: float, strength: float) -> Values:
-    """Return the beam hardening to add to a slice (rows, columns) in HU; a `strength` of 1 is typical.
+    """Return the beam hardening to add to a slice (rows, columns), in HU. A `strength` of 1 is typical.
 
     Dense bodies absorb the soft part of the beam, so what is in line with them is too dark. A coarse copy of
     the slice is projected in parallel beams. The loss is modelled as proportional to the path through dense
@@ -134,7 +134,7 @@ def _turns(side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def _filter_ramp(projection: Values, cell_cm: float) -> Values:
-    """Apply a ramp filter with cosine roll-off (Shepp-Logan would ring at a post)."""
+    """Apply a ramp filter with cosine roll-off; a Shepp-Logan filter would ring at a post."""
     count = 2 * len(projection)
     cycles = np.fft.rfftfreq(count, cell_cm)
     roll = np.cos(0.5 * np.pi * cycles / cycles[-1])

@@ -1,1 +1,1 @@
-"""Command handlers: functions of the unit and the argument, and their table."""
+"""Command handlers, each a function of the unit and the argument, and the table that lists them."""

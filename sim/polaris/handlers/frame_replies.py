@@ -1,4 +1,4 @@
-"""Replies to TX and BX: one frame as text, or as bytes (little endian) with the same content.
+"""Replies to TX and BX: the same frame content as text, or as little-endian bytes.
 
 Options are bits of `ronna_hw.wire.polaris.ReplyOption`.
 """
@@ -94,14 +94,14 @@ def _position_text(position_mm: Point) -> str:
 
 
 def _markers_text(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> str:
-    """Count, out-of-volume flags, and the positions that are sent."""
+    """Format the marker count, the out-of-volume flags, and the positions to send."""
     outside = [not inside for _, inside in markers]
     bits = _format_bits(outside, first_is_high=behaviour.first_stray_is_high_bit)
     return f"{len(markers):02X}{bits}" + "".join(map(_position_text, sent_mm))
 
 
 def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
-    """Flags as hexadecimal digits: one number with flag 0 highest, or four flags per digit in order."""
+    """Format flags in hexadecimal: as one number with flag 0 highest, or as four flags per digit in order."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
         return ""
@@ -149,7 +149,7 @@ def _tool_bytes(
 
 
 def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> bytes:
-    """Count, out-of-volume flags, eight to a byte in this unit's bit order, and the positions sent."""
+    """Encode marker count, out-of-volume flags (eight to a byte, in this unit's bit order), and positions."""
     number = sum(1 << k for k, (_, inside) in enumerate(markers) if not inside)
     flags = number.to_bytes(-(-len(markers) // 8), "little")
     flags = flags if behaviour.first_stray_is_low_bit else flags.translate(MIRRORED)
@@ -157,7 +157,7 @@ def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavi
 
 
 def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehaviour) -> Tracked | None:
-    """Omit what neither request nor unit reports of a tool outside the volume."""
+    """Omit what neither the request nor the unit's settings report for a tool outside the volume."""
     if tracked is None or not tracked.volume_status:
         return tracked
     outside = bool(options & OUT_OF_VOLUME)
@@ -165,24 +165,24 @@ def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehavi
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:
-    """Port status with the bits that the frame adds."""
+    """Return the port status, including the bits that depend on the frame."""
     return port.status.value | (tracked.volume_status.value if tracked is not None else 0)
 
 
 def information(tracked: Tracked | None) -> int:
-    """Tool information byte."""
+    """Return the tool information byte."""
     return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
 
 
 def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
-    """One digit per marker, 20 in all."""
+    """Return the status digits of the markers, 20 in all."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
     digits = digits.ljust(MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
 
 
 def list_markers(tracked: Tracked | None) -> Markers:
-    """Return (position, inside the volume) for each measured marker of a tool."""
+    """Return the position of each measured marker of a tool, and whether it is inside the volume."""
     if tracked is None:
         return []
     pairs = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
@@ -190,7 +190,7 @@ def list_markers(tracked: Tracked | None) -> Markers:
 
 
 def _select_strays(strays: tuple[Stray, ...], options: int) -> tuple[Markers, list[Point]]:
-    """All strays, and the positions sent: those inside the volume; all with option 0800."""
+    """Return all strays, and the positions to send: those inside the volume, or all with option 0800."""
     whole = bool(options & OUT_OF_VOLUME)
     markers = [(stray.position_mm, stray.inside) for stray in strays]
     return markers, [position for position, inside in markers if inside or whole]

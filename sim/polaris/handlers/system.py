@@ -1,4 +1,4 @@
-"""Commands of the unit and its settings.
+"""Handlers of commands for the unit and its settings.
 
 INIT, RESET, VER, APIREV, BEEP, COMM, ECHO; GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG; SFLIST, SSTAT.
 """
@@ -110,7 +110,7 @@ def echo(unit: Unit, argument: str) -> str:
 
 
 def absent(unit: Unit, _argument: str) -> str:
-    """Refuse a command that real units have but whose format is not public."""
+    """Refuse a command that real units support in a format that is not public."""
     raise Refusal(unit.behaviour.absent_command)
 
 

@@ -1,4 +1,4 @@
-"""Commands on memory and outputs of a tool.
+"""Handlers of commands for the memory and outputs of a tool.
 
 PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST, LED, PSOUT.
 """

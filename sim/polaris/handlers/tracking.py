@@ -1,4 +1,4 @@
-"""Commands that measure: TSTART, TSTOP, TX, BX; in diagnostic mode DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
+"""Measuring commands: TSTART, TSTOP, TX, BX; in diagnostic mode DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _parse_options(argument: str) -> int:
 
 
 def _has_dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
-    """Whether a dummy and a real tool of one type are both enabled."""
+    """Return whether a dummy and a real tool of the same type are both enabled."""
     dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
     return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)
 

@@ -1,1 +1,1 @@
-"""The line to the host: transport, framing, command dispatch and line faults."""
+"""Line between unit and host: transport, framing, command dispatch and line faults."""

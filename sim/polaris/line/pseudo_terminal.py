@@ -45,7 +45,7 @@ _TERMIOS_INPUT_SPEED, _TERMIOS_OUTPUT_SPEED = 4, 5
 
 
 class PseudoTerminal:
-    """The unit's end of a serial line."""
+    """Unit side of a serial line."""
 
     def __init__(self, interpreter: CommandInterpreter, *, throttle: bool) -> None:
         self._interpreter = interpreter
@@ -77,7 +77,7 @@ class PseudoTerminal:
 
     @property
     def endpoint(self) -> str:
-        """Address for hosts."""
+        """Address for hosts: path of the pseudo-terminal."""
         return f"serial://{self._path}"
 
     def files(self) -> tuple[int, ...]:
@@ -143,14 +143,14 @@ class PseudoTerminal:
             self._spoken_to = False
 
     def _suspects_break(self) -> bool:
-        """Whether the host seems to have sent a break while its command was executed."""
+        """Return whether the host seems to have sent a break while its command was executed."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
             suspected = self._handle_flush(os.read(self._master, 1)[0]) or suspected
         return suspected and not events  # a host that has sent more since did not send a break
 
     def _handle_flush(self, control: int) -> bool:
-        """Handle a control byte of packet mode; True for a suspected break.
+        """Handle a control byte of packet mode. Return whether it suggests a break.
 
         Hosts flush input alone before a command, and both directions before a break.
         """
@@ -179,7 +179,7 @@ class PseudoTerminal:
 
 
 class HostLine:
-    """The line settings of the host's end, as far as a pseudo-terminal keeps them."""
+    """Line settings on the host's side, as far as a pseudo-terminal stores them."""
 
     def __init__(self, master: int) -> None:
         self._master = master
@@ -187,7 +187,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """Whether host and unit may understand each other; False only if they certainly cannot."""
+        """Return whether host and unit may understand each other; False only if that is impossible."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)
@@ -199,7 +199,7 @@ class HostLine:
 
 
 class HostSideWatch:
-    """Counts opens of the host's end with inotify, the unit's own descriptor excluded."""
+    """Counter of opens on the host's side, by inotify and without the unit's own descriptor."""
 
     def __init__(self, path: str) -> None:
         library = ctypes.CDLL(None, use_errno=True)
@@ -210,7 +210,7 @@ class HostSideWatch:
         self._holders = 0
 
     def events(self) -> tuple[bool, bool]:
-        """Return (opened, last host left) since the previous call."""
+        """Return whether the host side was opened, and whether the last host left, since the last call."""
         try:
             content = os.read(self.file, EVENTS_BYTES)
         except BlockingIOError:

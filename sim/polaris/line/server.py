@@ -1,4 +1,4 @@
-"""Serve one host at a time, over a serial line or TCP, until the process is asked to end."""
+"""Server of one host at a time, over a serial line or TCP, until the process is told to end."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Channel(Protocol):
     """A byte stream to one host."""
 
     def files(self) -> tuple[int, ...]:
-        """File descriptors to wait on."""
+        """Return the file descriptors to wait on."""
         ...
 
     def receive(self, ready: Ready) -> bytes | None:
-        """Bytes from the ready descriptors, possibly none; None when the host is gone."""
+        """Read the ready descriptors. Return the bytes, possibly none; None if the host is gone."""
         ...
 
     def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
-        """Wait as long as this many bytes take to arrive on a line with these settings."""
+        """Wait as long as this many bytes take to arrive with these line settings."""
         ...
 
     def send(self, data: bytes, line: LineSettings) -> None:
@@ -48,7 +48,7 @@ class Channel(Protocol):
 
 
 class Connection:
-    """One TCP connection, without line settings; a host that accepts no reply for `patience_s` is gone."""
+    """One TCP connection, without line settings. A host that accepts no reply for `patience_s` is gone."""
 
     def __init__(self, peer: socket.socket, patience_s: float) -> None:
         self._peer = peer
@@ -68,7 +68,7 @@ class Connection:
             return None
 
     def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
-        """A network has no baud rate: no wait."""
+        """Return without waiting, since a network has no baud rate."""
 
     def send(self, data: bytes, line: LineSettings) -> None:
         try:
@@ -84,14 +84,14 @@ class Connection:
 
 
 class EndSignal:
-    """Wakes a waiting server from a signal handler or another thread."""
+    """Signal that wakes a waiting server, from a signal handler or another thread."""
 
     def __init__(self) -> None:
         self._reader, self._writer = os.pipe()
         self.given = False
 
     def give(self) -> None:
-        """Ask the server to end; safe in a signal handler."""
+        """Ask the server to end. Safe in a signal handler."""
         self.given = True
         os.write(self._writer, b"\0")
 
@@ -100,7 +100,7 @@ class EndSignal:
 
 
 class Server:
-    """Carries bytes between hosts and the command interpreter."""
+    """Carrier of bytes between hosts and the command interpreter."""
 
     def __init__(self, interpreter: CommandInterpreter, end: EndSignal) -> None:
         self._interpreter = interpreter
@@ -110,7 +110,7 @@ class Server:
         self._silent_until_s = inf  # host time from which a silent host yields to a waiting one
 
     def serve_network(self, listener: socket.socket) -> None:
-        """Serve connections one after another; the unit keeps its state between them."""
+        """Serve connections one after another. The unit keeps its state in between."""
         self._listener = listener
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
@@ -125,7 +125,7 @@ class Server:
                 connection.close()
 
     def serve_channel(self, channel: Channel) -> None:
-        """Serve one host until it is gone; for ever on a serial line, which hosts open and close."""
+        """Serve one host until it is gone. On a serial line, which hosts open and close, serve for ever."""
         interpreter = self._interpreter
         faults = LineFaults(interpreter.unit)
         lines = LineBuffer(interpreter.unit.model.longest_command)
@@ -152,12 +152,12 @@ class Server:
                     channel.send(reply, interpreter.reply_line)
 
     def _restart_silence(self) -> None:
-        """Restart the silence limit: the host has connected, or its command was accepted."""
+        """Restart the silence limit, since the host has connected or sent a valid command."""
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 
     def _must_yield(self) -> bool:
-        """Whether a silent network host must yield to one waiting to connect."""
+        """Return whether a silent network host must yield to one waiting to connect."""
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:
             return False
@@ -171,7 +171,7 @@ class Server:
         return poll
 
     def _wait(self, poll: select.poll) -> Ready | None:
-        """Wait for a host or until the unit has something to send; None when asked to end."""
+        """Wait for a host, or until the unit has something to send. Return None when asked to end."""
         until_s = min(self._interpreter.due_s(), self._silent_until_s)
         wait_ms = max(0.0, until_s - time.monotonic()) * 1000.0
         ready = poll.poll(wait_ms)
@@ -179,7 +179,7 @@ class Server:
 
 
 def listen(address: Endpoint) -> socket.socket:
-    """Listen on the address; raises SIM-004 if it is taken."""
+    """Listen on the address; raises SIM-004 if it is in use."""
     try:
         return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:

@@ -1,1 +1,1 @@
-"""From visible markers to one frame of tool poses and strays."""
+"""Measurement: from the visible markers to one frame of tool poses and strays."""

@@ -45,7 +45,7 @@ WITHHELD = SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE | SystemS
 
 @dataclass(frozen=True)
 class Stray:
-    """Marker that belongs to no tool."""
+    """A measured marker that belongs to no tool."""
 
     position_mm: tuple[float, float, float]
     inside: bool
@@ -53,7 +53,7 @@ class Stray:
 
 @dataclass(frozen=True)
 class Frame:
-    """Everything that one reply can report. `tools` pairs each enabled port with its result."""
+    """Everything that a reply can report. `tools` pairs each enabled port with its result."""
 
     number: int
     tools: tuple[tuple[Port, Tracked | None], ...]  # None: no result
@@ -62,7 +62,7 @@ class Frame:
 
 
 class Measurer:
-    """Measures the scene of a world as a unit with these volumes."""
+    """Measurement of a world's scene by a unit with these volumes."""
 
     def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
         truth = world.scene.tracker
@@ -80,11 +80,11 @@ class Measurer:
         self._noise = ReusedNoise(self._seed, DEVICE)
 
     def is_mount_frame(self, port: Port) -> bool:
-        """Whether this port's tool is the reference frame M on the mount."""
+        """Return whether this port's tool is the reference frame M on the mount."""
         return port.definition is not None and self._scene.is_mount_frame(port.definition)
 
     def begin_tracking(self) -> None:
-        """Start a tracking session; each after the first has its own noise.
+        """Start a tracking session. Each later session has its own noise.
 
         A guard that reads the tracker between two steps therefore changes no number of the case, and does not
         repeat the noise of an earlier session.
@@ -94,13 +94,13 @@ class Measurer:
             self._noise = ReusedNoise(self._seed, f"{DEVICE}, session {self._sessions}")
 
     def forget_tools(self) -> None:
-        """Drop caches after tools were loaded, freed or enabled."""
+        """Drop the caches after tools were loaded, freed or enabled."""
         self._visibility.forget()
         self._faces.clear()
 
     @property
     def light(self) -> SystemStatus:
-        """Bits of the system status set by ambient light."""
+        """Ambient-light bits of the system status."""
         too_much = self._disturbances.now().sunlight
         return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 
@@ -185,7 +185,7 @@ def _as_triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
 
 @dataclass(frozen=True)
 class Group:
-    """Markers of one tool or kind: mean and noise, and the rows that both sensors see."""
+    """Markers of one tool or kind: mean positions, noise, and the rows that both sensors see."""
 
     sight: Sight
     seen: list[int]
@@ -194,7 +194,7 @@ class Group:
 
 @dataclass(frozen=True)
 class VisibleMarkers:
-    """All markers in view; `tools` by handle, None for a tool without markers or not in the room."""
+    """All markers in view. `tools` is by handle; None for a tool without markers or not in the room."""
 
     tools: dict[int, Group | None]
     frame: Group | None  # reference frame M, unless loaded under a handle
@@ -203,7 +203,7 @@ class VisibleMarkers:
 
 
 class MarkerVisibility:
-    """Computes the visible markers, and caches them while nothing moves."""
+    """Visibility of markers, cached while nothing moves."""
 
     def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
         self._scene = scene
@@ -220,7 +220,7 @@ class MarkerVisibility:
         self._kept = None
 
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
-        """Markers visible now, with these ports enabled."""
+        """Return the markers now visible with these ports enabled."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
         key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
         if self._kept is None or key != self._key:
@@ -278,7 +278,7 @@ class MarkerVisibility:
         )
 
     def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
-        """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
+        """Return spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
         key = (disturbance, as_tool)
         if self._fixed is None or self._fixed[0] != key:
             spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)

@@ -1,4 +1,4 @@
-"""Optics of the tracker: noise and bias of a single marker, phantom markers, additional strays.
+"""Measurement errors of the tracker: noise and bias of single markers, phantom markers, additional strays.
 
 Tracker frame, mm. The stereo base is half a metre. The error in depth is three to four times that of the
 other two axes; all grow with the square of the distance. Phantom markers are intersections of the
@@ -43,19 +43,19 @@ SPHERES, REFLECTIONS = "tracker extra spheres", "tracker reflections"
 
 @dataclass(frozen=True)
 class Sight:
-    """Mean and standard deviation of the measurement of n points; both (n, 3)."""
+    """Mean and standard deviation of the measurements of n points, both (n, 3)."""
 
     mean_mm: Vectors
     sigma_mm: Vectors
 
     def measured(self, standard_normal: Vectors) -> Vectors:
-        """One measurement (n, 3) from standard normal numbers (n, 3)."""
+        """Return one measurement (n, 3), given standard normal numbers (n, 3)."""
         points: Vectors = self.mean_mm + self.sigma_mm * standard_normal
         return points
 
 
 class Optics:
-    """The pair of sensors. The scene's noise applies at the middle of the unit's first volume."""
+    """Pair of sensors. The scene's noise applies at the centre of the unit's first volume."""
 
     def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
@@ -64,7 +64,7 @@ class Optics:
         self.bias_field = bias_field(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
 
     def sight(self, points_mm: Vectors) -> Sight:
-        """Mean and noise of markers at `points_mm` (n, 3)."""
+        """Return mean and noise of the markers at `points_mm` (n, 3)."""
         if not len(points_mm):
             return Sight(points_mm, points_mm)
         growth = (points_mm[:, 2:] / self._middle_mm) ** 2
@@ -72,7 +72,7 @@ class Optics:
 
 
 def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
-    """Flags (n,): whether each point (n, 3) is in the field of view of both sensors."""
+    """Return flags (n,): whether each point (n, 3) is in the field of view of both sensors."""
     x, y, z = points_mm.T
     nearest, farthest = FIELD_DEPTHS_MM
     slope_x, slope_y = FIELD_SLOPES
@@ -83,7 +83,7 @@ def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
 
 
 def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_mm: float) -> Vectors:
-    """Phantoms (m, 3) of markers at `points_mm` (n, 3); `seen` (2, n) per sensor and marker.
+    """Return phantoms (m, 3) of markers at `points_mm` (n, 3); `seen` (2, n) is per sensor and marker.
 
     Rays closer than `line_separation_mm` intersect, midway between them.
     """
@@ -112,18 +112,18 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
 
 @lru_cache(maxsize=8)
 def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
-    """Positions (n, 3) of spheres added by a fault; the first do not depend on the count."""
+    """Return positions (n, 3) of spheres added by a fault. A larger count keeps the earlier positions."""
     return _draw_places(seed, SPHERES, count, volume)
 
 
 @lru_cache(maxsize=8)
 def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
-    """Positions (n, 3) of reflecting surfaces, which flicker."""
+    """Return positions (n, 3) of reflecting surfaces, which flicker."""
     return _draw_places(seed, REFLECTIONS, count, volume)
 
 
 def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
-    """Reflections (m, 3) in one frame."""
+    """Return reflections (m, 3) seen in one frame."""
     shines = generator.random(len(places_mm)) < REFLECTION_PRESENCE
     wandered = places_mm + generator.normal(0.0, REFLECTION_SPREAD_MM, places_mm.shape)
     found: Vectors = wandered[shines]
@@ -143,7 +143,7 @@ def _draw_places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
 
 
 class BiasField:
-    """Systematic error of the unit: a fixed smooth field over the volume.
+    """Systematic error of the unit, as a fixed smooth field over the volume.
 
     A sum of plane waves drawn from the seed, times a power of the depth. Amplitude and power give the field
     the stated rms length over each of two volumes: what data sheets call volumetric accuracy, the mean error
@@ -151,7 +151,7 @@ class BiasField:
     """
 
     def __init__(self, seed: int, stated: tuple[tuple[Volume, float], ...]) -> None:
-        """`stated` pairs one or two volumes, the smaller first, with their rms length in mm."""
+        """`stated` pairs one or two volumes, smaller first, with the rms length of their error in mm."""
         generator = noise(seed, "tracker bias", 0)
         directions = generator.standard_normal((WAVES, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -169,7 +169,7 @@ class BiasField:
         self._amplitudes_mm *= stated[0][1] / sizes[0].rms(self._power)
 
     def error_at(self, points_mm: Vectors) -> Vectors:
-        """Error (n, 3) at points (n, 3)."""
+        """Return the error (n, 3) at the given points (n, 3)."""
         waves = np.sin(points_mm @ self._waves.T + self._phases) @ self._amplitudes_mm
         field: Vectors = waves * self._depths(points_mm)[:, None] ** self._power
         return field
@@ -181,12 +181,12 @@ class BiasField:
 
 @cache
 def bias_field(seed: int, stated: tuple[tuple[Volume, float], ...]) -> BiasField:
-    """The field, cached: finding its power takes longer than starting the rest of a unit."""
+    """Return the cached bias field. Fitting its power takes longer than the rest of a unit's start."""
     return BiasField(seed, stated)
 
 
 class _Sizes:
-    """Rms length over a volume of a field times a power of the depth."""
+    """Rms length, over a volume, of a field scaled by a power of the depth."""
 
     def __init__(self, field: Vectors, depths: Vectors) -> None:
         self._squares = (field * field).sum(axis=1)
@@ -197,7 +197,7 @@ class _Sizes:
 
 
 def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
-    """Power of the depth that yields this ratio of the two rms lengths, by bisection."""
+    """Return the power of depth that yields this ratio of the two rms lengths, found by bisection."""
     low, high = POWER_RANGE
     for _ in range(POWER_STEPS):
         middle = (low + high) / 2.0
@@ -210,7 +210,7 @@ def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
 
 @cache
 def _grid(volume: Volume) -> Vectors:
-    """Points (n, 3) spread evenly over the volume, read-only."""
+    """Return points (n, 3) spread evenly over the volume, read-only."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)
     middles = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS

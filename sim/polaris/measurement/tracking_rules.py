@@ -1,4 +1,4 @@
-"""Determine a tool's pose from its measured markers, or the reason why there is none.
+"""Rules by which the unit derives a tool's pose from measured markers, or the reason for having none.
 
 In the unit's order: choose the face, fit at least three markers, drop markers beyond the maximum angle, out
 of the volume or beyond the maximum 3D error, test the spread of the rest. Enough markers must remain
@@ -36,7 +36,7 @@ OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 @dataclass(frozen=True)
 class ToolPose:
-    """Pose tracker <- tool (quaternion scalar first) and the rms distance of the fitted markers."""
+    """Pose tracker <- tool (quaternion, scalar first) and rms distance of the fitted markers."""
 
     quaternion: tuple[float, float, float, float]
     position_mm: tuple[float, float, float]
@@ -58,13 +58,13 @@ class Tracked:
 
     @property
     def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
-        """Measured position of each marker of the definition; None if not seen."""
+        """Measured position of each marker in the definition; None for a marker not seen."""
         places = dict(zip(self.seen, self.measured_mm, strict=True))
         return tuple(places.get(number) for number in range(len(self.marker_digits)))
 
     @property
     def markers_inside(self) -> tuple[bool, ...]:
-        """Whether each marker of the definition was measured inside the volume."""
+        """Whether each marker in the definition was measured inside the volume."""
         within = dict(zip(self.seen, self.inside, strict=True))
         return tuple(within.get(number, False) for number in range(len(self.marker_digits)))
 
@@ -77,7 +77,7 @@ def track(
     previous_face: int = 0,
     allowed_faces: int = ALL_FACES,
 ) -> Tracked:
-    """Apply the rules. `seen` are the indices of the markers in `measured_mm` (n, 3), in the same order."""
+    """Apply the rules. `seen` holds the marker index of each row of `measured_mm` (n, 3)."""
     judge = _Judge(definition, seen, measured_mm, inside)
     return judge.tracked(
         best_face(definition, seen, measured_mm, previous_face, allowed_faces), previous_face
@@ -85,7 +85,7 @@ def track(
 
 
 def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
-    """Hide the pose of a tool outside the volume unless it was requested.
+    """Return the result with the pose of an out-of-volume tool hidden unless it was requested.
 
     `outside`: such tools were requested. `partially_outside`: the unit reports them unrequested if some
     markers, but fewer than the minimum, are inside.
@@ -101,7 +101,7 @@ def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) ->
 
 
 class _Judge:
-    """Applies the rules to one tool in one frame, recording the digit of each marker."""
+    """Application of the rules to one tool in one frame, with the status digit of each marker."""
 
     def __init__(
         self, definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]
@@ -146,7 +146,7 @@ class _Judge:
         return self._build_verdict(_as_tool_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _keep(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
-        """Keep the markers that pass a rule; the others get the digit of that rule."""
+        """Keep the markers that pass a rule. The others get the digit of that rule."""
         for k in numbers:
             if not keep[k]:
                 self._digits[markers[k]] = int(digit)
@@ -161,7 +161,7 @@ class _Judge:
 
 
 def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
-    """Whether each marker faces the sensor (the origin) within the maximum angle."""
+    """Return whether each marker faces the sensor (the origin) within the maximum angle."""
     towards = -(normals * markers_mm).sum(axis=1)
     limit = cos(radians(maximum_angle_deg)) * np.sqrt((markers_mm * markers_mm).sum(axis=1))
     facing: list[bool] = (towards >= limit).tolist()
@@ -169,7 +169,7 @@ def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float
 
 
 def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
-    """Volume status: out with every marker outside, partially out with too few inside."""
+    """Return the volume status: out if every marker is outside, partially out if too few are inside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
         return WITHIN
@@ -177,7 +177,7 @@ def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus
 
 
 def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Whether the used markers are spread enough along each of their principal axes.
+    """Return whether the used markers are spread enough along each of their principal axes.
 
     NDI's measure is not public; this one is the distance between the outermost markers.
     """
@@ -197,7 +197,7 @@ def _as_tool_pose(fit: RigidFit) -> ToolPose:
 
 @dataclass(frozen=True)
 class FittedFace:
-    """Visible markers of one face: their indices, their rows in the measurement, and the fit."""
+    """Visible markers of one face: indices, rows in the measurement, and fit."""
 
     face: int
     markers: list[int]
@@ -212,7 +212,7 @@ def best_face(
     previous: int = 0,
     allowed: int = ALL_FACES,
 ) -> FittedFace | None:
-    """Choose the face to track; None if no face has enough visible markers for a fit.
+    """Choose the face to track. Return None if no face has enough visible markers for a fit.
 
     The face turned most directly to the sensor, with hysteresis in favour of `previous`, the face of the last
     frame. `seen` as in `track`; `allowed` has one bit per face that may be tracked, lowest bit for face 1.
@@ -243,7 +243,7 @@ def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Ve
 
 
 def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
-    """Angle between the normal of a face and the direction to the sensor (the origin).
+    """Return the angle between a face's normal and the direction to the sensor (the origin).
 
     0 if the normals cancel out, as with markers back to back: such a face is seen from all around.
     """
@@ -254,7 +254,7 @@ def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> floa
 
 
 class RigidFit(NamedTuple):
-    """Pose tracker <- tool: rotation (3, 3), translation (3,), and the residual (n,) of each marker."""
+    """Fitted pose tracker <- tool: rotation (3, 3), translation (3,), and residuals (n,) of the markers."""
 
     rotation: Vectors
     translation_mm: Vectors
@@ -262,7 +262,7 @@ class RigidFit(NamedTuple):
 
 
 def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
-    """Fit markers (n, 3) to their measured positions (n, 3), n >= 3, paired.
+    """Fit markers (n, 3) to their measured positions (n, 3), paired by row; n >= 3.
 
     Orthogonal Procrustes by SVD (Arun 1987) with Umeyama's sign, so that a mirror image is never returned.
     """
@@ -280,6 +280,6 @@ def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
 
 
 def _determinant(matrix: list[list[float]]) -> float:
-    """Determinant of a (3, 3) matrix; ten times as fast as `numpy.linalg.det`."""
+    """Return the determinant of a (3, 3) matrix, ten times as fast as `numpy.linalg.det`."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

@@ -1,1 +1,1 @@
-"""The unit: model, mode, settings, alerts and faults."""
+"""State of the tracker unit: model, mode, settings, alerts and faults."""

@@ -1,4 +1,4 @@
-"""Framing of requests and replies, and the settings of the serial line.
+"""Framing of requests and replies, and settings of the serial line.
 
 A request is `NAME:args` + CRC, `NAME args`, or the bare name; all end in CR.
 """
@@ -25,7 +25,7 @@ _HEADER = struct.Struct("<HH")
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Rate, bits, parity, stop bits, handshake (COMM); a TCP connection ignores them."""
+    """Baud rate, bits, parity, stop bits and handshake (COMM). A TCP connection ignores them."""
 
     baud: int
     data_bits: int = 8
@@ -47,7 +47,7 @@ class LineSettings:
 
     @property
     def seconds_per_byte(self) -> float:
-        """Transfer time of one byte: start bit, data, parity, stop bits."""
+        """Transfer time of one byte in seconds: start bit, data, parity, stop bits."""
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baud
 
 
@@ -56,18 +56,18 @@ DEFAULT_LINE = LineSettings.from_argument(wire.COMM_DEFAULT_ARGUMENT)
 
 @dataclass(frozen=True)
 class Request:
-    """One command; its argument is everything after the separator, without the CRC."""
+    """One command. Its argument is everything after the separator, without the CRC."""
 
     name: str
     argument: str
 
 
 class Overlong(bytes):
-    """The start of a line that is longer than any command."""
+    """Start of a line that is longer than any command."""
 
 
 class LineBuffer:
-    """Assembles lines from fragments."""
+    """Buffer that assembles lines from fragments."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -76,7 +76,7 @@ class LineBuffer:
         self._overlong = False
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
-        """Return the lines that `data` completes, without CR; a line over the limit becomes Overlong."""
+        """Return the lines that `data` completes, without CR. An overlong line becomes Overlong."""
         if now_s - self._fed_s > STALE_S:
             self._pending = b""
             self._overlong = False

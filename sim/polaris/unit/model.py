@@ -1,4 +1,4 @@
-"""Models of the unit: identity, ports, limits, measuring volumes. Serial numbers are invented.
+"""Models of the unit: identity, ports, limits, measuring volumes. The serial numbers are invented.
 
 Tracker frame: origin at the sensor, z backwards, so everything in view has negative z. A volume is a pyramid
 with a knee, given by the ten numbers of the feature list (SFLIST 03) in its own units: lengths in 1/100 mm,
@@ -20,14 +20,14 @@ WAVELENGTHS = "24"  # as sent by real Spectras; the meaning of its two digits is
 
 @dataclass(frozen=True)
 class Volume:
-    """A measuring volume: shape code and the ten numbers D1..D10."""
+    """Measuring volume: shape code and the ten parameters D1..D10."""
 
     name: str
     shape: str
     dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
-        """Whether a point (tracker frame) is inside."""
+        """Return whether a point in the tracker frame is inside the volume."""
         near_mm, far_mm = self.depths_mm
         if not near_mm <= -z_mm <= far_mm:
             return False
@@ -36,7 +36,7 @@ class Volume:
 
     @cached_property
     def depths_mm(self) -> tuple[float, float]:
-        """Nearest and farthest distance from the sensor, along its axis."""
+        """Nearest and farthest distance from the sensor along its axis."""
         far, _, near, *_ = self.dimensions
         return -near / SFLIST_DIMENSION_SCALE, -far / SFLIST_DIMENSION_SCALE
 
@@ -46,7 +46,7 @@ class Volume:
         return sum(self.depths_mm) / 2.0
 
     def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
-        """Half extents in x and y at a distance from the sensor."""
+        """Return the half extents in x and y at a distance from the sensor."""
         _, _, _, _, _, y_front, y_behind, x_slope, _, _ = self.dimensions
         knee_mm, y_knee_mm, x_knee_mm, y_cap_mm, x_cap_mm = self._lengths_mm
         before_knee_mm = -depth_mm - knee_mm
@@ -57,13 +57,13 @@ class Volume:
 
     @cached_property
     def _lengths_mm(self) -> tuple[float, float, float, float, float]:
-        """Knee, half extents there in y and x, and the largest in y and x."""
+        """Distance of the knee, half extents there in y and x, and largest half extents in y and x, mm."""
         _, knee, _, y_knee, x_knee, _, _, _, y_cap, x_cap = self.dimensions
         scale = SFLIST_DIMENSION_SCALE
         return knee / scale, y_knee / scale, x_knee / scale, y_cap / scale, x_cap / scale
 
     def feature_line(self) -> str:
-        """Record of the feature list: 74 characters, the last a line feed."""
+        """Return the record in the feature list: 74 characters, the last a line feed."""
         numbers = "".join(f"{value:+07d}" for value in self.dimensions)
         return f"{self.shape}{numbers}{WAVELENGTHS}{LF}"
 

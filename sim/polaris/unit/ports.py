@@ -1,4 +1,4 @@
-"""Port handles, which the host requests, loads, initialises and enables; wired tools and their sockets."""
+"""Port handles, which the host requests, loads, initialises and enables; wired tools and sockets."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class Port:
 
     @property
     def occupied(self) -> bool:
-        """Whether the handle has a tool; passive tools cannot be unplugged."""
+        """Whether the handle has a tool. Passive tools cannot be unplugged."""
         return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
 
     @property
     def reflects(self) -> bool:
-        """Whether the unit's own illuminators light its tool."""
+        """Whether the unit's illuminators light the tool."""
         return self.wired_port == 0 and not self.active_wireless
 
     @property
@@ -67,7 +67,7 @@ class Port:
 
 
 class PortTable:
-    """All port handles; a new one gets the lowest free number."""
+    """Table of all port handles. A new handle gets the lowest free number."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -95,7 +95,7 @@ class PortTable:
         raise Refusal(ErrorCode.NO_HANDLES_LEFT)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
-        """Allocate a handle for a socket; raises Refusal if it already has one, or none is left."""
+        """Allocate a handle for a socket; raises Refusal if the socket has one already or none is left."""
         if self.find_by_socket(number) is not None:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE)
         port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
@@ -105,29 +105,29 @@ class PortTable:
         return port
 
     def find_by_socket(self, number: int) -> Port | None:
-        """The handle of a socket, unless its tool was unplugged since."""
+        """Return the port of a socket; None without one, or if its tool has been unplugged."""
         return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
 
     def unplug(self, number: int) -> None:
-        """Mark the tool of a socket as unplugged; the handle stays until freed."""
+        """Mark the tool of a socket as unplugged. Its handle stays until freed."""
         port = self.find_by_socket(number)
         if port is not None:
             port.unoccupied = True
             port.tool = None
 
     def port(self, handle: int) -> Port:
-        """The port of a handle; raises Refusal if it is not allocated."""
+        """Return the port of a handle; raises Refusal if the handle is not allocated."""
         try:
             return self._ports[handle]
         except KeyError:
             raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def require_port(self, argument: str) -> Port:
-        """The port whose handle begins a command's argument; raises Refusal for a bad or unknown handle."""
+        """Return the port whose handle starts a command's argument; raises Refusal for an invalid handle."""
         return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
 
     def require_occupied(self, argument: str) -> Port:
-        """The addressed port; raises Refusal if its tool was unplugged or never plugged in."""
+        """Return the addressed port; raises Refusal if its tool was unplugged or never plugged in."""
         port = self.require_port(argument)
         if port.unoccupied:
             raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
@@ -136,14 +136,14 @@ class PortTable:
         return port
 
     def require_initialised(self, argument: str) -> Port:
-        """The addressed port; raises Refusal unless it is occupied and initialised."""
+        """Return the addressed port; raises Refusal unless it is occupied and initialised."""
         port = self.require_occupied(argument)
         if not port.initialised:
             raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
         return port
 
     def require_wired(self, argument: str) -> Port:
-        """The addressed port; raises Refusal unless it is the occupied port of a wired tool."""
+        """Return the addressed port; raises Refusal unless a wired tool occupies it."""
         port = self.require_occupied(argument)
         if not port.wired_port:
             raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
@@ -158,16 +158,16 @@ class PortTable:
         self._ports.clear()
 
     def enabled(self) -> tuple[Port, ...]:
-        """Enabled ports in order of their handles."""
+        """Return the enabled ports in the order of their handles."""
         return tuple(port for port in self if port.enabled)
 
     def free_place(self) -> int:
-        """Lowest place in the scene without a loaded tool."""
+        """Return the lowest place in the scene without a loaded tool."""
         occupied_places = {port.place for port in self._ports.values()}
         return next(place for place in range(self._size + 1) if place not in occupied_places)
 
     def list_matching(self, query: HandleQuery) -> tuple[Port, ...]:
-        """Ports that a PHSR option lists."""
+        """Return ports that a PHSR option lists."""
         if query is HandleQuery.ALL:
             return tuple(self)
         if query is HandleQuery.TO_BE_FREED:
@@ -182,7 +182,7 @@ class PortTable:
 
 @dataclass
 class WiredTool:
-    """A tool on a cable; without `memory` it needs TTCFG or PVWR."""
+    """A tool on a cable. Without `memory` it needs TTCFG or PVWR."""
 
     memory: bytearray | None
     user_memory: bytearray
@@ -190,7 +190,7 @@ class WiredTool:
 
     @classmethod
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
-        """A tool with `content` in its memory; raises PSU-002 for a wrong length."""
+        """Create a tool with `content` in its memory; raises PSU-002 for a wrong length."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
@@ -202,7 +202,7 @@ class WiredTool:
 
 @dataclass
 class WiredPorts:
-    """The sockets of the tool interface, numbered from 1; `count` is 0 without an interface."""
+    """Sockets of the tool interface, numbered from 1. `count` is 0 without an interface."""
 
     count: int
     tools: dict[int, WiredTool] = field(default_factory=dict)  # all available ones, plugged in or not
@@ -217,7 +217,7 @@ class WiredPorts:
         self.plugged.add(number)
 
     def tool(self, number: int) -> WiredTool | None:
-        """The tool plugged into a socket, if any."""
+        """Return the tool plugged into a socket; None if it is empty."""
         return self.tools.get(number) if number in self.plugged else None
 
 

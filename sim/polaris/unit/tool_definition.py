@@ -1,4 +1,4 @@
-"""Tool definitions: parsed by the unit, written like a tool maker's, and checked for unique geometry.
+"""Tool definitions: parsed by the unit, written as by a tool maker, and checked for unique geometry.
 
 Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame. Segment
 lengths distinguish a tool from its mirror image and from other tools.
@@ -45,7 +45,7 @@ WAVELENGTH_BITS = 0x07  # in the marker type
 
 
 class BadDefinition(Exception):
-    """The bytes are no tool definition; with `limits`, the number of markers, faces or groups is wrong."""
+    """Raised for an invalid tool definition; with `limits`, for a wrong count of markers, faces or groups."""
 
     def __init__(self, what: str, *, limits: bool = False) -> None:
         super().__init__(what)
@@ -79,12 +79,12 @@ class ToolDefinition:
 
     @cached_property
     def different_faces(self) -> tuple[int, ...]:
-        """Numbers of the faces, in ascending order; empty if there is only one."""
+        """Numbers of the faces in ascending order; empty if there is only one."""
         return tuple(sorted(set(self.faces)))
 
 
 def parse_definition(content: bytes) -> ToolDefinition:
-    """Parse the memory of a port handle; raises BadDefinition with the first mistake."""
+    """Parse the memory of a port handle; raises BadDefinition with the first error."""
     if len(content) < rom.ROM_BYTES:
         raise BadDefinition(f"{len(content)} bytes, a definition has {rom.ROM_BYTES}")
     if content[: len(rom.ROM_MAGIC)] != rom.ROM_MAGIC:
@@ -166,13 +166,13 @@ def write_definition(tool: TrackerTool) -> bytes:
 
 
 def build_test_definition() -> bytes:
-    """Test definition that TTCFG loads for a wired tool without memory."""
+    """Build the test definition that TTCFG loads for a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
 
 
 def checksum(content: bytes) -> int:
-    """Checksum of a definition; zero padding does not change it."""
+    """Return the checksum of a definition, which zero padding does not change."""
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
@@ -203,7 +203,7 @@ def _put_text(content: bytearray, offset: int, length: int, text: str) -> None:
 def warning_of(
     tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
 ) -> WarningCode | None:
-    """Warning of PINIT for a tool in the presence of others; None for a valid tool."""
+    """Return the PINIT warning for a tool in the presence of others; None for a valid tool."""
     unique = _has_unique_segments(tool, behaviour)
     conflicts = any(_conflicts(tool, other, behaviour) for other in others)
     if not unique:
@@ -214,7 +214,7 @@ def warning_of(
 
 
 def wavelength_of(tool: ToolDefinition) -> int:
-    """Wavelength code of a tool's markers."""
+    """Return the wavelength code of a tool's markers."""
     return tool.marker_type & WAVELENGTH_BITS
 
 
@@ -250,7 +250,7 @@ def _segments_mm(tool: ToolDefinition) -> dict[tuple[int, int], float]:
 
 
 def _triangles_mm(segments_mm: dict[tuple[int, int], float], markers: int) -> list[list[float]]:
-    """Side lengths of every triangle of markers, shortest first."""
+    """Return the side lengths of every triangle of markers, shortest first."""
     return [
         sorted((segments_mm[a, b], segments_mm[a, c], segments_mm[b, c]))
         for a, b, c in combinations(range(markers), 3)

@@ -1,4 +1,4 @@
-"""User parameters (GET, GETINFO, SET, DFLT, SAVE), and the alerts that hosts read and clear through them."""
+"""User parameters (GET, GETINFO, SET, DFLT, SAVE), and the alerts that hosts read and clear with them."""
 
 from __future__ import annotations
 
@@ -61,17 +61,17 @@ class UserParameters:
         }
 
     def value(self, name: str) -> str:
-        """Value of a parameter; raises Refusal for an unknown name."""
+        """Return the value of a parameter; raises Refusal for an unknown name."""
         known = self._require_parameter(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
     def number(self, name: str) -> int:
-        """Value of an integer parameter."""
+        """Return the value of an integer parameter."""
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """Parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
+        """Return the parameters selected by a name, or by a prefix and `*`; raises Refusal if none match."""
         if not pattern.endswith(WILDCARD):
             return (self._require_parameter(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -81,7 +81,7 @@ class UserParameters:
         return found
 
     def information(self, parameter: Parameter) -> str:
-        """One line of GETINFO, with seven fields."""
+        """Return one line of GETINFO, with seven fields."""
         low, high = parameter.limits or ("", "")
         kind = TYPE_INTEGER if parameter.limits else TYPE_TEXT
         attribute = ATTRIBUTE_WRITE if parameter.writable else ATTRIBUTE_READ
@@ -90,7 +90,7 @@ class UserParameters:
         return ";".join(fields)
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Change a parameter; raises Refusal if it is unknown or read-only, or the value invalid."""
+        """Set a parameter; raises Refusal if it is unknown or read-only, or the value is invalid."""
         parameter = self._require_writable(name, tracking=tracking)
         if parameter.limits is not None:
             value = str(_parse_number_within(value, parameter.limits))
@@ -99,7 +99,7 @@ class UserParameters:
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
-        """Restore factory values; a wildcard skips read-only parameters."""
+        """Restore factory values. A wildcard skips read-only parameters."""
         if not pattern.endswith(WILDCARD):
             parameter = self._require_writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
@@ -109,11 +109,11 @@ class UserParameters:
                 self._store(parameter, parameter.default)
 
     def save(self) -> None:
-        """Store the current settings; a reset restores them."""
+        """Store the current settings, which a reset restores."""
         self._saved = {name: self._values[name] for name, p in self._parameters.items() if p.kept}
 
     def save_value(self, name: str, value: str) -> None:
-        """Set and store one setting, as an earlier user of the unit may have."""
+        """Set and store one setting, as an earlier user of the unit might have done."""
         self.set(name, value, tracking=False)
         self._saved[name] = value
 
@@ -178,7 +178,7 @@ class Parameter:
 
 
 def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
-    """All parameters with factory values, in the order in which a wildcard lists them."""
+    """Return all parameters with factory values, in the order in which a wildcard lists them."""
     return (*_feature_parameters(model, wired_ports), *_setting_parameters(model), *_status_parameters(model))
 
 
@@ -261,14 +261,14 @@ def _number_parameter(
     options: str = "",
     while_tracking: bool = False,
 ) -> Parameter:
-    """An integer that hosts may set and SAVE stores."""
+    """Define an integer parameter that hosts may set and SAVE stores."""
     return Parameter(
         name, str(default), description, True, while_tracking, limits, kept=True, options=options
     )
 
 
 class Alerts:
-    """Present alerts, and new ones, which reading clears.
+    """Present alerts, and new alerts, which reading clears.
 
     Three sources: simulated by the host, actual lasting problems, and a bump, which stays until cleared.
     """
@@ -283,7 +283,7 @@ class Alerts:
         self._raised = Alert(0)
 
     def reset(self) -> None:
-        """Clear bump and simulated alerts at power-up; lasting ones are detected again."""
+        """Clear bump and simulated alerts at power-up. Lasting alerts are detected again."""
         self._simulated = self._raised = self._new = self.current = Alert(0)
         self._update()
 
@@ -293,12 +293,12 @@ class Alerts:
         self._update()
 
     def set_lasting(self, bits: int) -> None:
-        """Set the alerts of actual lasting problems."""
+        """Set the alerts of the present lasting problems."""
         self._lasting = Alert(bits & ALL_ALERTS)
         self._update()
 
     def raise_alert(self, alert: Alert) -> None:
-        """Raise an alert that stays until the host clears it; a bump only if its detection is on."""
+        """Raise an alert until the host clears it. A bump counts only if its detection is on."""
         if alert is Alert.BUMP and not self.detects_bumps:
             return
         self._new |= alert  # a second bump is also a new alert
@@ -313,7 +313,7 @@ class Alerts:
         self._update()
 
     def read_new(self) -> int:
-        """Return the alerts not read before; reading clears them."""
+        """Return the alerts that have not been read yet. Reading clears them."""
         new = int(self._new)
         self._new = Alert(0)
         self._update()

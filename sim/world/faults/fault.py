@@ -1,4 +1,4 @@
-"""Faults of a script, and kinds of fault: phrase, checks against a scene, meaning."""
+"""Faults in a script, and kinds of fault: phrase, checks against a scene, meaning."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a script; `at_s`, `step` or `cycle` determines when it begins."""
+    """One fault in a script. `at_s`, `step` or `cycle` determines when it begins."""
 
     kind: FaultKind
     arguments: Arguments
@@ -37,12 +37,12 @@ class Fault:
 
     @property
     def argument(self) -> str:
-        """First argument; empty for a fault without one."""
+        """First argument; empty for a fault without arguments."""
         return self.arguments[0] if self.arguments else ""
 
     @property
     def phrase(self) -> str:
-        """The fault as written in a script, without beginning and duration."""
+        """The fault as written in a script, without its beginning and duration."""
         words = iter(self.arguments)
         return " ".join(
             next(words) if word in TERMINALS else word
@@ -51,7 +51,7 @@ class Fault:
 
     @property
     def effect(self) -> str:
-        """Effect and timing in words, for the person who injected it."""
+        """Effect and timing in words, for the person injecting the fault."""
         begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
             later = f"{self.after_s:g} s after " if self.after_s else "when "
@@ -65,7 +65,7 @@ class Fault:
         return f"{self.phrase}, {begins}, {duration}. {self.kind.meaning}"
 
     def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
-        """Theatre time of the beginning; infinite while its step is not running, or before its cycle."""
+        """Return the theatre time of the onset; infinite before its step runs, or before its cycle."""
         if self.at_s is not None:
             return self.at_s
         if self.cycle is not None:
@@ -75,13 +75,13 @@ class Fault:
         return math.inf
 
     def begins_in(self, step: str) -> bool:
-        """Whether the fault begins with that step."""
+        """Return whether the fault begins with that step."""
         return self.step in (step, step.partition(":")[0])
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One kind of fault of one device.
+    """One kind of fault that a device can have.
 
     `phrase` is the text between the device's name and `for`: words verbatim, arguments as terminals of the
     grammar (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or until cleared
@@ -98,30 +98,30 @@ class FaultKind:
 
     @cached_property
     def usage(self) -> str:
-        """Phrase with readable arguments."""
+        """Phrase with arguments in readable form."""
         return _replace_words(f"{self.device} {self.phrase}", USAGE)
 
     @property
     def choices(self) -> Sequence[str]:
-        """Words that the first argument may be; empty if any, or if they depend on the scene."""
+        """Words allowed as the first argument; empty if unrestricted, or if they depend on the scene."""
         check = self.check.first if isinstance(self.check, Both) else self.check
         return check.known if isinstance(check, OneOf) else ()
 
     @property
     def example(self) -> str:
-        """Complete line of a script."""
+        """A complete script line as an example."""
         name = self.choices[0] if self.choices else EXAMPLE_NAME
         phrase = _replace_words(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
 
 def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    """Check nothing."""
+    """Accept any argument."""
     yield from ()
 
 
 class DeviceFaults:
-    """Declares the kinds of fault of one device.
+    """Declarator of the kinds of fault of one device.
 
     `prefix` distinguishes their names from those of other devices; `first` checks every first argument.
     """
@@ -136,11 +136,11 @@ class DeviceFaults:
         return self._declare(name, phrase, meaning, check, momentary=False)
 
     def declare_momentary(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
-        """Declare a fault that happens once."""
+        """Declare a fault that occurs once."""
         return self._declare(name, phrase, meaning, check, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
-        """Declare a lasting fault with a percentage, after the first argument if that is checked."""
+        """Declare a lasting fault with a percentage, preceded by the first argument if that is checked."""
         percent = check_at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
         return self.declare_lasting(name, phrase, meaning, percent)
 
@@ -152,7 +152,7 @@ class DeviceFaults:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Check that the first argument is one of the known words."""
+    """Check that the first argument is a known word."""
 
     what: str
     known: Sequence[str]
@@ -162,7 +162,7 @@ class OneOf:
 
 
 def check_at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
-    """Check that an argument does not exceed a limit."""
+    """Check that a numeric argument does not exceed a limit."""
 
     def check(arguments: Arguments, _scene: Scene) -> Iterator[str]:
         if float(arguments[argument]) > largest:
@@ -184,7 +184,7 @@ class Both:
 
 
 def unless_known(what: str, known: Sequence[str], got: str) -> Iterator[str]:
-    """Yield a mistake unless the word is known."""
+    """Yield an error message unless the word is known."""
     if got not in known:
         yield f"expected {what} {join_choices(known)}, got {got}"
 
@@ -195,7 +195,7 @@ def join_choices(words: Sequence[str]) -> str:
 
 
 def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    """Check that the first argument is the number of a fiducial of the scene."""
+    """Check that the first argument is the number of a fiducial in the scene."""
     yield from unless_known(
         "marker", [str(fiducial.number) for fiducial in scene.head.fiducials], arguments[0]
     )

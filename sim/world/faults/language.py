@@ -1,4 +1,4 @@
-"""The language of fault scripts: one fault per line, the same on the command line, in tests and live.
+"""Language of fault scripts: one fault per line, the same on the command line, in tests and live.
 
     at 12.5 s: tracker occlude marker 3 for 2 s
     when step == relocalization: robot drop 5 % for 1 s
@@ -126,12 +126,12 @@ def parse_request(line: str) -> Fault:
 
 
 def has_beginning(line: str) -> bool:
-    """Whether a line states when its fault begins."""
+    """Return whether a line states when its fault begins."""
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
 def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Read a script and check it against the scene and the devices in it; raises SIM-003."""
+    """Read a script and check it against the scene and the devices present; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -154,7 +154,7 @@ def check_faults(
     devices: Sequence[str] = DEVICES,
     loaded: Sequence[str] | None = None,
 ) -> None:
-    """Raise SIM-003 with every fault of a missing device, marker or tool.
+    """Raise SIM-003 listing every fault whose device, marker or tool is missing.
 
     `loaded` are the tools that a client has loaded into the tracker, if known.
     """
@@ -179,7 +179,7 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
 
 
 class Mistake(NamedTuple):
-    """Mistake in a line, with an example of a valid line, and the probable meaning.
+    """Error in a line, with an example of a valid line and the probable meaning.
 
     Only the first mistake of a script gives advice.
     """
@@ -198,7 +198,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
 
 
 def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
-    """Describe the mistake at which the parser stopped; search for the intended line only if it `advises`."""
+    """Describe the error at which the parser stopped. Search for the intended line only if it `advises`."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -231,7 +231,7 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
 
 
 def _is_valid_line(line: str) -> bool:
-    """Whether the parser accepts a line."""
+    """Return whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:
@@ -255,7 +255,7 @@ def _build_grammar() -> Lark:
 
 
 def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
-    """Build the fault of a parsed line; also return whether the line states a duration."""
+    """Build the fault of a parsed line. Also return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
@@ -275,13 +275,13 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
 
 
 def _find_nearest_kind(line: str) -> FaultKind | None:
-    """Kind whose phrase is most similar to the line after its beginning; None if none is close."""
+    """Return the kind of fault whose phrase best matches the line after its beginning; None if no match."""
     by_usage = {kind.usage: kind for kind in FAULT_KINDS}
     return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
 
 
 def _find_intended_line(line: str) -> str | None:
-    """Valid line most similar to this one, with its numbers and names; None if none is close."""
+    """Return the valid line closest to this one, with its numbers and names; None if none is close."""
     fault = _strip_beginning(line)
     beginning = line[: len(line) - len(fault)]
     phrase, lasts, duration = fault.partition(" for ")
@@ -294,13 +294,13 @@ def _find_intended_line(line: str) -> str | None:
 
 
 def _strip_beginning(line: str) -> str:
-    """Strip the beginning of a line, if it has one."""
+    """Strip the beginning of a line, if any."""
     found = _TRIGGER.match(line)
     return line[found.end() :].lstrip() if found else line
 
 
 def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
-    """Fill a kind's phrase with the words at the places of its arguments."""
+    """Fill a kind's phrase with the words found in the places of its arguments."""
     phrase = [kind.device, *kind.phrase.split()]
     for typed in (words, [kind.device, *words]):  # the device is easily forgotten
         if len(typed) in (len(phrase), len(phrase) - 1):  # so is the unit at the end

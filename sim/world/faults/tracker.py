@@ -1,4 +1,4 @@
-"""Kinds of fault of the tracker: view of its sensors, the unit, its line to the host."""
+"""Kinds of fault of the tracker: its sensors' view, the unit, its line to the host."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The scene: its model, the named scenes, and how one is drawn from a seed."""
+"""The scene: its model, the named scenes, and drawing a scene from a seed."""

@@ -1,4 +1,4 @@
-"""Arm, mount and cameras as built: their designs with errors drawn at random.
+"""Arm, mount and cameras as built: their designs plus random errors.
 
 The errors of arm and mount are parameter set S, which reproduces magnitudes measured on a real robot. All
 are one standard deviation. Links: translations 0.40 mm and rotations 0.05 deg per axis. Joints: offsets
@@ -62,7 +62,7 @@ SERIALS = ("21904411", "21904412")
 
 
 def draw_arm(generator: np.random.Generator) -> ArmTruth:
-    """Draw a true arm of parameter set S."""
+    """Draw a true arm with the errors of parameter set S."""
 
     def six(scale: float) -> Any:
         return tuple(float(value) for value in generator.normal(0.0, scale, 6))

@@ -1,4 +1,4 @@
-"""The patient drawn at random: an ellipsoid head, spheres on it, and trajectories between them.
+"""Random patient: an ellipsoidal head, spheres on it, and trajectories between them.
 
 Spheres are on bone screws within the cap of skin that a surgeon can reach, or on the x-shaped frame: it is
 screwed to the skull by one foot, next to the entry points, and stays on from the CT to the end of the
@@ -72,7 +72,7 @@ def draw_head(
     *,
     x_frame: bool = False,
 ) -> Head:
-    """Draw a head with this many spheres (3..8) and targets; raises SIM-001 if they do not fit.
+    """Draw a head with the given numbers of spheres (3..8) and targets; raises SIM-001 if they do not fit.
 
     A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
     """
@@ -128,7 +128,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
 
 
 def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
-    """Spheres of a template, as placed with its jig."""
+    """Return the spheres of a template as implanted with its jig."""
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
@@ -192,13 +192,13 @@ def _draw_targets(
 
 @dataclass(frozen=True)
 class FrameOnHead:
-    """The x-shaped frame on the head: its spheres, and points (n, 3) on its body, CT frame."""
+    """The x-shaped frame on the head: its spheres, and points (n, 3) on its body; CT frame."""
 
     fiducials: tuple[Fiducial, ...]
     body_mm: Vector
 
     def leaves_free(self, entry_mm: Vector, outwards: Vector) -> bool:
-        """Whether a guide over an entry (3,), along a unit vector (3,), is clear of the frame."""
+        """Return whether a guide over an entry (3,), along a unit vector (3,), clears the frame."""
         away = self.body_mm - entry_mm
         along = np.clip(away @ outwards, 0.0, GUIDE_MM)
         lateral_mm = np.linalg.norm(away - along[:, None] * outwards, axis=1)
@@ -206,7 +206,7 @@ class FrameOnHead:
 
 
 def draw_frame(generator: np.random.Generator) -> FrameOnHead:
-    """Draw the place of the frame on the head; raises SIM-001 if none is clear of the skin."""
+    """Draw the place of the frame on the head; raises SIM-001 if it clears the skin nowhere."""
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     left = np.array(LEFT_CT)
     front = np.cross(axis, left)
@@ -260,7 +260,7 @@ def draw_direction(generator: np.random.Generator, axis: Vector, half_angle_rad:
 
 
 def skin_at(direction: Vector, semi_axes_mm: Point = SEMI_AXES_MM) -> tuple[Vector, Vector]:
-    """Point on the skin in a direction from the centre, relative to the centre, and its outward normal."""
+    """Return the skin point in a direction from the centre, relative to it, and the outward normal there."""
     axes = np.array(semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2

@@ -101,7 +101,7 @@ def draw_scene(
 
 
 def _draw_stand(seed: int) -> Stand:
-    """Draw the stand with noise of its own, on which the rest of a scene does not depend."""
+    """Draw the stand with independent noise, so that the rest of the scene does not depend on it."""
     generator = noise(seed, "stand", 0)
     return Stand(
         ball_mm=as_point(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
@@ -111,19 +111,19 @@ def _draw_stand(seed: int) -> Stand:
 
 
 def robot_frame() -> TrackerTool:
-    """Reference frame M on the mount, as a tracker tool."""
+    """Return the reference frame M on the mount, as a tracker tool."""
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 
 def frame_on_head() -> TrackerTool:
-    """The x-shaped frame as a tracker tool."""
+    """Return the x-shaped frame as a tracker tool."""
     return TrackerTool(
         name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
     )
 
 
 def frame_on_guide() -> TrackerTool:
-    """The frame on the guide as a tracker tool, which identifies the mounted tool."""
+    """Return the frame on the guide as a tracker tool, by which the mounted tool is identified."""
     return TrackerTool(
         name=GUIDE_FRAME_NAME, part_number=GUIDE_FRAME_PART_NUMBER, markers_mm=GUIDE_FRAME_MARKERS_MM
     )
