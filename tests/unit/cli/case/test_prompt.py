@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from plain_steps import only_home_remains, plain_order
+from plain_steps import only_home_remains, plain_order, plain_steps
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import Outcome
+from procedures.engine.order import Outcome, order_of
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
@@ -407,3 +408,27 @@ def test_pause_at_an_idle_prompt_says_that_the_case_pauses_before_the_next_step(
     typed = Typed(monkeypatch, "pause")
     typed.at(cell.engine(plain_order()))
     assert typed.said == ["the case will pause before the next step; while a step runs, Ctrl-C pauses it"]
+
+
+def test_a_step_refused_within_a_trajectory_advises_the_step_that_must_come_first(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to(engine.order.find("approach:T1"))
+    typed = Typed(monkeypatch, "back image")
+    typed.at(engine)
+    refused = capsys.readouterr().err
+    assert "Nothing may come between approach:T1 and held:T1: run held:T1 first." in refused
+    assert "run the earlier steps first" not in refused
+
+
+def test_where_the_required_step_needs_the_arm_in_its_place_home_is_advised_as_well(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = [replace(step, moves=step.name == "back") for step in plain_steps()]
+    engine = cell.engine(order_of(steps, ("T1",)))
+    engine.run_to(engine.order.find("approach:T1"))
+    Typed(monkeypatch, "back image").at(engine)
+    assert (
+        "run held:T1 first, or send the arm home (home); then ask why image again." in capsys.readouterr().err
+    )
