@@ -410,16 +410,40 @@ def test_pause_at_an_idle_prompt_says_that_the_case_pauses_before_the_next_step(
     assert typed.said == ["the case will pause before the next step; while a step runs, Ctrl-C pauses it"]
 
 
+def test_a_finished_case_offers_only_what_is_still_possible(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    typed = Typed(
+        monkeypatch, "pause", "acknowledge Ann", "resume", "why image", "to image", "back image", "help"
+    )
+    typed.at(engine)
+    *said, image, to_image = typed.said[:6]
+    assert said == [
+        "nothing to pause: the case is finished",
+        "no device is in fault",
+        "the arm is at rest; the case is finished",
+        "nothing is paused; the case is finished",
+    ]
+    for line in (image, to_image):
+        assert line.endswith("; it cannot be repeated now: the case has ended: finished")
+    assert capsys.readouterr().err.endswith("No further step is possible in this run.\n")
+    assert [line.split()[0] for line in typed.said[6:]] == ["list", "why", "dry", "help", "quit"]
+    assert not engine.checkpoint.wanted
+
+
 def test_a_step_refused_within_a_trajectory_advises_the_step_that_must_come_first(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     engine = cell.engine(plain_order())
     engine.run_to(engine.order.find("approach:T1"))
-    typed = Typed(monkeypatch, "back image")
+    typed = Typed(monkeypatch, "back image", "why image")
     typed.at(engine)
     refused = capsys.readouterr().err
     assert "Nothing may come between approach:T1 and held:T1: run held:T1 first." in refused
     assert "run the earlier steps first" not in refused
+    assert typed.said[-1].endswith("; it cannot be repeated now: only held:T1 may follow approach:T1")
 
 
 def test_where_the_required_step_needs_the_arm_in_its_place_home_is_advised_as_well(
