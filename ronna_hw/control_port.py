@@ -3,7 +3,7 @@
 The port speaks JSON lines over TCP, with one answer per line. The first line carries the token from the READY
 line, `{"token": "..."}`. Requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount",
 "number": 2}`, `{"do": "work", "task": "insert", ...}`, `{"do": "fault", "line": "now: ..."}`, `{"do":
-"clear_faults"}`. Drivers and steps do not use the port.
+"clear_faults"}`, `{"do": "missed_faults"}`. Drivers and steps do not use the port.
 """
 
 from __future__ import annotations

@@ -75,6 +75,17 @@ class CaseProgress:
             return ("the work at every target is done: use home to park the arm",)
         return self.order.unmet(key, self.latest, self.is_settled)
 
+    def advice_now(self, key: StepKey) -> str | None:
+        """Return what to do if another step must directly follow the latest; else None."""
+        only = self.continuation
+        if only is None or key == only or self.is_settled(only):
+            return None
+        between = f"Nothing may come between {self.latest} and {only}"
+        if self.order.spec(only).moves:
+            return f"{between}: run {only} first."
+        # It needs the arm where it is: once the arm is home, other steps may follow.
+        return f"{between}: run {only} first, or send the arm home (home); then ask why {key} again."
+
     def why_not_up_to(self, key: StepKey) -> str:
         """Return why the case cannot be run up to a step; empty if it can."""
         if self.case.stands(key):

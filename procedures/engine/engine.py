@@ -109,7 +109,7 @@ class Engine:
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))
             _log.warning("step refused", step=self._redact(str(key)), unmet=self._redact("; ".join(unmet)))
-            raise StepRefused(f"{key} cannot start: {'; '.join(unmet)}")
+            raise StepRefused(f"{key} cannot start: {'; '.join(unmet)}", action=self._advice(key, unmet))
         spec = self.order.spec(key)
         self.machine.begin(key.name)
         self._show_state()
@@ -149,6 +149,12 @@ class Engine:
         self._recheck_tool()
         self._finish_if_over()
         return stored.record
+
+    def _advice(self, key: StepKey, unmet: tuple[str, ...]) -> str | None:
+        """Return what to do about a refused step; None where its obstacles say it."""
+        if self.machine.ended:
+            return "No further step is possible in this run."
+        return self.course.advice_now(key) if unmet == self.course.why_not_now(key) else None
 
     @property
     def over(self) -> bool:

@@ -96,6 +96,16 @@ def find_runs(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
 
 
+def find_folders_of_runs(folder: Path) -> list[Path]:
+    """Return the subfolders, one level down, that hold runs."""
+    found = []
+    for path in sorted(folder.iterdir()):
+        with suppress(OSError):  # such as one that only others may read
+            if path.is_dir() and find_runs(path):
+                found.append(path)
+    return found
+
+
 def require_run(folder: Path) -> None:
     """Raise CLI-005 if a folder is not a run, naming the runs in it."""
     if is_run(folder):

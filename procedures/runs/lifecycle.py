@@ -216,7 +216,9 @@ def _start_simulated(
     simulated.await_theatre()
     control = simulated.theatre.control
     observers.announce(f"control port {control}")
-    return simulated, SimulatedRoom(control)
+    room = SimulatedRoom(control)
+    stack.push(room.tell_missed_faults(observers.announce))
+    return simulated, room
 
 
 def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:

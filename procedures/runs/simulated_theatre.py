@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -13,7 +14,7 @@ from procedures.operator.question import Task
 from procedures.runs.request import RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.control_port import ControlPortSilent, ask_control_port
-from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST, RonnaError
 from ronna_hw.evidence.manifest import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, await_end, command, run_command
 from ronna_hw.records import write_atomically
@@ -163,6 +164,18 @@ class SimulatedRoom:
             numbers=list(task.numbers),
         )
         return tuple(float(reading) for reading in answer.get("readings", ()))
+
+    def tell_missed_faults(self, tell: Callable[[str], None]) -> Callable[[object, object, object], None]:
+        """Return an exit callback that names the room's faults that began too late to have an effect."""
+
+        def at_exit(_kind: object, problem: object, _trace: object) -> None:
+            if isinstance(problem, ControlPortSilent) or not isinstance(problem, RonnaError | None):
+                return
+            with suppress(RonnaError):  # the theatre may have ended
+                for missed in ask_control_port(self._control, "missed_faults")["missed"]:
+                    tell(f"warning: {missed}")
+
+        return at_exit
 
 
 def ask_verifier(folder: Path) -> Truth:

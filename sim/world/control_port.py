@@ -9,6 +9,7 @@ Each further line is a request, with one answer:
 - `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
 - `{"do": "fault", "line": "now: ..."}`;
 - `{"do": "clear_faults"}`, with a `line` only that fault;
+- `{"do": "missed_faults"}`, answered with `missed`: faults that began too late to have an effect, and why;
 - `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
   inserting an instrument samples the truth at that target.
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import hmac
 import json
+import math
 import secrets
 import socket
 import socketserver
@@ -32,6 +34,8 @@ from ronna_hw.bounded_input import parse_json
 from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.text import printable
+from ronna_hw.wire.room_tasks import DEPTH_STOP
 from sim.world.faults import (
     DEVICES,
     FaultBoard,
@@ -42,13 +46,15 @@ from sim.world.faults import (
     parse_request,
     without_fault,
 )
-from sim.world.faults.room import DEVICE, WRONG_TOOL, tool_numbers
+from sim.world.faults.fault import Fault
+from sim.world.faults.room import DEVICE, MISSED_TASK, WRONG_STOP, WRONG_TOOL, tool_numbers
 from sim.world.options import OnStand
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
 
 LONGEST_REASON = 500  # characters: it may quote the request
+MOST_MISSED = 20  # faults listed in one answer
 
 TOKEN_BYTES = 16  # from the system's random source: unguessable
 MOST_CONNECTIONS = 8
@@ -186,6 +192,9 @@ class Room:
         self._loaded = loaded
         self._staff = Staff(world, folder)
         self._board = FaultBoard(world, DEVICE)
+        self._opened_s = round(world.clock.now_s(), 9)  # as a script states it
+        self._steps: list[tuple[float, str]] = []  # begun so far, with their theatre time
+        self._acted: list[Fault] = []  # of the kinds that act only in a task
         self._one_at_a_time = threading.Lock()  # requests may come from several connections
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -197,6 +206,7 @@ class Room:
             "stand": self._stand,
             "fault": self._fault,
             "clear_faults": self._clear_faults,
+            "missed_faults": self._list_missed_faults,
         }
         action = actions.get(str(request.get("do")))
         if action is None:
@@ -222,13 +232,17 @@ class Room:
     def _step(self, request: dict[str, Any]) -> None:
         name = str(request["name"])
         _, text = self._world.fault_script()
-        started = begin_with_step(text, name, self._world.clock.now_s())
+        now_s = self._world.clock.now_s()
+        started = begin_with_step(text, name, now_s)
+        self._steps.append((round(now_s, 9), name))
         if started != text:
             self._world.set_fault_script(started)
         self._world.enter_step(name)
 
     def _work(self, request: dict[str, Any]) -> dict[str, Any]:
         numbers = [_require_number(value) for value in request.get("numbers", ())]
+        if request["task"] == DEPTH_STOP:
+            self._acted += self._board.active(WRONG_STOP.name)
         readings = self._staff.work(str(request["task"]), str(request.get("trajectory", "")), numbers)
         return {"readings": list(readings)}
 
@@ -242,6 +256,7 @@ class Room:
             )
         for fault in self._board.active(WRONG_TOOL.name):
             number = int(fault.argument)
+            self._acted.append(fault)
         self._world.mount_tool(int(number))
         if self._folder is not None:
             save_world(self._world, self._folder)
@@ -263,6 +278,25 @@ class Room:
         line = request.get("line")
         _, text = self._world.fault_script()
         self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
+
+    def _list_missed_faults(self, _request: dict[str, Any]) -> dict[str, Any]:
+        missed = []
+        for fault in parse_faults(self._world.fault_script()[1]):
+            why, step = MISSED_TASK.get(fault.kind.name), self._step_of_onset(fault)
+            if why is not None and step is not None and not any(map(fault.same_as, self._acted)):
+                ends = fault.at_s is None or math.isfinite(fault.duration_s)
+                when = "while it lasted" if ends else "after that"
+                missed.append(f"{printable(fault.phrase)} had no effect: it began {step}, and {why} {when}")
+        return {"missed": missed[:MOST_MISSED]}
+
+    def _step_of_onset(self, fault: Fault) -> str | None:
+        """Say in which step a fault began; None if it has not, or in an earlier theatre of this world."""
+        if fault.at_s is None:
+            return next((f"in {name}" for _, name in self._steps if fault.begins_in(name)), None)
+        if fault.at_s > self._world.clock.now_s() or 0.0 < fault.at_s <= self._opened_s:
+            return None
+        begun = [name for begun_s, name in self._steps if begun_s <= fault.at_s]
+        return f"in {begun[-1]}" if begun else "before the first step"
 
 
 def _refusal(reason: object, advice: str) -> dict[str, Any]:

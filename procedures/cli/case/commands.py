@@ -19,6 +19,7 @@ from procedures.runs.orders import (
     Next,
     Order,
     Pause,
+    Quit,
     Repeat,
     Resume,
     Run,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 Say = Callable[[str], None]
+AT_END = (ListSteps, Why, DryRun, Help, Quit)  # orders that still count when the case has ended
 
 
 def read_command(engine: Engine, command: str, argument: str) -> Order:
@@ -62,7 +64,7 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
             _repeat(engine, find(step), say)
         case RunTo(step=step):
             if refused := engine.course.why_not_up_to(find(step)):
-                say(f"{refused}; back {step} repeats it" if engine.case.stands(find(step)) else refused)
+                say(refused + (_repetition(engine, find(step)) if engine.case.stands(find(step)) else ""))
             else:
                 engine.run_to(find(step))
         case Why(step=step):
@@ -73,9 +75,12 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
                 _explain(engine, key, say)
         case DryRun(step=step):
             _dry_run(engine, _find_step_or_next(engine, step), say)
+        case Pause() if engine.machine.ended:
+            say(f"nothing to pause: {_describe_nothing_upcoming(engine)}")
         case Pause():
             engine.checkpoint.pause()
-            say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
+            before = "the arm moves" if engine.upcoming is None else "the next step"
+            say(f"the case will pause before {before}; while a step runs, Ctrl-C pauses it")
         case Stop():
             say("no step is running and the arm is at rest; quit leaves the case")
         case Resume():
@@ -92,6 +97,8 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
             raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
         case Help():
             for name, rule in COMMANDS.items():
+                if engine.machine.ended and rule.order not in AT_END:
+                    continue
                 say(f"{f'{name} {rule.argument}'.strip():<22} {rule.does}")
 
 
@@ -130,7 +137,7 @@ def why_not_skipped(engine: Engine, step: str) -> str:
 
 def _explain(engine: Engine, key: StepKey, say: Say) -> None:
     if engine.case.stands(key):
-        say(f"{key} is done and its result is valid; back {key} repeats it")
+        say(f"{key} is done and its result is valid{_repetition(engine, key)}")
         return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
@@ -138,6 +145,12 @@ def _explain(engine: Engine, key: StepKey, say: Say) -> None:
 
     for question in list_questions(engine.order.spec(key)):
         say(f"  asks {question}")
+
+
+def _repetition(engine: Engine, key: StepKey) -> str:
+    """Addition to the status of a step that is done: how it is repeated, or why it cannot be now."""
+    unmet = engine.why_refused(key)
+    return f"; it cannot be repeated now: {'; '.join(unmet)}" if unmet else f"; back {key} repeats it"
 
 
 def _dry_run(engine: Engine, key: StepKey, say: Say) -> None:
@@ -161,7 +174,13 @@ def _resume(engine: Engine, say: Say) -> None:
     if engine.checkpoint.firm:
         state = "the arm was stopped: that is asked about when the next step begins"
     faults = tuple(engine.faults.descriptions.values())
-    say("; ".join((state, *(faults or ("next or to continues",)))))
+    say("; ".join((state, *(faults or (continue_hint(engine, "next or to continues"),)))))
+
+
+def continue_hint(engine: Engine, commands: str) -> str:
+    """Say how the case continues: by these `commands`, unless no step remains."""
+    is_last = engine.machine.ended or engine.upcoming is None
+    return _describe_nothing_upcoming(engine) if is_last else commands
 
 
 def _acknowledge(engine: Engine, by: str, say: Say) -> None:
@@ -186,4 +205,6 @@ def _find_step_or_next(engine: Engine, step: str | None) -> StepKey:
 
 
 def _describe_nothing_upcoming(engine: Engine) -> str:
+    if engine.machine.ended and not engine.over:
+        return f"the case has ended: {engine.machine.state}"
     return "the case is finished" if engine.over else "every step is done; home brings the arm home"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.commands import Say, carry_out, read_command, why_not_skipped
+from procedures.cli.case.commands import Say, carry_out, continue_hint, read_command, why_not_skipped
 from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_input, forget_typed, plain_prompt
 from procedures.engine.errors import UnknownStep
 from procedures.engine.states import ABORTED
@@ -172,7 +172,7 @@ class Prompt:
                 fail_with(error)
         else:
             if order is Acknowledge and not engine.faults.now:
-                self._say(f"the arm is at rest; {self._continue_hint}")
+                self._say(f"the arm is at rest; {self._continue_hint(engine)}")
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
@@ -183,12 +183,13 @@ class Prompt:
             if fault not in str(error):
                 self._say(fault)
         self._alarms.take_new_lines()  # shown here already
-        self._say(f"{HELD}; {self._continue_hint}")
+        self._say(f"{HELD}; {self._continue_hint(engine)}")
 
-    @property
-    def _continue_hint(self) -> str:
-        """Command that continues the case at this prompt. `next` works at every prompt."""
-        return "resume continues, next does one step" if self._resumes else "next continues"
+    def _continue_hint(self, engine: Engine) -> str:
+        """Command that continues the case at this prompt."""
+        if self._resumes:
+            return "resume continues, next does one step"
+        return continue_hint(engine, "next continues")
 
     def _print_resume_hint(self, engine: Engine) -> None:
         if not engine.machine.ended:

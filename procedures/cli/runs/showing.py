@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from procedures.reporting.ending import Ending, resumes, run_ending
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.runs.folders import find_run_holder, find_runs
+from procedures.runs.folders import find_folders_of_runs, find_run_holder, find_runs
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
@@ -30,6 +31,11 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
     rows = [_summarize_run(run) for run in find_runs(folder)]
     if as_json:
         print_json({"runs": rows})
+        return
+    if not rows:
+        say(f"no runs in {folder}")
+        for holder in find_folders_of_runs(folder):
+            say(f"{holder} holds runs: ronna-procedure list {shlex.quote(str(holder))}")
         return
     print_table(
         f"Runs in {folder}",

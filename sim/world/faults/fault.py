@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sim.world.scene.model import Scene
@@ -73,6 +73,10 @@ class Fault:
         if self.begins_in(step) and not self.lasts:  # the control port sets a time for lasting ones
             return step_started_s
         return math.inf
+
+    def same_as(self, other: Fault) -> bool:
+        """Whether both are the same fault, wherever they stand in the script."""
+        return replace(self, line=other.line) == other
 
     def begins_in(self, step: str) -> bool:
         """Return whether the fault begins with that step."""

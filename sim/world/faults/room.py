@@ -59,7 +59,7 @@ TURN = declare_lasting(
     OneOf("to turn the", (HEAD, CART, GUIDE)),
 )
 WRONG_STOP = declare_lasting(
-    "wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep."
+    "wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep, at each setting."
 )
 BENT_TIP = declare_lasting(
     "bent_tip",
@@ -69,7 +69,7 @@ BENT_TIP = declare_lasting(
 WRONG_TOOL = declare_lasting(
     "wrong_tool",
     "wrong tool INT",
-    "The tool with this number is mounted, whichever was asked for; 0: none.",
+    "At each tool change the tool with this number is mounted, whichever was asked for; 0: none.",
     _check_tool,
 )
 WRONG_MANDREL = declare_lasting(
@@ -87,6 +87,8 @@ WRONG_LOAD = declare_lasting(
     "wrong load SIGNED kg",
     "The load on the flange exceeds the load data in the controller by that much: the arm sags.",
 )
+MISSED_TASK = {WRONG_TOOL.name: "no tool was mounted", WRONG_STOP.name: "no depth stop was set"}
+"""Faults that act only while the staff do a task, and why one had no effect."""
 ROOM_FAULTS = (
     SHIFT,
     UNLOCKED,

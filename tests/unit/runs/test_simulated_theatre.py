@@ -1,4 +1,4 @@
-"""A simulated theatre does not outlive the case that could not be started."""
+"""A simulated theatre at the end of its run, and of a case that could not be started."""
 
 import errno
 import os
@@ -8,7 +8,11 @@ import pytest
 
 from procedures.runs import simulated_theatre
 from procedures.runs.request import CaseProcedure, RunRequest
-from procedures.runs.simulated_theatre import SimulatedTheatre
+from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
+from ronna_hw.errors import RonnaError
+from sim.world.control_port import ControlPort, Room
+from sim.world.scene.named_scenes import draw_scene
+from sim.world.world import World
 
 
 def test_the_theatre_ends_when_its_patient_cannot_be_started(
@@ -30,3 +34,27 @@ def test_the_theatre_ends_when_its_patient_cannot_be_started(
     with pytest.raises(OSError, match="Resource temporarily unavailable"):
         SimulatedTheatre(RunRequest(procedure=CaseProcedure()), tmp_path, tmp_path / "phantom")
     assert ended == ["theatre"]
+
+
+@pytest.mark.parametrize(
+    ("problem", "named"), [(None, True), (RonnaError("a failed step"), True), (KeyboardInterrupt(), False)]
+)
+def test_a_fault_that_came_too_late_is_named_when_the_run_ends(
+    problem: BaseException | None, named: bool
+) -> None:
+    world = World.create(draw_scene("mini"), paced=False)
+    world.set_fault_script("at 0 s: room wrong tool 1")
+    port = ControlPort(Room(world, None))
+    told: list[str] = []
+    at_exit = SimulatedRoom(port.endpoint).tell_missed_faults(told.append)
+    at_exit(None, problem, None)
+    port.close()
+    at_exit(None, problem, None)  # the theatre has ended: that is no error here
+    assert (
+        told
+        == [
+            "warning: room wrong tool 1 had no effect: it began before the first step, and no tool was "
+            "mounted after that"
+        ]
+        * named
+    )

@@ -179,6 +179,69 @@ def test_a_since_fault_begins_with_its_step_and_outlasts_it() -> None:
     assert "since" not in world.fault_script()[1]
 
 
+@pytest.mark.parametrize(
+    ("fault", "task"),
+    [("wrong tool 1", "no tool was mounted"), ("depth stop off by 4 mm", "no depth stop was set")],
+)
+@pytest.mark.parametrize(
+    ("begins", "when"),
+    [
+        ("when step == positioning:T1", "while it lasted"),
+        ("since step == positioning:T1", "after that"),
+        ("now", "after that"),
+    ],
+)
+def test_a_fault_that_came_after_its_last_task_is_named_with_its_step_and_the_reason(
+    fault: str, task: str, begins: str, when: str
+) -> None:
+    world = a_world()
+    room = Room(world, None)
+    if begins != "now":
+        world.set_fault_script(f"{begins}: room {fault}")
+    for request in (
+        {"do": "step", "name": "tool_change"},
+        {"do": "mount", "number": SCENE.mount.tool_number_guide},
+        {"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]},
+    ):
+        assert room.answer(request)["ok"]
+    assert room.answer({"do": "missed_faults"})["missed"] == []  # its step may still come
+    world.clock.advance_cycle(1_000_000_000)
+    room.answer({"do": "step", "name": "positioning:T1"})
+    if begins == "now":
+        world.clock.advance_cycle(2_000_000_000)
+        assert room.answer({"do": "fault", "line": f"now: room {fault}"})["ok"]
+    world.clock.advance_cycle(3_000_000_000)
+    room.answer({"do": "step", "name": "retreat:T1"})
+    (missed,) = room.answer({"do": "missed_faults"})["missed"]
+    assert missed == f"room {fault} had no effect: it began in positioning:T1, and {task} {when}"
+
+
+def test_a_missed_fault_with_an_endless_number_is_cut_and_not_its_reason() -> None:
+    world = a_world()
+    room = Room(world, None)
+    world.set_fault_script(f"at 0 s: room depth stop off by {'9' * 3000} mm")
+    (missed,) = room.answer({"do": "missed_faults"})["missed"]
+    assert missed.endswith(
+        "had no effect: it began before the first step, and no depth stop was set after that"
+    )
+    assert len(missed) < 300
+
+
+def test_a_fault_that_acted_in_its_task_is_not_named_at_the_end() -> None:
+    world = a_world()
+    room = Room(world, None)
+    world.set_fault_script(
+        "at 0 s: room wrong tool 1\nwhen step == at_target:T1: room depth stop off by 4 mm"
+    )
+    assert room.answer({"do": "mount", "number": SCENE.mount.tool_number_guide})["ok"]
+    room.answer({"do": "step", "name": "at_target:T1"})
+    assert room.answer({"do": "work", "task": DEPTH_STOP, "numbers": [STOP_MM]})["readings"] == [
+        STOP_MM + 4.0
+    ]
+    room.answer({"do": "clear_faults", "line": "room wrong tool 1"})  # the other is in another line now
+    assert room.answer({"do": "missed_faults"})["missed"] == []
+
+
 def test_staff_touch_the_head_of_the_patient_on_the_given_side(tmp_path: Path) -> None:
     nose = Staff(a_world(), tmp_path).work(TOUCH, "", (0.0, -1.0, 0.0))
     head = SCENE.head

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from plain_steps import only_home_remains, plain_order
+from plain_steps import only_home_remains, plain_order, plain_steps
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import Outcome
+from procedures.engine.order import Outcome, order_of
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
@@ -407,3 +408,51 @@ def test_pause_at_an_idle_prompt_says_that_the_case_pauses_before_the_next_step(
     typed = Typed(monkeypatch, "pause")
     typed.at(cell.engine(plain_order()))
     assert typed.said == ["the case will pause before the next step; while a step runs, Ctrl-C pauses it"]
+
+
+def test_a_finished_case_offers_only_what_is_still_possible(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    typed = Typed(
+        monkeypatch, "pause", "acknowledge Ann", "resume", "why image", "to image", "back image", "help"
+    )
+    typed.at(engine)
+    *said, image, to_image = typed.said[:6]
+    assert said == [
+        "nothing to pause: the case is finished",
+        "no device is in fault",
+        "the arm is at rest; the case is finished",
+        "nothing is paused; the case is finished",
+    ]
+    for line in (image, to_image):
+        assert line.endswith("; it cannot be repeated now: the case has ended: finished")
+    assert capsys.readouterr().err.endswith("No further step is possible in this run.\n")
+    assert [line.split()[0] for line in typed.said[6:]] == ["list", "why", "dry", "help", "quit"]
+    assert not engine.checkpoint.wanted
+
+
+def test_a_step_refused_within_a_trajectory_advises_the_step_that_must_come_first(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to(engine.order.find("approach:T1"))
+    typed = Typed(monkeypatch, "back image", "why image")
+    typed.at(engine)
+    refused = capsys.readouterr().err
+    assert "Nothing may come between approach:T1 and held:T1: run held:T1 first." in refused
+    assert "run the earlier steps first" not in refused
+    assert typed.said[-1].endswith("; it cannot be repeated now: only held:T1 may follow approach:T1")
+
+
+def test_where_the_required_step_needs_the_arm_in_its_place_home_is_advised_as_well(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = [replace(step, moves=step.name == "back") for step in plain_steps()]
+    engine = cell.engine(order_of(steps, ("T1",)))
+    engine.run_to(engine.order.find("approach:T1"))
+    Typed(monkeypatch, "back image").at(engine)
+    assert (
+        "run held:T1 first, or send the arm home (home); then ask why image again." in capsys.readouterr().err
+    )

@@ -91,6 +91,18 @@ def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> Non
     assert run.name in in_this_process(app, "list", run.parent).stdout
 
 
+def test_list_of_a_folder_without_runs_names_the_subfolders_that_hold_some(tmp_path: Path) -> None:
+    new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path / "my runs")
+    (tmp_path / "empty").mkdir()
+    below = tmp_path / "my runs"
+    assert in_this_process(app, "list", tmp_path).stdout.splitlines() == [
+        f"no runs in {tmp_path}",
+        f"{below} holds runs: ronna-procedure list '{below}'",
+    ]
+    assert in_this_process(app, "list", tmp_path / "empty").stdout == f"no runs in {tmp_path / 'empty'}\n"
+    assert json.loads(in_this_process(app, "list", tmp_path, "--json").stdout) == {"runs": []}
+
+
 def test_show_counts_a_restart_that_ran_no_step_apart_from_those_that_resumed_the_run(tmp_path: Path) -> None:
     folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     journal = RecordingCell(folder).journal
