@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,11 +28,12 @@ from ronna_hw.evidence.manifest import (
     RAW_FOLDER,
     REPORT_FILE,
     REQUEST_FILE,
-    SEAL_FILE,
     Manifest,
     is_sealed,
     seal,
+    seal_report,
 )
+from ronna_hw.evidence.unsealed import describe_unconfirmed_files
 from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.host.process import allow_interruption, defer_interruption
 from ronna_hw.records import PARTIAL, write_atomically
@@ -130,7 +132,8 @@ def write_final_report(
 def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
     """Rebuild the report of any run folder; `after` adds the check after the operation.
 
-    Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
+    The journal is not continued, and a run without a seal remains without one. Raises without `out`
+    PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
     from procedures.reporting.files import drop_unconfirmed_truth
     from procedures.reporting.report import write_report
@@ -140,21 +143,19 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
             drop_unconfirmed_truth(run)
-            if found.chain.is_closed and not is_sealed(run):
-                from procedures.runs.interrupted_run import read_interrupted_run
-                from procedures.runs.reopening import rewrite_end
-
-                rewrite_end(read_interrupted_run(run))
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
+        unconfirmed = tuple(describe_unconfirmed_files(found))
+        for sentence in unconfirmed:
+            tell(sentence)
+        write = partial(write_report, run, truth=find_truth(run), after=after, unconfirmed=unconfirmed)
         if out is not None:
-            return write_report(run, truth=find_truth(run), out=out, after=after)
+            return write(out=out)
         beside = run / BESIDE
         try:
-            write_report(run, truth=find_truth(run), out=beside, after=after)
+            write(out=beside)
             with defer_interruption():
                 _take_over(beside, run)
-                seal_run(run)
         finally:
             remove_folder(beside)
     return run / REPORT_FILE
@@ -274,11 +275,14 @@ def _has_other_run_left_arm_away(folder: Path) -> bool:
 
 
 def _take_over(source: Path, run: Path) -> None:
-    """Move a report into a run. The seal goes first: a run killed meanwhile is whole, and lacks only it."""
-    if is_sealed(run):
-        (run / SEAL_FILE).unlink()
+    """Move a report into a run. Its seal covers no report meanwhile: a kill costs only the report."""
+    sealed = (run / JOURNAL_FILE).exists() and is_sealed(run)
+    if sealed:
+        seal_report(run, finished=False)
     for path, *_ in sorted(walk(source)):
         place = run / path.relative_to(source)
         if path.is_file():
             place.parent.mkdir(exist_ok=True)
             path.replace(place)
+    if sealed:
+        seal_report(run)
