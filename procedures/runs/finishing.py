@@ -30,6 +30,7 @@ from ronna_hw.evidence.manifest import (
     REQUEST_FILE,
     Manifest,
     is_sealed,
+    read_seal,
     seal,
     seal_report,
 )
@@ -61,24 +62,31 @@ class Finalized:
 
 
 @contextlib.contextmanager
-def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
-    """Write report and seal of the run in `folder` at the end of the block, even after an error."""
+def finalize_run(
+    folder: Path, left: InterruptedRun | None = None, *, with_truth: bool = True, name_report: bool = True
+) -> Iterator[Finalized]:
+    """Write report and seal of the run in `folder` at the end of the block, even after an error.
+
+    `left` is the run as it was found, if it had begun before.
+    """
     final = Finalized()
     try:
         yield final
     except BaseException as problem:  # also an interruption: every run leaves a report
-        final.report = end_unfinished_run(folder, problem)
+        final.report = end_unfinished_run(folder, problem, left)
         raise
     final.report = write_final_report(folder, with_truth=with_truth, tell_path=name_report)
-    seal_run(folder)
+    seal_run(folder, left)
 
 
-def end_unfinished_run(folder: Path, problem: BaseException) -> Path | None:
+def end_unfinished_run(
+    folder: Path, problem: BaseException, left: InterruptedRun | None = None
+) -> Path | None:
     """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
     remove_if_refused(folder, problem)
     remove_if_empty(folder)
     report = write_final_report(folder, as_run_error(problem))
-    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
+    seal_run(folder, left, at_once=isinstance(problem, KeyboardInterrupt))
     tell_next_commands(folder, problem)
     return report
 
@@ -171,10 +179,12 @@ def as_run_error(problem: BaseException) -> RunError | None:
     return RunError(code=error.code, what=error.what)
 
 
-def seal_run(folder: Path, *, at_once: bool = False) -> None:
+def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool = False) -> None:
     """Seal the files of a run, its report included; failures are told, not raised.
 
-    Slow work is skipped if the end must come `at_once`, or when it is interrupted.
+    If its journal is still as it was `left`, no line names what was found changed: that keeps its former
+    hash, and a run without a seal remains without one. Slow work is skipped if the end must come `at_once`,
+    or when it is interrupted.
     """
     if not (folder / JOURNAL_FILE).exists():
         return
@@ -182,9 +192,16 @@ def seal_run(folder: Path, *, at_once: bool = False) -> None:
         _keep_raw(folder, at_once=at_once)
     try:
         chain = read_chain(folder / JOURNAL_FILE)
-        if chain.is_closed:
-            manifest = Manifest(chain.lines)
-            seal(folder, manifest.files, manifest.unvouched_files)
+        if not chain.is_closed:
+            return
+        manifest, changed = Manifest(chain.lines), set[str]()
+        former: dict[str, str] = {}
+        if left is not None and left.chain.last == chain.last:
+            if (found := read_seal(folder)) is None or not is_sealed(folder):
+                return
+            former, changed = found.files, {change.file for change in left.changes}
+        kept = {name: sha256 for name, sha256 in former.items() if name in changed}
+        seal(folder, manifest.files, {*manifest.unvouched_files, *changed}, kept)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 

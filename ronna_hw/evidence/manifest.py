@@ -48,7 +48,8 @@ APART = (
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
-TRUTH_FILES = ("theatre/scene.json", "theatre/truth.jsonl")  # constant, and growing while a step runs
+SCENE_FILE = "theatre/scene.json"
+TRUTH_FILES = (SCENE_FILE, "theatre/truth.jsonl")  # constant, and growing while a step runs
 GROWING = TRUTH_FILES[1:]
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 TRUTH_FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
@@ -314,17 +315,24 @@ class Seal(BaseModel):
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
-def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
+def seal(
+    folder: Path,
+    closed: Collection[str],
+    apart: Collection[str] = (),
+    kept: Mapping[str, str] | None = None,
+) -> None:
     """Seal every file that is neither in `closed`, the last line of the journal, nor in `apart`.
 
-    Raises OSError.
+    Files in `kept` keep these hashes. Raises OSError.
     """
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
     new_seal = Seal(
-        journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later
+        journal_bytes=journal.stat().st_size,
+        journal_sha256=sha256_of(journal),
+        files=later | dict(kept or {}),
     ).with_own_hash()
     write_atomically(folder / SEAL_FILE, _encode_seal(new_seal))
 

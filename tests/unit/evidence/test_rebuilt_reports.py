@@ -11,9 +11,9 @@ from user_commands import in_this_process
 
 from procedures.cli.procedure import app
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.finishing import complete_seal
+from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import read_interrupted_run
-from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED
+from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, DeviceError
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import LOG_FILES, SEAL_FILE, WORLD_FILE, seal_report
@@ -72,3 +72,18 @@ def test_a_new_report_of_a_sealed_run_leaves_the_rest_of_its_seal(run: Path) -> 
     (run / "log.jsonl").write_text("exchanged meanwhile\n")
     seal_report(run)
     assert changed_files(run) == {"log.jsonl"}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("sealed", [True, False])
+def test_a_command_that_fails_before_its_first_line_vouches_for_nothing(run: Path, sealed: bool) -> None:
+    (run / WORLD_FILE).write_text("")
+    (run / "notes.txt").write_text("mine")
+    if not sealed:
+        (run / SEAL_FILE).unlink()
+    left = read_interrupted_run(run, only_leaving=True)
+    (run / "log.jsonl").write_text("written by this command\n")
+    with pytest.raises(DeviceError), finalize_run(run, left):
+        raise DeviceError("no device answers")
+    named = {problem.file for problem in inspect_run(run).problems}
+    assert named == ({WORLD_FILE, "notes.txt"} if sealed else {SEAL_FILE, "notes.txt"})
