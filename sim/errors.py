@@ -67,7 +67,10 @@ class BadSavedWorld(DataError):
     """The world left by the last theatre cannot be read."""
 
     code = "SIM-012"
-    action = "The file was changed; start a new run, or a theatre without --continue."
+    action = (
+        "Put the file back from a copy; without one this world is lost: start a new run, or a theatre "
+        "without --continue."
+    )
 
 
 class BadCalibrationFile(DataError):

@@ -72,6 +72,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, read_hashes
+from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
 from ronna_hw.text import escape_controls
 
@@ -86,11 +87,13 @@ def write_report(
     error: RunError | None = None,
     out: Path | None = None,
     after: PostoperativeResult | None = None,
+    unconfirmed: Sequence[str] = (),
 ) -> Path:
     """Write the report of a run into its folder, or into `out`; return the path of the report.
 
     `truth` is the theatre verifier's result, `after` the postoperative check; both default to what is stored
-    in the folder. `error` is the command line's. Raises OSError when it cannot be written, and nothing that
+    in the folder. `error` is the command line's. `unconfirmed` says what no seal vouches for; what had none
+    when the run was resumed is in its journal. Raises OSError when it cannot be written, and nothing that
     the run's content can cause.
     """
     out = run if out is None else out
@@ -158,6 +161,7 @@ def write_report(
         "findings": _findings(reading),
         "left_out": _describe_exclusions(reading),
         "changes": reading.changes,
+        "unconfirmed": [*describe_unsealed_files(tuple(reading.run.journal)), *unconfirmed],
         "problems": reading.problems,
     }
     path = out / REPORT_FILE

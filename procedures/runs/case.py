@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.engine.order import CaseOrder
@@ -83,6 +84,7 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the engine input of a case, and keep its plan locked until `held` closes."""
     from procedures.calibration.validity import options_of, require_valid
+    from procedures.engine.errors import RecoveryRefused
     from procedures.engine.setting import now_to_second
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
@@ -101,8 +103,17 @@ def prepare_case(
     file = case_folder(case, folder) / "plan.toml"
     if case.plan is not None and (resumption is None or resumption.interrupted.untouched):
         write_atomically(file, read_bounded(case.plan, LARGEST_TOML_BYTES))  # instead of the phantom's own
-    plan = held.enter_context(lock_plan(file))
-    order = order_of_case(case, folder, plan)
+    try:
+        plan = held.enter_context(lock_plan(file))
+        order = order_of_case(case, folder, plan)
+    except RonnaError as problem:
+        if resumption is None or resumption.interrupted.untouched:
+            raise
+        raise RecoveryRefused(
+            f"the run cannot be resumed: {file} is not as it was",
+            expected="the plan that the run was opened with",
+            got=problem.summary,
+        ) from problem
     if request.answers is not None:
         request.answers.check_trajectories(order.trajectories)
     return EngineInput(order, clinical=clinical_input(case, folder, plan))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
-from procedures.runs.case import clinical_input, order_of_case
+from procedures.runs.case import clinical_input, restore_order
 from procedures.runs.finishing import as_run_error
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
@@ -53,7 +53,7 @@ def finish_case(
 
     folder = interrupted.folder
     if not interrupted.untouched:
-        order = order_of_case(request.case, folder)
+        order = restore_order(request.case, interrupted)
         if CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.arm.place.is_out:
             closed = close_completed_run(interrupted, clinical_input(request.case, folder))
             return outcome_as_recorded(request, closed)
@@ -66,7 +66,7 @@ def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> Fin
     from ronna_hw.evidence.manifest import is_sealed
 
     folder, journal = interrupted.folder, interrupted.run.journal
-    order = order_of_case(request.case, folder)
+    order = restore_order(request.case, interrupted)
     outcome = build_finished_outcome(
         request,
         interrupted.restore_case(order),

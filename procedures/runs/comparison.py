@@ -7,6 +7,7 @@ recorded orientation of that frame.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -41,6 +42,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.errors import RonnaError
+from ronna_hw.records import canonical_json
 from ronna_hw.text import format_count
 
 FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
@@ -167,7 +169,8 @@ def _describe_device(identity: DeviceIdentity) -> str:
 
 
 def _describe_record(record: DatedRecord) -> str:
-    return f"{record.identifier} of {record.created:%Y-%m-%d}"
+    digest = hashlib.sha256(canonical_json(record.model_dump(mode="json"))).hexdigest()
+    return f"{record.identifier} of {record.created:%Y-%m-%d %H:%M:%S %Z} (SHA-256 begins {digest[:8]})"
 
 
 def _compare_calibrations(

@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,11 +28,13 @@ from ronna_hw.evidence.manifest import (
     RAW_FOLDER,
     REPORT_FILE,
     REQUEST_FILE,
-    SEAL_FILE,
     Manifest,
     is_sealed,
+    read_seal,
     seal,
+    seal_report,
 )
+from ronna_hw.evidence.unsealed import describe_unconfirmed_files
 from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.host.process import allow_interruption, defer_interruption
 from ronna_hw.records import PARTIAL, write_atomically
@@ -59,24 +62,31 @@ class Finalized:
 
 
 @contextlib.contextmanager
-def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
-    """Write report and seal of the run in `folder` at the end of the block, even after an error."""
+def finalize_run(
+    folder: Path, left: InterruptedRun | None = None, *, with_truth: bool = True, name_report: bool = True
+) -> Iterator[Finalized]:
+    """Write report and seal of the run in `folder` at the end of the block, even after an error.
+
+    `left` is the run as it was found, if it had begun before.
+    """
     final = Finalized()
     try:
         yield final
     except BaseException as problem:  # also an interruption: every run leaves a report
-        final.report = end_unfinished_run(folder, problem)
+        final.report = end_unfinished_run(folder, problem, left)
         raise
     final.report = write_final_report(folder, with_truth=with_truth, tell_path=name_report)
-    seal_run(folder)
+    seal_run(folder, left)
 
 
-def end_unfinished_run(folder: Path, problem: BaseException) -> Path | None:
-    """Write report and seal of a run that ended with `problem`. Remove the folder if the run never began."""
+def end_unfinished_run(
+    folder: Path, problem: BaseException, left: InterruptedRun | None = None
+) -> Path | None:
+    """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
     remove_if_refused(folder, problem)
     remove_if_empty(folder)
     report = write_final_report(folder, as_run_error(problem))
-    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
+    seal_run(folder, left, at_once=isinstance(problem, KeyboardInterrupt))
     tell_next_commands(folder, problem)
     return report
 
@@ -130,7 +140,8 @@ def write_final_report(
 def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
     """Rebuild the report of any run folder. `after` adds the postoperative check.
 
-    Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
+    The journal is not continued, and a run without a seal remains without one. Raises without `out`
+    PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
     from procedures.reporting.files import drop_unconfirmed_truth
     from procedures.reporting.report import write_report
@@ -140,21 +151,19 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
             drop_unconfirmed_truth(run)
-            if found.chain.is_closed and not is_sealed(run):
-                from procedures.runs.interrupted_run import read_interrupted_run
-                from procedures.runs.reopening import rewrite_end
-
-                rewrite_end(read_interrupted_run(run))
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
+        unconfirmed = tuple(describe_unconfirmed_files(found))
+        for sentence in unconfirmed:
+            tell(sentence)
+        write = partial(write_report, run, truth=find_truth(run), after=after, unconfirmed=unconfirmed)
         if out is not None:
-            return write_report(run, truth=find_truth(run), out=out, after=after)
+            return write(out=out)
         beside = run / BESIDE
         try:
-            write_report(run, truth=find_truth(run), out=beside, after=after)
+            write(out=beside)
             with defer_interruption():
                 _take_over(beside, run)
-                seal_run(run)
         finally:
             remove_folder(beside)
     return run / REPORT_FILE
@@ -170,10 +179,12 @@ def as_run_error(problem: BaseException) -> RunError | None:
     return RunError(code=error.code, what=error.what)
 
 
-def seal_run(folder: Path, *, at_once: bool = False) -> None:
+def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool = False) -> None:
     """Seal the files of a run, including its report. Failures are reported, not raised.
 
-    Slow work is skipped if the end must come `at_once`, or when it is interrupted.
+    If its journal is still as it was `left`, no line names what was found changed: that keeps its former
+    hash, and a run without a seal remains without one. Slow work is skipped if the end must come `at_once`,
+    or when it is interrupted.
     """
     if not (folder / JOURNAL_FILE).exists():
         return
@@ -181,9 +192,16 @@ def seal_run(folder: Path, *, at_once: bool = False) -> None:
         _keep_raw(folder, at_once=at_once)
     try:
         chain = read_chain(folder / JOURNAL_FILE)
-        if chain.is_closed:
-            manifest = Manifest(chain.lines)
-            seal(folder, manifest.files, manifest.unvouched_files)
+        if not chain.is_closed:
+            return
+        manifest, changed = Manifest(chain.lines), set[str]()
+        former: dict[str, str] = {}
+        if left is not None and left.chain.last == chain.last:
+            if (found := read_seal(folder)) is None or not is_sealed(folder):
+                return
+            former, changed = found.files, {change.file for change in left.changes}
+        kept = {name: sha256 for name, sha256 in former.items() if name in changed}
+        seal(folder, manifest.files, {*manifest.unvouched_files, *changed}, kept)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 
@@ -274,11 +292,14 @@ def _has_other_run_left_arm_away(folder: Path) -> bool:
 
 
 def _take_over(source: Path, run: Path) -> None:
-    """Move a rebuilt report into a run. The seal goes first: a run killed meanwhile lacks only its seal."""
-    if is_sealed(run):
-        (run / SEAL_FILE).unlink()
+    """Move a report into a run. Its seal covers no report meanwhile: a kill costs only the report."""
+    sealed = (run / JOURNAL_FILE).exists() and is_sealed(run)
+    if sealed:
+        seal_report(run, finished=False)
     for path, *_ in sorted(walk(source)):
         place = run / path.relative_to(source)
         if path.is_file():
             place.parent.mkdir(exist_ok=True)
             path.replace(place)
+    if sealed:
+        seal_report(run)

@@ -28,7 +28,7 @@ class InterruptedRun:
     chain: Chain
     changes: tuple[Problem, ...] = ()  # of files on which the way home does not depend
     not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # hashes of those files
-    unsealed: Mapping[str, int] = field(default_factory=dict)  # unconfirmed files, with their length
+    unsealed: Mapping[str, int | None] = field(default_factory=dict)  # unconfirmed files, with their length
 
     @property
     def folder(self) -> Path:

@@ -26,6 +26,8 @@ from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.manifest import SCENE_FILE
 from ronna_hw.host.files import require_open_files
 from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption
 from ronna_hw.log_output import keep_log
@@ -34,7 +36,7 @@ from ronna_hw.registry import load_driver
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.runs.engine_setup import EngineInput
-    from procedures.runs.interrupted_run import Resumption
+    from procedures.runs.interrupted_run import InterruptedRun, Resumption
     from ronna_hw.theatre import Theatre
 
 # What the first steps of a case import when they need it; while the phantom is made, they cost no time.
@@ -193,7 +195,12 @@ def _start_simulated(
     phantom: Path | None,
     stack: contextlib.ExitStack,
 ) -> tuple[SimulatedTheatre, Room]:
-    """Start a simulated theatre and its patient in the run's folder."""
+    """Start the theatre of a run, with its patient, in the run's folder.
+
+    Raises PRO-033 if it would continue in another scene.
+    """
+    if resumption is not None:
+        _require_same_scene(folder, resumption.interrupted)
     simulated = stack.enter_context(
         SimulatedTheatre(
             request,
@@ -219,6 +226,19 @@ def _start_simulated(
     room = SimulatedRoom(control)
     stack.push(room.tell_missed_faults(observers.announce))
     return simulated, room
+
+
+def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
+    """Raise PRO-033 if the scene of a simulated theatre is not the one in which the run left its arm."""
+    for change in interrupted.changes:
+        if change.file == SCENE_FILE:
+            raise RunChanged(
+                f"the simulated theatre cannot continue in {folder / SCENE_FILE}",
+                expected="the scene that the run began with",
+                got=f"one that is {change.what}",
+                action="Put that file back from a copy and repeat the command, or start a new run. "
+                "Nothing was moved.",
+            )
 
 
 def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:

@@ -10,11 +10,12 @@ import errno
 import hashlib
 import os
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from ronna_hw.bounded_input import InputRefused, read_json_lines
+from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.evidence.journal_reading import (
     JOURNAL_FILE,
     Chain,
@@ -24,24 +25,30 @@ from ronna_hw.evidence.journal_reading import (
     read_chain_until_break,
 )
 from ronna_hw.evidence.manifest import (
+    CHUNK_BYTES,
+    LOG_FILES,
     RECORDS_FOLDER,
+    REPORT_FILE,
     REQUEST_FILE,
     SEAL_FILE,
     TRUTH_FILES,
     Manifest,
     Seal,
     count_names,
+    is_of_report,
     is_regenerated,
     is_written_later,
     iterate_files,
     read_seal,
     sha256_of,
 )
+from ronna_hw.host.files import open_regular
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text import printable
 
 MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
 LARGEST_INPUTS_BYTES = 8_000_000_000  # four times the largest CT that is read
+MOST_LINES_BEFORE_NAME = 100  # of a log: its first line names the run
 SHOWN = 3  # problems named in an error; verify lists all
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
@@ -252,6 +259,7 @@ def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Pro
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.request | manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))
+    yield from _find_foreign_logs(folder, chain)
     present = [name for name, _ in iterate_files(folder)]
     seal = read_seal(folder)
     if closed:
@@ -281,11 +289,36 @@ def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Pro
     whole = yield from _compare_with_seal(folder, chain, seal)
     if whole:
         yield from compare_files(folder, seal.files)
-        yield from _report_added_files(
-            [name for name in present if name not in named and name not in seal.files]
-        )
+        added = [name for name in present if name not in named and name not in seal.files]
+        if REPORT_FILE not in seal.files:
+            what = "not sealed: a report was being made"
+            yield from (Problem(name, what, unfinished=True) for name in added if is_of_report(name))
+            added = [name for name in added if not is_of_report(name)]
+        yield from _report_added_files(added)
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
+
+
+def _find_foreign_logs(folder: Path, chain: Chain) -> Iterator[Problem]:
+    """Report log and events of another run, which the journal does not name: only a seal covers them."""
+    run = chain.lines[0].get("run")
+    for name in LOG_FILES:
+        with suppress(OSError):
+            named = _find_run_name(folder / name)
+            if None not in (run, named) and named != run:
+                yield Problem(name, f"belongs to another run: {printable(str(named))}")
+
+
+def _find_run_name(log: Path) -> object:
+    """Return the run that a log or a file of events names first; None if its beginning names none."""
+    with open_regular(log) as file:
+        beginning = file.read(CHUNK_BYTES)
+    for line in beginning.splitlines()[:MOST_LINES_BEFORE_NAME]:
+        with suppress(ValueError):
+            match parse_json(line):
+                case {"run": str(run)} | {"what": {"line": {"run": str(run)}}}:
+                    return run
+    return None
 
 
 def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection[str]) -> Iterator[Problem]:

@@ -32,10 +32,9 @@ ROOM_FILE = f".room{PARTIAL}"  # held while a run is open; a kill leaves it as a
 REPORT_FILE = "report.html"
 ONLY_IN_REPORT = "report/postoperative"  # the check after the operation: its CT is elsewhere
 # Also written after the run is closed: prefixes of file names, and folders with everything in them.
-LATER_FILES = (
-    *("log.jsonl", "events.jsonl", REPORT_FILE, ROOM_FILE),
-    *("theatre/world.json", "theatre/.world.json"),
-)
+LOG_FILES = ("log.jsonl", "events.jsonl")  # each names its run at its beginning
+WORLD_FILE = "theatre/world.json"  # how a simulated theatre was left
+LATER_FILES = (*LOG_FILES, REPORT_FILE, ROOM_FILE, WORLD_FILE, "theatre/.world.json")
 RAW_FOLDER = "raw"  # images and frames as files, if wanted
 LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
@@ -49,7 +48,8 @@ APART = (
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
-TRUTH_FILES = ("theatre/scene.json", "theatre/truth.jsonl")  # constant, and growing while a step runs
+SCENE_FILE = "theatre/scene.json"
+TRUTH_FILES = (SCENE_FILE, "theatre/truth.jsonl")  # constant, and growing while a step runs
 GROWING = TRUTH_FILES[1:]
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 TRUTH_FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
@@ -241,6 +241,11 @@ def is_regenerated(name: str) -> bool:
     return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
 
 
+def is_of_report(name: str) -> bool:
+    """Whether a file belongs to the report, the check after the operation included."""
+    return name == REPORT_FILE or name.startswith("report/")
+
+
 def list_theatre_files(folder: Path) -> list[Path]:
     """List the files in a run's folder that describe the theatre, constant while the run is open."""
     return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
@@ -310,19 +315,40 @@ class Seal(BaseModel):
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
-def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
-    """Seal every file that is in neither `closed` (the last journal line) nor `apart`.
+def seal(
+    folder: Path,
+    closed: Collection[str],
+    apart: Collection[str] = (),
+    kept: Mapping[str, str] | None = None,
+) -> None:
+    """Seal every file that is neither in `closed`, the last line of the journal, nor in `apart`.
 
-    Raises OSError.
+    Files in `kept` keep these hashes. Raises OSError.
     """
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
     new_seal = Seal(
-        journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later
+        journal_bytes=journal.stat().st_size,
+        journal_sha256=sha256_of(journal),
+        files=later | dict(kept or {}),
     ).with_own_hash()
     write_atomically(folder / SEAL_FILE, _encode_seal(new_seal))
+
+
+def seal_report(folder: Path, *, finished: bool = True) -> None:
+    """Renew the part of a seal that covers the report; every other file keeps the hash of its sealing.
+
+    Before a report is replaced it is not `finished`: the seal covers no part of it. Raises OSError.
+    """
+    former = read_seal(folder)
+    assert former is not None, "only a seal can be renewed"
+    files = {name: sha256 for name, sha256 in former.files.items() if not is_of_report(name)}
+    if finished:
+        files |= {name: sha256_of(path) for name, path in _own_files(folder) if is_of_report(name)}
+    renewed = former.model_copy(update={"files": files}).with_own_hash()
+    write_atomically(folder / SEAL_FILE, _encode_seal(renewed))
 
 
 def read_seal(folder: Path) -> Seal | None:

@@ -159,7 +159,7 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
         given_value = context.params[option]
         if source is not None and source.name == "COMMANDLINE" and given_value != own:
             raise UsageMistake(
-                f"--continue: the {option} of the world left in {folder} cannot be changed",
+                f"--continue: the {option} of the world left in {folder / SCENE_FILE} cannot be changed",
                 expected=f"{own}",
                 got=f"{given_value}",
                 action=f"Omit --{option} to continue it, or omit --continue for a new world.",

@@ -34,6 +34,7 @@ from sim.world.scene.model import Numbers6, Scene
 from sim.world.world import ArmState, World
 
 WORLD_FILE = "world.json"
+EXPECTED = "the arm, tool and time that the theatre saved when it ended"
 
 END_LIMIT_S = 4.0  # host time; a theatre whose parent died ends within two seconds
 RETRY_S = 0.02
@@ -105,7 +106,9 @@ def read_saved_world(folder: Path) -> SavedWorld | None:
     try:
         saved = SavedWorld.model_validate_json(read_json_bytes(path), strict=False)
     except ValidationError as error:
-        raise BadSavedWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
+        raise BadSavedWorld(
+            f"{path} was changed", expected=EXPECTED, got="; ".join(describe_mistakes(error))
+        ) from error
     parse_faults(saved.standing_faults)
     return saved
 

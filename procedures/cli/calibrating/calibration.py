@@ -98,7 +98,7 @@ def resume_calibration(
         if not complete:
             require_free_devices(request)
         prepare_folder(interrupted)
-        with finalize_run(folder, with_truth=False):
+        with finalize_run(folder, interrupted, with_truth=False):
             if complete:
                 finish_calibration(kind, request, interrupted)
             else:

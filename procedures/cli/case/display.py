@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
+    from procedures.runs.interrupted_run import InterruptedRun
 
 STANDARD_ERROR = 2
 PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
@@ -226,15 +227,16 @@ def follow(
     *,
     as_json: bool,
     waits: bool,
+    left: InterruptedRun | None = None,
 ) -> None:
-    """Show a case while it runs, then its outcome, and write its report.
+    """Show a case while it runs, then its outcome, and write its report. `left` is a resumed one.
 
     With a console that `waits`, nothing is done until someone has taken the operator's seat.
     """
     final = Finalized()
     try:
         with (
-            finalize_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
+            finalize_run(folder, left, with_truth=False, name_report=False) as final,  # the outcome names it
             observe_run(quiet=as_json) as shown,
             _add_console(shown, folder, console, waits=waits) as observers,
         ):

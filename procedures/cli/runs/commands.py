@@ -139,7 +139,11 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
 
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
+    """Rebuild the report of a run from its folder: report.html, with pictures and data in report/.
+
+    The journal is not continued, and a run without a seal stays without one: what nothing vouches for is
+    named.
+    """
     from procedures.runs.finishing import rebuild_report
     from ronna_hw.command_line.terminal import print_json
 

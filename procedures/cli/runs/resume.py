@@ -71,7 +71,15 @@ def resume(
             require_free_devices(request)
             prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
-            follow(request, interrupted.folder, finish, console, as_json=as_json, waits=not accept)
+            follow(
+                request,
+                interrupted.folder,
+                finish,
+                console,
+                as_json=as_json,
+                waits=not accept,
+                left=interrupted,
+            )
 
 
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
@@ -89,7 +97,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             return
         require_free_devices(request)
         prepare_folder(interrupted)
-        with finalize_run(interrupted.folder), observe_run(quiet=as_json) as observers:
+        with finalize_run(interrupted.folder, interrupted), observe_run(quiet=as_json) as observers:
             from procedures.runs.recovery import bring_home
 
             resumption = Resumption(interrupted, accept, only_leaving=True)
@@ -137,7 +145,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
             _require_own_fault(request.config, path)
         prepare_folder(interrupted)
         resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
-        with finalize_run(path), open_run(request, path, RunObservers(), resumption) as engine:
+        with finalize_run(path, interrupted), open_run(request, path, RunObservers(), resumption) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.faults.acknowledge(by),

@@ -15,7 +15,7 @@ from procedures.journal.results import StepResult
 from procedures.runs.finishing import seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.manifest import Manifest, seal
+from ronna_hw.evidence.manifest import LOG_FILES, WORLD_FILE, Manifest, seal
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
 
@@ -37,7 +37,7 @@ def finished_run(folder: Path) -> Path:
     (folder / "theatre" / "truth.jsonl").write_text("where the tip was\n")
     engine.run_to()
     engine.close("done")
-    for name in ("log.jsonl", "report.html", "theatre/world.json", "report/targets.csv"):
+    for name in (*LOG_FILES, "report.html", WORLD_FILE, "report/targets.csv"):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(f"{name}, written after the end\n")
     sealed(folder)

@@ -13,7 +13,7 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
-from procedures.runs.finishing import rebuild_report
+from procedures.runs.finishing import complete_seal
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspect_run
@@ -22,6 +22,7 @@ from ronna_hw.evidence.manifest import SEAL_FILE, Manifest, is_sealed
 from ronna_hw.evidence.unsealed import UNSEALED, describe_unsealed_files
 
 READINGS = "readings.jsonl"
+LATER = {"events.jsonl", "theatre/world.json"}
 
 
 def renamed(run: Path) -> Path:
@@ -50,6 +51,12 @@ def killed_on_its_way_home(run: Path) -> None:
     journal = Journal.reopen_run(run, left.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     journal.close()
+
+
+def finished_again(run: Path) -> None:
+    """What `resume` leaves of a finished run that was killed before its seal."""
+    with complete_seal(read_interrupted_run(run)):
+        pass
 
 
 def with_a_changed_picture(run: Path) -> Path:
@@ -158,12 +165,12 @@ def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
 @pytest.mark.parametrize(
     ("sealed_before", "lines_lost", "later_session", "also"),
     [
-        (False, 1, gone_home, {"theatre/world.json", "theatre/truth.jsonl", "case/plan.toml"}),
-        (False, 0, gone_home, {"theatre/world.json"}),
+        (False, 1, gone_home, {*LATER, "theatre/truth.jsonl", "case/plan.toml"}),
+        (False, 0, gone_home, LATER),
         (True, 0, gone_home, set()),
-        (False, 0, rebuild_report, {"theatre/world.json"}),
+        (False, 0, finished_again, LATER),
     ],
-    ids=["killed", "home without a seal", "home over a changed log", "report without a seal"],
+    ids=["killed", "home without a seal", "home over a changed log", "resumed without a seal"],
 )
 def test_verify_names_what_a_later_session_sealed_as_it_lay(
     run: Path, sealed_before: bool, lines_lost: int, later_session: Callable[[Path], object], also: set[str]

@@ -267,7 +267,7 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     engine.run_to()
     assert {engine.course.status(key) for key in engine.order.sequence} == {"done", "finished"}
     broken_off(cell)
-    monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: engine.order)
+    monkeypatch.setattr(case_outcome, "restore_order", lambda *_: engine.order)
     monkeypatch.setattr(case_outcome, "outcome_as_recorded", lambda _request, left: left)
     monkeypatch.setattr(lifecycle, "open_engine", pytest.fail)
     request, left = RunRequest(procedure=CaseProcedure()), read_interrupted_run(tmp_path)

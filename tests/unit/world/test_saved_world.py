@@ -90,8 +90,10 @@ def test_a_folder_without_an_ended_theatre_has_no_saved_world(tmp_path: Path) ->
 
 def test_an_invalid_saved_world_is_refused(tmp_path: Path) -> None:
     (tmp_path / WORLD_FILE).write_text('{"theatre_time_ns": -1}')
-    with pytest.raises(BadSavedWorld, match="SIM-012"):
+    with pytest.raises(BadSavedWorld, match="SIM-012") as refused:
         read_saved_world(tmp_path)
+    assert str(tmp_path / WORLD_FILE) in refused.value.what
+    assert "Put the file back" in refused.value.advice
 
 
 def test_a_folder_serves_one_theatre_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

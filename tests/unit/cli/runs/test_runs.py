@@ -40,7 +40,7 @@ def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_i
     if sealed:
         seal_run(folder)
     given: list[Truth | None] = []
-    monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: plain_order())
+    monkeypatch.setattr(case_outcome, "restore_order", lambda *_: plain_order())
     monkeypatch.setattr(
         case_outcome, "build_finished_outcome", lambda *arguments: given.append(arguments[-1])
     )

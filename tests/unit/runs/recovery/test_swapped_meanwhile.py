@@ -40,6 +40,17 @@ def test_a_swapped_device_or_record_is_refused_and_nothing_is_asked(
     assert again.arm.motions == []
 
 
+@pytest.mark.hazard(2)
+def test_a_calibration_of_the_same_name_and_day_is_told_from_the_recorded_one(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    other_calibration(again)
+    with pytest.raises(RecoveryRefused) as refused:
+        recover(engine, left)
+    _, difference = refused.value.what.split("calibration tool_tip: recorded ")
+    recorded, found = difference.split("; ")[0].split(", found ")
+    assert recorded != found
+
+
 def longer_guide(engine: Engine) -> None:
     workcell = engine.setting.workcell
     guide = workcell.tools.guide
