@@ -14,8 +14,9 @@ class BaseShifted(RefusedError):
 
     code = "PRO-019"
     action = (
-        "Find out what was moved and lock it; then continue from cart_lock if it was the cart, otherwise "
-        "from global_localization. With the guide mounted, send the arm home first."
+        "See that nobody leans on the arm. Find out what was moved and lock it; then continue from cart_lock "
+        "if it was the cart, otherwise from global_localization. With the guide mounted, send the arm home "
+        "first."
     )
     cart: bool = True  # else it was the tracker
 
@@ -35,8 +36,8 @@ class PatientUnseen(RefusedError):
 
     code = "PRO-022"
     action = (
-        "Clear the tracker's line of sight to the spheres: drapes, blood, people, hands. Then run the step "
-        "again; it goes via home."
+        "Clear the tracker's line of sight to the spheres and to the frame on the arm: drapes, blood, "
+        "people, hands, sunlight. Then run the step again; it goes via home."
     )
 
 

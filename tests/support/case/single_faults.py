@@ -141,6 +141,8 @@ ROWS = (
         theatre_s=5,
         branch="GUARD_UNMET",
     ),
+    # The look with the arm home, before the spheres are localized again: the cart may move unnoticed.
+    Row("tracker occlude tool robot_frame", "relocalization", "PRO-007", theatre_s=5),
     Row("tracker occlude tool robot_frame", "positioning", "PRO-022", theatre_s=5),
     Row("tracker occlude tool robot_frame", OTHERS, DONE),
     Row("tracker occlude tool robot_frame marker 1", OTHERS, DONE),
@@ -167,8 +169,11 @@ ROWS = (
     ),
     Row("tracker move tool robot_frame +5 +0 +0 mm", OTHERS, "done PRO-019", theatre_s=5),
     Row("tracker interference tool robot_frame", "global_localization", "PRO-017", theatre_s=5),
+    # A disturbed frame is not compared: before a target it counts as not seen.
+    Row("tracker interference tool robot_frame", "positioning", "PRO-022", theatre_s=5),
     Row("tracker interference tool robot_frame", OTHERS, "done PRO-007 PRO-017", theatre_s=15),
     Row("tracker sunlight", "global_localization", "PRO-017", theatre_s=5),
+    Row("tracker sunlight", "positioning", "PRO-022", theatre_s=5),
     Row("tracker sunlight", OTHERS, "done PRO-007 PRO-017 REG-008", theatre_s=15),
     Row("tracker strays 2", OTHERS, DONE),
     Row("tracker reflections 2", OTHERS, DONE),
@@ -176,12 +181,12 @@ ROWS = (
     # The tracker: the unit and its line. The way out is never held up.
     *(
         Row(f"tracker {fault}", steps, ends, host_s=host_s)
-        for fault, code, looks in (  # how the look after the way out ends
+        for fault, code, looks in (  # how the look after the way out ends: a silent unit refuses it
             ("bump", "NDI-021", ""),
             ("cold", "NDI-022", DONE),
             ("hot", "NDI-022", DONE),
             ("alert 3", "NDI-020 NDI-037", ""),
-            ("power off", "NDI-001 NDI-002 NDI-007 NDI-008", DONE),
+            ("power off", "NDI-001 NDI-002 NDI-007 NDI-008", ""),
         )
         for steps, ends, host_s in (
             ("set_up", code, 20),
@@ -398,7 +403,8 @@ ROWS = (
         begins=SINCE,
     ),
     # The room: the guide, and the hands that mount it and work with it.
-    Row("room push guide 0 40 0 N", "tool_check", "TOOL-005", theatre_s=15),
+    # The frame is looked at before the gauge is: 0.5 mm from where the arm has it, as if the cart had moved.
+    Row("room push guide 0 40 0 N", "tool_check", "PRO-019", theatre_s=15),
     Row("room push guide 0 40 0 N", "positioning", "PRO-017", theatre_s=20),  # when it is let go
     Row("room push guide 0 40 0 N", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
     Row("room turn guide 0 0.3 0 deg", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
