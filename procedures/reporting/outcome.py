@@ -86,6 +86,10 @@ class FinishedRun(RunOutcome):
     in_doubt: dict[str, tuple[str, ...]] = Field(
         default={}, description="Targets that may be off by more than was predicted, and why."
     )
+    beyond_margin: dict[str, float] = Field(
+        default={},
+        description="Targets whose known error is above the margin of the plan, and that error in mm.",
+    )
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
     late_cycles: int = Field(description="Late or lost cycles, over all streams of the robot link.")

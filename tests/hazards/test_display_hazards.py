@@ -45,6 +45,18 @@ def test_every_number_of_the_table_is_complete_without_a_terminal(capsys: pytest
     assert rows == [[f"T{k}", "123456.7", shown, shown] for k, shown in enumerate(SHOWN)]
 
 
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_needle_farther_from_its_target_than_the_plan_accepts_is_no_success(
+    as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        show_outcome(OUTCOME.model_copy(update={"beyond_margin": {"T2": 9.9996}}), as_json=as_json)
+    shown = capsys.readouterr()
+    assert ended.value.code == 3
+    assert ('"T2":9.9996' in shown.out.replace(" ", "")) if as_json else ("10.00 mm from T2" in shown.err)
+
+
 @pytest.mark.hazard(6)
 def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
     case, journal = Case(tmp_path), Journal(tmp_path)

@@ -169,13 +169,16 @@ def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
-    """Print the target errors as a table, or the whole outcome as JSON. Exits with 3 for targets in doubt."""
+    """Print the target errors as a table, or the whole outcome as JSON.
+
+    Exits with 3 if a target is in doubt, or its known error is above the margin of the plan.
+    """
     if as_json:
-        empty = {name for name in ("left_out", "in_doubt") if not getattr(outcome, name)}
+        empty = {name for name in ("left_out", "in_doubt", "beyond_margin") if not getattr(outcome, name)}
         print_json(outcome.model_dump(mode="json", exclude=empty))
     else:
         _show_table(outcome)
-    if outcome.in_doubt:
+    if outcome.in_doubt or outcome.beyond_margin:
         raise SystemExit(RefusedError.exit_code)
 
 
@@ -200,6 +203,8 @@ def _show_table(outcome: FinishedRun) -> None:
         say(f"without {name}: {reason}")
     for reason in dict.fromkeys(one for reasons in outcome.in_doubt.values() for one in reasons):
         say(f"NOT CONFIRMED: {reason}")
+    for name, error_mm in outcome.beyond_margin.items():
+        say(f"MISSED: the needle was {error_mm:.2f} mm from {name}, more than the margin of the plan accepts")
     if known:
         sys.stdout.write(
             f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "
