@@ -146,7 +146,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
     later = tasks[first + 1 :] if doubted else []  # after what the journal supports
     offered = {stage_answer(task): task for task in (*reversed(tasks[: first + 1]), *later)}
     question = WORK_BEGUN.question(
-        f"work {'was' if known else 'may have been'} already begun at {trajectory}: "
+        f"work {'was already' if known else 'may already have been'} begun at {trajectory}: "
         + describe_work(known, doubted=doubted),
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
