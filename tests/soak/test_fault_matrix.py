@@ -26,6 +26,7 @@ LARGEST_ERROR_MM = 1.5
 WITHIN_S = 300.0  # host time for a whole case, on a busy computer; with a cart moved at each stage five times
 CODE = re.compile(r"[A-Z]+-\d{3}")
 QUOTING = {"PRO-001", "DEV-001"}  # a step, or a call in it, that came after the fault and is refused for it
+IN_DOUBT = "in doubt"
 AT_REST = (Entry.RESTED, Entry.FAILED, Entry.REFUSED)
 
 
@@ -69,7 +70,7 @@ def broken_promises(cell: Cell, outcome: dict[str, Any], journal: Sequence[Line]
     stretches = list(stops(journal))
     if any(line["entry"] == Entry.MOTION for stretch in stretches for line in stretch):
         yield "something moved after the stop"
-    if outcome["outcome"] == DONE:
+    if outcome["outcome"] == (IN_DOUBT if cell.row.in_doubt else DONE):
         if not cell.may_be_done:
             yield "the case went on"
         if outcome["max_application_error_mm"] > LARGEST_ERROR_MM:
