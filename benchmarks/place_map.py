@@ -92,7 +92,7 @@ def path_check_passes(case: CartCase, move: CartMove) -> bool:
 
 
 def main(turns_deg: Sequence[float] = TURNS_DEG) -> None:
-    """Print one row for each turn, sharing out the places among the turns."""
+    """Print one row per turn, dividing the places among the turns."""
     print("turned deg\tplaces\tallowed\trefused by the path check\tlost by the map\tmap s")
     case = cart_case("default")
     for index, turn_deg in enumerate(turns_deg):

@@ -328,7 +328,7 @@ class TheatreFile(Strict):
 
     @property
     def addresses(self) -> dict[str, tuple[str, ...]]:
-        """Addresses of each device by its name."""
+        """Addresses of every device, keyed by device name."""
         return {
             name: (*one.endpoints.values(), *([one.endpoint] if one.endpoint else []))
             for name, one in self.devices.items()

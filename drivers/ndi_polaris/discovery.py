@@ -38,7 +38,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Find the baud rate at which the unit replies, and set the line to it.
+    """Find the baud rate at which the unit replies, and switch the line to it.
 
     Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
     """

@@ -116,7 +116,7 @@ class ConsoleMissing(RonnaError):
 
 
 class FaultOfRun(RefusedError):
-    """A fault must be acknowledged in the unfinished run that had it, which then keeps no result unasked."""
+    """The fault must be acknowledged in the unfinished run, which then asks which results remain valid."""
 
     code = "PRO-044"
     action = "Acknowledge it in that run."

@@ -173,7 +173,7 @@ class _WatchThread:
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
     def begin(self) -> None:
-        """Start; return after the first frame is read and, if it shows a move, the arm is stopped."""
+        """Start the watch and wait, for a limited time, for its first frame and for a stop it causes."""
         if self.guide is not None:
             self.guide.begin_watch()
         self._thread.start()

@@ -153,7 +153,7 @@ class RoomWatch:
 
     @property
     def is_approached(self) -> bool:
-        """Whether a guide approaches the head or is held in front of it."""
+        """Whether a guide is approaching the head or being held in front of it."""
         return self.approach is not None and self.approach.under_way
 
     @property

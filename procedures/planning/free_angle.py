@@ -93,7 +93,7 @@ def choose_free_angles(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for suitable turns, with its constant inputs; fiducials (n, 3) in CT mm."""
+    """Search for suitable turns, holding its constant inputs; fiducials (n, 3) in CT coordinates, mm."""
 
     setting: ArmSetting
     fiducials_mm: Array
@@ -102,7 +102,7 @@ class _Search:
     def in_branch(
         self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
     ) -> TurnedPaths | None:
-        """Find the best turns in this branch, axis by axis; return None if the branch cannot serve."""
+        """Find turns that work together in this branch, each axis's best tried first, or None."""
         ranked = {name: self._search_turns(axes.only(name), turns, branch) for name, turns in options.items()}
         chosen: dict[str, float] = {}
         for name, turns in ranked.items():

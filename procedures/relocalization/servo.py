@@ -57,7 +57,7 @@ class ServoState:
 
     @property
     def step_count(self) -> int:
-        """Number of motions between the measurements so far."""
+        """Number of motions made between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
 
     def with_measurement(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:

@@ -48,7 +48,7 @@ class RunReading:
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Readable registrations by which the targets were or will be reached."""
+        """Readable registrations used, or to be used, to reach the targets."""
         made = self._readable(RegisteredRobot, self.run.records)
         return find_used_registrations(made, self.run.records, self.run.superseded)
 

@@ -223,7 +223,7 @@ class OperatorStation:
         return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
     def _find_refusal(self, sent: SentOrder) -> str:
-        """Return why an order's sender or the current state forbids it; empty if neither does."""
+        """Return why an order is refused, given its sender and the current state; empty if allowed."""
         rule, state = RULE_OF[type(sent.order)], self._state
         if rule.seat and not self._seat.is_held_by(sent.session):
             return "you are not in the operator's seat"

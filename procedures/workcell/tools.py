@@ -196,7 +196,7 @@ class Instrument:
 
     @property
     def inside(self) -> str | None:
-        """Trajectory, gauge or divot in which the instrument is or may be; None while it is out."""
+        """Trajectory, gauge or divot in which the instrument is or may be; None if it is out."""
         return self._log.history.place.instrument_may_be_inside
 
     def record_insertion(self, trajectory: str) -> None:

@@ -220,7 +220,7 @@ class Workcell:
 
     @property
     def place(self) -> ArmPlace:
-        """Place of the arm, and whether an instrument may be inside."""
+        """Where the arm is, and whether an instrument may be inside."""
         return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:

@@ -102,7 +102,7 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
 
 
 def viewers_address(bind: str | None, certificate: Path | None, key: Path | None) -> ViewersAddress | None:
-    """Return the viewers' address given by the options; None without one. Raises CLI-001."""
+    """Build the viewers' address from the options; None if they name none. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
             raise UsageMistake("--certificate and --key require --bind")

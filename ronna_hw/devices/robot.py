@@ -77,7 +77,7 @@ class ConfirmedStart(Protocol):
 
     @property
     def to_confirm(self) -> str | None:
-        """Question to confirm before the next `activate`; None if there is none.
+        """What the operator must confirm before the next `activate`; None if nothing.
 
         Passive: uses only the controller's last report; allowed in every state.
         """

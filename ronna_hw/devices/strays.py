@@ -24,7 +24,7 @@ LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be it
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """One sphere across the frames, in tracker coordinates.
+    """Readings of one stray sphere over several frames, in tracker coordinates.
 
     `mean_mm` (3,) excludes `outliers`; `spread_mm` is the rms distance of all readings from it, which reveals
     a moving sphere; `covariance_mm2` (3, 3) is that of one reading; `count` is the number of all readings.

@@ -37,7 +37,7 @@ class Interface:
 
 
 def interfaces() -> tuple[Interface, ...]:
-    """List all interfaces with an IPv4 address."""
+    """List the IPv4 addresses of all interfaces."""
     states = psutil.net_if_stats()
     return tuple(
         Interface(

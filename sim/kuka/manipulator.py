@@ -137,7 +137,7 @@ class Manipulator:
         return None if joints is None else [degrees(angle) for angle in joints]
 
     def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
-        """Return the axes (deg) for a tool pose (4, 4) in BASE with posture S T; None if out of reach."""
+        """Return axes (deg) for a pose (4, 4) in BASE with posture S T; None beyond reach or end switch."""
         flange = self._flange_of(self.base @ frame)
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 

@@ -102,7 +102,7 @@ def frame_of(pose: Matrix) -> list[float]:
 
 
 def pose_of_frame(frame: Sequence[float]) -> Matrix:
-    """Return the pose (4, 4) of X Y Z (mm) A B C (deg)."""
+    """Convert a frame X Y Z (mm) A B C (deg) to a pose (4, 4)."""
     x, y, z, A, B, C = frame
     ca, sa = cos(radians(A)), sin(radians(A))
     cb, sb = cos(radians(B)), sin(radians(B))

@@ -47,7 +47,7 @@ def pair_diagnostics(
 def _sphere_near_tool(
     image: CameraImage | None, record: CameraCalibration | None
 ) -> SphereImage | RonnaError | None:
-    """Return a sphere near the tool centre, the error if none is found, or None if unknown."""
+    """Return a sphere at about the tool centre's distance, or the error; None if it cannot be searched."""
     if image is None or record is None:
         return None
     radius_px = SPHERE_RADIUS_MM * record.focal_px[0] / math.hypot(*record.camera_from_tool.translation_mm)

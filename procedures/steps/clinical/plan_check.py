@@ -125,7 +125,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
 
 
 def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
-    """Describe the plan for confirmation, without a name: a hash of its UID identifies the series."""
+    """Describe the plan without the patient's name; a hash of its UID identifies the series."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = "; ".join(
         f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"

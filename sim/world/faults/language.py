@@ -300,7 +300,7 @@ def _strip_beginning(line: str) -> str:
 
 
 def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
-    """Fill a kind's phrase with the words found in the places of its arguments."""
+    """Yield a kind's phrase with the typed words in place of its arguments."""
     phrase = [kind.device, *kind.phrase.split()]
     for typed in (words, [kind.device, *words]):  # the device is easily forgotten
         if len(typed) in (len(phrase), len(phrase) - 1):  # so is the unit at the end
