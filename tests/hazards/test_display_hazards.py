@@ -54,7 +54,7 @@ def test_a_needle_farther_from_its_target_than_the_plan_accepts_is_no_success(
         show_outcome(OUTCOME.model_copy(update={"beyond_margin": {"T2": 9.9996}}), as_json=as_json)
     shown = capsys.readouterr()
     assert ended.value.code == 3
-    assert ('"T2":9.9996' in shown.out.replace(" ", "")) if as_json else ("10.00 mm from T2" in shown.err)
+    assert ('"T2":9.9996' in shown.out.replace(" ", "")) if as_json else ("10.00 mm from T2" in shown.out)
 
 
 @pytest.mark.hazard(6)
