@@ -220,7 +220,7 @@ class Workcell:
 
     @property
     def place(self) -> ArmPlace:
-        """Where the arm is, and whether an instrument may be inside."""
+        """Position of the arm as journalled, and whether an instrument may be inside."""
         return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:

@@ -77,7 +77,7 @@ class ConfirmedStart(Protocol):
 
     @property
     def to_confirm(self) -> str | None:
-        """What the operator must confirm before the next `activate`; None if nothing.
+        """Question for the operator to confirm before the next `activate`, or None.
 
         Passive: uses only the controller's last report; allowed in every state.
         """

@@ -1,4 +1,4 @@
-"""Commands as child processes: awaited until READY or their end, always terminated, watched for hanging.
+"""Commands as child processes: wait for READY or exit, always terminate, detect a hang.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
 dies. The end of its standard error is kept for the message if it fails. Even on a busy computer a working

@@ -54,7 +54,7 @@ def killed_on_its_way_home(run: Path) -> None:
 
 
 def finished_again(run: Path) -> None:
-    """What `resume` leaves of a finished run that was killed before its seal."""
+    """Complete a finished run that was killed before its seal, as `resume` does."""
     with complete_seal(read_interrupted_run(run)):
         pass
 
