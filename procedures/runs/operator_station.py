@@ -268,7 +268,7 @@ class OperatorStation:
             case Pause():
                 engine.checkpoint.pause(f"{by.by} asked for a pause")
                 return ""
-            case Abort() if state is PAUSED:
+            case Abort() if state is PAUSED and current is not None and current.answer is None:
                 self._settle(Answer(ABORT, signature=by))  # it quotes nothing
                 return ""
             case Abort() if state is not WAITING:

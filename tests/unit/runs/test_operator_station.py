@@ -231,6 +231,27 @@ def test_an_abort_signs_no_answer_to_a_question_that_its_page_may_not_show(stand
     assert stand.signatures == [None, Signature("Ana", ANA, shown="")]
 
 
+def test_an_abort_right_after_a_pause_was_answered_still_ends_the_case(stand: Stand) -> None:
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
+    entered, done = threading.Event(), threading.Event()
+
+    def acknowledge(_by: str) -> None:  # keeps the engine's thread from fetching the answer
+        entered.set()
+        assert done.wait(10.0)
+
+    asking = threading.Thread(target=stand.station.ask, args=(pause, acknowledge), daemon=True)
+    asking.start()
+    eventually(lambda: stand.station.open_question is not None)
+    assert stand.give("acknowledge") == ""
+    assert entered.wait(10.0)
+    assert stand.give("answer", question=3, answer="continue", shown=shown(pause)) == ""
+    assert stand.give("abort") == ""
+    done.set()
+    asking.join(10.0)
+    assert stand.engine.checkpoint.wanted
+    assert stand.station.aborting
+
+
 @pytest.mark.parametrize(
     ("session", "who"), [(ANA, "Ana"), (BEN, f"someone outside the operator's seat (session {BEN})")]
 )
