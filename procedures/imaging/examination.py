@@ -1,12 +1,4 @@
-"""Examination of a position in the scan: find a surface, check its size, measure it, decide if it is a
-marker.
-
-Two estimators measure a sphere whose surface has been found; under strong streaks it is measured jointly
-with them. The estimators see the same noise, so their errors are correlated. Where they differ by more than
-noise explains, the image fits neither model, and the difference is added to the covariance. A streak band
-across the ball can pull the model's radius and intensities far off, and its centre with them. Edges found by
-rays cannot move that far: then they alone determine centre and radius.
-"""
+"""Examination of a position in the scan: is there a surface of the right size, and is it a marker?"""
 
 from __future__ import annotations
 
