@@ -1,4 +1,4 @@
-"""Calibration fits of stereo head, arm, tracked frame and tool tip, and their records.
+"""Calibration of stereo head, arm, tracked frame and tool tip: fits and records.
 
 Pure numerics.
 """

@@ -1,4 +1,4 @@
-"""Calibrate the arm with stationary spheres: links, joints, gravity, backlash, and the stereo head's pose.
+"""Arm calibration with stationary spheres: links, joints, gravity, backlash, and the stereo head's pose.
 
 Weighted least squares with prior set S. The positions of the spheres are not known beforehand, so the arm's
 pose in the room remains undetermined, and need not be known: a case measures its spheres with the same arm.
@@ -58,7 +58,7 @@ DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
 
 @dataclass(frozen=True)
 class ArmResult:
-    """New records and their quality; `tool_shift_mm` is the shift of the head's tool centre.
+    """New records and their quality; `tool_shift_mm` is how far the head's tool centre shifted.
 
     Head and tip keep their dates: only the head's place on the flange was measured, not cameras and tip.
     """
@@ -118,7 +118,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
 
 @dataclass(frozen=True)
 class ArmFit:
-    """Identified arm. `covariance` (n, n) belongs to `values`; both are ordered and scaled as in `ArmModel`.
+    """Identified arm. `values` and their `covariance` (n, n) are ordered and scaled as in `ArmModel`.
 
     `scatter_mm` is the random error of the arm per axis; `residuals_mm` (m, 3) in the robot frame; `used`
     (m,) marks the inliers.
@@ -143,7 +143,7 @@ class ArmFit:
 
     @property
     def learnt(self) -> Array:
-        """Standard error of each parameter relative to its prior, without the sphere positions."""
+        """Standard error of each parameter relative to its prior, excluding the sphere positions."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
 
     @property
@@ -185,12 +185,12 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
 
 
 def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
-    """Return the matrices (m, 3, 3) that whiten misses with these covariances and this random error."""
+    """Return matrices (m, 3, 3) that whiten misses with these stereo covariances and this random error."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(stereo_mm2 + scatter_mm**2 * np.eye(3))))
 
 
 def _initial_values(model: ArmModel, looks: LookArrays) -> Array:
-    """Return start values: the nominal arm, with every sphere at the median of its measurements."""
+    """Return start values: the nominal arm, with each sphere at the median of its measurements."""
     values = np.zeros(model.size + 3 * looks.spheres)
     offsets_mm = model.misses(values, looks)
     places = [np.median(offsets_mm[looks.sphere == number], axis=0) for number in range(looks.spheres)]
@@ -206,7 +206,7 @@ def _step(
     whitening: Array,
     used: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Take one Gauss-Newton step; return covariance and parameters."""
+    """Take one Gauss-Newton step; return the covariance and the new parameters."""
     rows = (whitening @ slopes)[used].reshape(-1, len(values))
     misses = np.einsum("mij,mj->mi", whitening, model.misses(values, looks))[used].ravel()
     prior = np.zeros(len(values))
@@ -216,7 +216,7 @@ def _step(
 
 
 def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
-    """Estimate the random error of the arm per axis in mm, from the residuals in excess of image noise.
+    """Estimate the arm's random error per axis in mm, from the residuals in excess of image noise.
 
     `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the
     residuals.
@@ -227,7 +227,7 @@ def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: N
 
 @dataclass(frozen=True)
 class ArmValidation:
-    """Validation by held-out measurements. `misses_mm` is (m, 3), all other values are 3-D rms in mm.
+    """Validation by held-out measurements. `misses_mm` is (m, 3); other values are 3-D rms in mm.
 
     `before_mm` is the nominal arm's error there, `predicted_mm` the error expected from the model's
     covariance and the random error, `model_mm` the model's part of it.
@@ -279,7 +279,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
 
 
 def _require_both_sides(fit: ArmFit) -> None:
-    """Raise CAL-011 if a joint always arrived from the same side.
+    """Raise CAL-011 if any joint always arrived from the same side.
 
     Its backlash shows in no measurement, held out or not.
     """
@@ -298,7 +298,7 @@ def _require_both_sides(fit: ArmFit) -> None:
 
 
 def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
-    """Return the error that the fit leaves over all usual orientations, 3-D rms in mm.
+    """Return the error that the fit leaves over all usual orientations, as 3-D rms in mm.
 
     Held-out measurements share the orientations of the others, so they reveal nothing about the rest.
     """

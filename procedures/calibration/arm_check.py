@@ -1,4 +1,4 @@
-"""Check of an arm against its calibration with a few measurements of spheres at any positions."""
+"""Check of an arm against its calibration, with a few measurements of spheres at any positions."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
 def _record_displacements_mm(
     record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array
 ) -> Array:
-    """Return the displacements (m, 3, k) of measured positions by the k independent errors of the record.
+    """Return displacements (m, 3, k) of measured positions due to the record's k independent errors.
 
     They are equal in all measurements: a link that is too long stays too long.
     """

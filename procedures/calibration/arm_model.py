@@ -1,4 +1,4 @@
-"""Model of arm and stereo head for an arm calibration, with its input and the choice of poses.
+"""Model of arm and stereo head for an arm calibration, its measurements, and the choice of poses.
 
 The model's vector consists of the arm's deviations, six parameters of the head on the flange, and three
 coordinates per sphere. Deviations and head are in units of their prior standard deviation for an uncalibrated
@@ -68,7 +68,7 @@ class SphereLook(Strict):
 
 
 class ArmLooks(Measurements):
-    """All measurements of one arm calibration, and the records in use."""
+    """All measurements for one arm calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: ArmName = Field(description="Name of the arm's kinematic model.")
@@ -101,12 +101,12 @@ class LookArrays:
         return int(self.sphere.max()) + 1
 
     def only(self, rows: NDArray[np.bool_]) -> LookArrays:
-        """Return the selected measurements; sphere numbers stay unchanged."""
+        """Select measurements; the sphere numbers are unchanged."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
-    """Convert measurements to arrays; spheres without measurements leave no gap in the numbering."""
+    """Convert measurements to arrays, renumbering the spheres without gaps."""
     _, sphere = np.unique([one.sphere for one in looks], return_inverse=True)
     return LookArrays(
         joints_rad=np.array([one.joints_rad for one in looks]),
@@ -148,12 +148,12 @@ class ArmModel:
 
     @cached_property
     def size(self) -> int:
-        """Length of the parameter vector without the spheres."""
+        """Length of the parameter vector, excluding the spheres."""
         return int(np.count_nonzero(self.prior)) + TOOL
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each element of the parameter vector, without the spheres."""
+        """Names of the parameters in vector order, excluding the spheres."""
         axes = self.kinematics.axis_names
         labels = [f"link {axis} {way}" for axis in axes for way in ("x", "y", "z")]
         labels += [f"link {axis} turn {way}" for axis in axes for way in ("x", "y", "z")]
@@ -165,21 +165,21 @@ class ArmModel:
         return (*free, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
 
     def deviations(self, values: Array) -> ArmDeviations:
-        """Return the arm deviations of a parameter vector."""
+        """Extract the arm's deviations from a parameter vector."""
         prior = self.prior
         row = np.zeros(len(prior))
         row[prior > 0.0] = values[: self.size - TOOL]
         return ArmDeviations.from_flat(row * prior, self.joints)
 
     def tool(self, values: Array) -> Transform:
-        """Return the pose FLANGE <- TOOL of a parameter vector."""
+        """Extract the pose FLANGE <- TOOL from a parameter vector."""
         head = values[self.size - TOOL : self.size]
         change = RigidTransform.from_components(TOOL_MM * head[:3], Rotation.from_rotvec(TOOL_RAD * head[3:]))
         return Transform(Frame.FLANGE, Frame.TOOL, self.flange_from_tool.rigid * change)
 
     @property
     def to_record(self) -> Array:
-        """Derivative (k, size) of an arm record's contents by the parameter vector without the spheres.
+        """Derivative (k, size) of an arm record's contents with respect to the parameters, excluding spheres.
 
         All deviations, then the head on the flange in mm. A turn of the head moves no sphere that it is
         centred on.
@@ -197,7 +197,7 @@ class ArmModel:
         return self._compute_misses(values, looks, flange, self._flange_points(values, looks))
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
-        """Return the derivative (m, 3, n) of the misses by finite differences; misses are nearly linear."""
+        """Differentiate the misses numerically, (m, 3, n); they are nearly linear in the parameters."""
         levers = self._levers(looks)
         flange, flange_points = self._flange(values, looks, levers), self._flange_points(values, looks)
         here = self._compute_misses(values, looks, flange, flange_points)
@@ -220,7 +220,7 @@ class ArmModel:
         return gravity_levers(self.kinematics.chain, looks.joints_rad)
 
     def _flange(self, values: Array, looks: LookArrays, levers: Array) -> Array:
-        """Return the poses (m, 4, 4) ROBOT <- FLANGE."""
+        """Return the flange poses ROBOT <- FLANGE, (m, 4, 4)."""
         deviations = self.deviations(values)
         return flange_poses(self.kinematics.chain, deviations, looks.joints_rad, looks.flanks, levers)
 
@@ -239,7 +239,7 @@ class ArmModel:
 
 
 def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Choose the `count` most informative poses for an arm by greedy D-optimal design.
+    """Choose up to `count` of the most informative poses for an arm by greedy D-optimal design.
 
     Returns their indices.
 

@@ -1,4 +1,4 @@
-"""Errors of the arm as sources of a predicted target error, by the tool displacement at every pose."""
+"""Contributions of the arm to a predicted target error, from the tool displacement at every pose."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SERVO_MM = 0.03  # 3-D rms of the servo's residual
 
 @dataclass(frozen=True)
 class ArmPoses:
-    """Poses of the arm: joints (p, axes), tool origins (p, 3) mm in the robot frame.
+    """Arm poses: joints (p, axes), tool origins (p, 3) mm in the robot frame.
 
     `sides` (p, axes), -1 or 1, give the side of its backlash on which each joint rests; None if unknown.
     """
@@ -44,7 +44,7 @@ def arm_sources(
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
-    """List the error sources for one target and its `n` spheres.
+    """List the error sources for a target and its `n` spheres.
 
     All arms that are not identified have one repeatability. `servo_mm` is 0 if the servo's residual is
     measured.
@@ -75,12 +75,12 @@ def arm_sources(
 
 
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> IndependentErrors:
-    """Return the CT errors of the spheres as independent errors, (n, 3, 3) mm2 in the robot frame."""
+    """Return the spheres' CT errors as independent errors, (n, 3, 3) mm2 in the robot frame."""
     return IndependentErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
 def _sum_sag(joints_mm: Array) -> Array:
-    """Sum the sag of all joints, since weight bends them the same way, unlike independent errors."""
+    """Sum the sag of all joints: unlike independent errors, gravity bends them all the same way."""
     harmonics, sag = np.split(joints_mm, [-len(SAGGING)], axis=2)
     return np.concatenate([harmonics, sag.sum(axis=2, keepdims=True)], axis=2)
 

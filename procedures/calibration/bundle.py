@@ -1,4 +1,4 @@
-"""Combined bundle adjustment and hand-eye calibration of ball, cameras on the flange and lenses.
+"""Bundle adjustment combined with hand-eye calibration: ball, camera poses on the flange, and lenses.
 
 The arm is by far the least accurate instrument: it positions the ball with errors of 0.02 to 0.2 mm, while an
 outline is accurate to micrometres. Every view therefore has an unknown shift of the ball, with a common
@@ -95,7 +95,7 @@ def fit_bundle(
     *,
     arm: Chain | None = None,
 ) -> BundleFit:
-    """Adjust the head to the observations, from a start accurate to some millimetres and degrees.
+    """Adjust the head to the observations, starting within a few millimetres and degrees.
 
     With `arm`, its geometric errors are estimated when its error exceeds its repeatability. Raises CAL-002
     with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
@@ -151,7 +151,7 @@ class _Estimate:
 
 
 def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
-    """Alternate between adjusting all values and estimating the error sizes, without outlying views."""
+    """Alternate between adjusting all values and estimating the error sizes, excluding outlying views."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
     residuals = shifts = gaps = np.empty(0)
@@ -214,21 +214,21 @@ def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
 
 
 def _ball_slopes(looks: _Looks, start: Cameras, values: Array) -> Array:
-    """Return the derivative (n, 4, 3) of the pixels by the ball position in the robot frame."""
+    """Return the derivative (n, 4, 3) of the pixels with respect to the ball position, robot frame."""
     points = _flange_points(looks, values)
     slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
     return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
 
 
 def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, image_scale: float) -> Array:
-    """Return the matrices (n, 4, 4) that whiten the residuals of each view."""
+    """Return matrices (n, 4, 4) that whiten the residuals of each view."""
     slopes = _ball_slopes(looks, start, values)
     total = image_scale**2 * looks.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 class _Cost:
-    """Cost vector: whitened residuals of the used views, and priors of cameras and arm."""
+    """Cost vector: whitened residuals of the views in use, and priors for cameras and arm."""
 
     def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
@@ -264,7 +264,7 @@ def _prior(values: Array) -> Array:
 def _split_residuals(
     looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
-    """Split residuals into the arm's shifts (n, 3) mm and the part that no shift explains (n,), in sigmas.
+    """Split residuals into shifts of the arm (n, 3) mm and the part that no shift explains (n,), in sigmas.
 
     Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """
@@ -280,7 +280,7 @@ def _split_residuals(
 
 
 def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return robust sizes of the arm's error per axis in mm, and of the image error over its covariance."""
+    """Estimate robustly the arm's error per axis in mm, and the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
     arm = robust_sigma(shifts[used]) / freedom
@@ -307,7 +307,7 @@ def _normal_matrix(
     image_scale: float,
     used: NDArray[np.bool_],
 ) -> Array:
-    """Return the information matrix of all parameters, without the robust weights."""
+    """Return the information matrix of all parameters, ignoring robust weights."""
     cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
     slopes = cost.slopes(values)
     return np.asarray(slopes.T @ slopes)

@@ -1,4 +1,4 @@
-"""Errors of calibrations and checks. CAL-001, an expired record, is defined with the record."""
+"""Errors in calibrations and checks. CAL-001 (expired record) is defined with the record."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class DegeneratePoses(DataError):
 
 
 class DoesNotFit(DataError):
-    """No rigid pair of cameras on the flange explains the observations."""
+    """The observations do not fit any rigid pair of cameras on the flange."""
 
     code = "CAL-004"
     action = "Check that ball and mount are rigid and that images and arm variant match this run; repeat."
@@ -34,7 +34,7 @@ class BadObservations(DataError):
 
 
 class HeadMoved(RefusedError):
-    """The head no longer sees the ball at its calibrated position; a camera or the mount has moved."""
+    """The head sees the ball away from its calibrated position, so a camera or the mount has moved."""
 
     code = "CAL-006"
     action = (
@@ -44,7 +44,7 @@ class HeadMoved(RefusedError):
 
 
 class CheckUncertain(DataError):
-    """The views of a check scatter so much that a rotated camera could go unnoticed."""
+    """The views in a check scatter so much that a rotated camera could go unnoticed."""
 
     code = "CAL-007"
     action = "Check that ball and arm are rigid, then repeat the check with more visits."
@@ -52,14 +52,14 @@ class CheckUncertain(DataError):
 
 
 class NotTheBaseline(DataError):
-    """A check was made at different poses, or with a different calibration, than its baseline."""
+    """The poses or the calibration used in a check differ from those of its baseline."""
 
     code = "CAL-008"
     action = "Use the baseline of the current calibration, with its poses."
 
 
 class NoBall(RefusedError):
-    """No position of the ball was given, and the tracker sees no ball within the arm's reach."""
+    """No ball position was given, and the tracker sees no ball within reach of the arm."""
 
     code = "CAL-009"
     action = "Give the position of the ball with --ball X Y Z, or clear the tracker's line of sight to it."
@@ -90,7 +90,7 @@ class ArmChanged(RefusedError):
 
 
 class NoArmRecord(RefusedError):
-    """A calibration record of the arm is needed, but there is none."""
+    """An arm calibration record is required, but there is none."""
 
     code = "CAL-014"
     action = "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file."
@@ -107,14 +107,14 @@ class FrameNotCarried(DataError):
 
 
 class TrackerMoved(DataError):
-    """The tracker sees the reference frame at a different position although the arm is back at its pose."""
+    """The reference frame appears to have moved although the arm returned to the same pose."""
 
     code = "CAL-016"
     action = "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again."
 
 
 class FarFromRecord(RefusedError):
-    """The result deviates more from the initial record than any mount can."""
+    """The result differs from the initial record by more than any mount allows."""
 
     code = "CAL-017"
     action = (
@@ -124,21 +124,21 @@ class FarFromRecord(RefusedError):
 
 
 class ReadingImplausible(RefusedError):
-    """A reading of the stand's dials is implausible."""
+    """A dial reading from the stand is implausible."""
 
     code = "CAL-018"
     action = "Read the three dials again and give x y z in millimetres, along the axes of the robot."
 
 
 class BallAndDivotApart(DataError):
-    """The stand's divot is not at the position of its ball."""
+    """The stand's divot and ball do not coincide."""
 
     code = "CAL-019"
     action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."
 
 
 class OfAnotherTheatre(RefusedError):
-    """Measurements or the arm's calibration were made with other records than those of the theatre file."""
+    """The measurements or the arm calibration do not belong to the records in the theatre file."""
 
     code = "CAL-020"
     action = (
@@ -148,7 +148,7 @@ class OfAnotherTheatre(RefusedError):
 
 
 class ArmOlderThanHead(RefusedError):
-    """The arm was calibrated before the stereo head, whose pose on the flange it had corrected."""
+    """The stereo head was calibrated after the arm, which invalidates the arm calibration."""
 
     code = "CAL-021"
     action = "Run ronna-arm calibrate; no motion until then."

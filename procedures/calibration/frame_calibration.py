@@ -1,4 +1,4 @@
-"""Calibrate the reference frame on the arm's mount: poses, stored measurements, the dated record.
+"""Calibration of the reference frame on the arm's mount: poses, stored measurements, dated record.
 
 The poses turn the frame about itself, in all directions, so it stays nearly in place. The tracker's smooth
 error over its volume is then equal in all of them, and affects the tracker's pose rather than the frame's on
@@ -69,7 +69,7 @@ class Use(StrEnum):
 
 
 class FrameLook(Strict):
-    """Stationary pose, and the mean of the tracker's measurements at it."""
+    """Stationary pose, and the tracker's mean measurement there."""
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
     joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
@@ -81,7 +81,7 @@ class FrameLook(Strict):
 
 
 class FrameLooks(Measurements):
-    """All measurements of one frame calibration, and the records in use."""
+    """All measurements for one frame calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
@@ -97,7 +97,7 @@ class FrameLooks(Measurements):
 
 
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
-    """Assign a purpose to each measurement; those for validation are spread evenly."""
+    """Assign a use to each measurement, spreading those for validation evenly."""
     total = count + validation
     held_out = choose_held_out(total, validation)
     return tuple(Use.VALIDATION if number in held_out else Use.FIT for number in range(total))
@@ -117,7 +117,7 @@ def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """New record of the reference frame and its quality.
+    """New record of the reference frame, and its quality.
 
     `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`: their
     expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate from the
@@ -170,7 +170,7 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
 
 
 def arm_share_mm(record: ArmCalibration | None) -> float:
-    """Return the 3-D error in mm of the frame on the flange due to the arm, which no measurement reveals.
+    """Return the arm's contribution to the frame's error on the flange, 3-D in mm; it cannot be measured.
 
     It stems from the last two links: A6 turns them against each other too little to separate them from the
     frame.
@@ -180,7 +180,7 @@ def arm_share_mm(record: ArmCalibration | None) -> float:
 
 
 def _require_at_rest(returns: Sequence[FrameLook]) -> None:
-    """Raise CAL-002 without a return measurement, CAL-016 if the frame did not return to its position."""
+    """Raise CAL-002 for fewer than two measurements at the first pose, CAL-016 if they disagree."""
     if len(returns) < 2:
         raise TooFewPoses(
             "the arm did not return to its first pose, so tracker stability is unknown",
@@ -221,7 +221,7 @@ def _validate(fit: HandEye, validation_pairs: PosePairs) -> tuple[Array, tuple[f
 
 
 def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
-    """Return the distance between two poses in mm and rad; raise CAL-017 if `limited` and too large."""
+    """Return the change between two poses in mm and rad; raise CAL-017 if `limited` and too large."""
     apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
@@ -235,7 +235,7 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
 
 
 def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:
-    """List poses ROBOT <- TOOL around a reference pose, ordered by similar orientation."""
+    """Plan poses ROBOT <- TOOL around a reference pose, each similar in orientation to the previous one."""
     in_tool = tool_from_marker.translation_mm
     place = reference.apply(in_tool)
     looks = plan_poses_about(

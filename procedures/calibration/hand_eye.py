@@ -1,4 +1,4 @@
-"""Joint robot-world and hand-eye calibration, A X = Z B, with the covariance of X.
+"""Joint robot-world and hand-eye calibration, A X = Z B, with the covariance of X and Z.
 
 A is the flange according to the arm, B the reference frame according to the tracker, X the frame on the
 flange and Z the tracker in the room. The initial solution is linear: the rotations as the null vector of R_A
@@ -59,12 +59,12 @@ class HandEye:
 
     @property
     def error_rad(self) -> float:
-        """Standard error of the frame's orientation, as length of the rotation vector."""
+        """Standard error of the frame's orientation, as the length of a rotation vector."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
 def solve(pairs: PosePairs) -> HandEye:
-    """Find the pose of the frame on the flange from the pose pairs. Raises CAL-002 to CAL-004, CAL-015."""
+    """Solve for the frame's pose on the flange from pose pairs. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
     x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
@@ -87,7 +87,7 @@ def solve(pairs: PosePairs) -> HandEye:
 
 
 def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """Return the deviation of A X from Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
+    """Return how A X differs from Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
     by_arm, by_tracker = pairs.robot_from_flange @ x, z @ pairs.tracker_from_marker
     apart = by_arm[:, :3, :3] @ by_tracker[:, :3, :3].transpose(0, 2, 1)
     turned = Rotation.from_matrix(apart).as_rotvec()
@@ -95,7 +95,7 @@ def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 
 
 def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """Return the derivative (m, 6, 12) of the misses by the parameters."""
+    """Return the derivative (m, 6, 12) of the misses with respect to the parameters."""
     slopes = np.empty((pairs.count, 6, UNKNOWNS))
     still_x, still_z = (_apply_change(pose, np.zeros(6)) for pose in (x, z))  # rounded as the others are
     for column, step in enumerate(STEP * np.eye(6)):
@@ -159,7 +159,7 @@ def _solve_linear(pairs: PosePairs) -> tuple[Array, Array]:
 
 
 def _rotation_along(matrix: Array) -> Array:
-    """Return the rotation nearest to a multiple of the matrix; a null vector has no sign or length."""
+    """Return the rotation nearest to a matrix of unknown sign and scale, such as a null vector."""
     return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 

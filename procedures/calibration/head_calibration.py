@@ -1,4 +1,4 @@
-"""Calibration of the stereo head: adjustment, tool frame, and dated records with stated errors.
+"""Stereo head calibration: adjustment, tool frame, and dated records with stated errors.
 
 Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
 and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
@@ -43,7 +43,7 @@ ANCHOR_REACH_MM = 6.0  # of the points around the tool centre that keep their pi
 
 @dataclass(frozen=True)
 class HeadResult:
-    """New records of the head and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
+    """New head records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
 
     `tool_error_mm` is its standard error; the record states that of a point measured in the tool frame, where
     errors of the arm hardly count. `tool_shift_mm` is how far the tool centre moved on the flange. A shift
@@ -119,12 +119,12 @@ def _standard_error_mm(covariance_mm2: Array) -> float:
 
 
 def new_identifier(name: str, created: datetime) -> str:
-    """Return a record identifier composed of name and time."""
+    """Compose a record identifier from name and time."""
     return name + identifier_suffix(created)
 
 
 def move_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
-    """Return the tip moved with the tool frame of the head, which is on the same mount.
+    """Move the tip along with the head's tool frame, since they share a mount.
 
     Its dates and stated error remain: the tip itself was not measured.
     """
@@ -142,7 +142,7 @@ def _anchor_points() -> Array:
 
 
 def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Return the flange points at which these cameras see the pixels of the anchor points."""
+    """Return the flange points at which these cameras see the anchor points' previous pixels."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_anchor_points())
     left, right = cameras_of(before)
@@ -150,7 +150,7 @@ def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Arr
 
 
 def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """Fit FLANGE <- TOOL that preserves the pixels around the tool centre; also return the rms misfit, mm."""
+    """Fit FLANGE <- TOOL so as to preserve pixels near the tool centre; also return the rms misfit, mm."""
     tool, flange = _anchor_points(), _triangulate_anchors(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)

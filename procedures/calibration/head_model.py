@@ -1,4 +1,4 @@
-"""Projection model of both cameras on the flange: image of a ball at a position in the flange frame.
+"""Projection model of the two cameras on the flange: images of a ball given in the flange frame.
 
 Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: rotation and translation relative to the
 initial record (rad, mm), focal length (relative), principal point (px) and k1. The pixel aspect ratio and the
@@ -35,7 +35,7 @@ class FlangeCamera:
 
     @classmethod
     def from_record(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
-        """Build the camera from a record and the tool frame to which the record refers."""
+        """Build the camera from a record and the tool frame that the record refers to."""
         pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
         return cls(
             pose.rotation_matrix,
@@ -46,7 +46,7 @@ class FlangeCamera:
         )
 
     def with_increments(self, increments: Array) -> FlangeCamera:
-        """Return the camera with its ten parameters changed by these increments."""
+        """Add increments to the camera's ten parameters."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
         k1, *others = self.distortion
         k2, p1, p2, k3 = others
@@ -59,7 +59,7 @@ class FlangeCamera:
         )
 
     def image_points(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
-        """Project points (n, 3) of the flange frame to pixels (n, 2).
+        """Project points (n, 3) in the flange frame to pixels (n, 2).
 
         Given the semi-minor axis b of a ball's outline, return the centre of that outline instead, which is
         farther out than the ball's centre by the factor 1 + b^2, b in normalised units.
@@ -70,7 +70,7 @@ class FlangeCamera:
         return distort(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Return the derivative (n, 2, 3) of `image_points` by the point, undistorted: for weighting only."""
+        """Differentiate the pixels by the point, (n, 2, 3), ignoring distortion: only for weighting."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z
@@ -109,13 +109,13 @@ Cameras = tuple[FlangeCamera, FlangeCamera]
 
 
 def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
-    """Build the left and right camera of a record, relative to the flange."""
+    """Build a record's left and right cameras, relative to the flange."""
     tool = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     return FlangeCamera.from_record(calibration.left, tool), FlangeCamera.from_record(calibration.right, tool)
 
 
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
-    """Return the midpoints (n, 3) between lines of sight in the flange frame and the gaps (n,), mm.
+    """Return midpoints (n, 3) between lines of sight in the flange frame, and gaps (n,), mm.
 
     The gap is signed: positive when the right line of sight passes on the side of left x right.
     """

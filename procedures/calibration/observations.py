@@ -1,4 +1,4 @@
-"""Stored measurements of a calibration, and their match with the records of the theatre."""
+"""Stored calibration measurements, and whether they match the theatre's records."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ S = TypeVar("S", bound=Strict)
 
 
 class Measurements(Strict, ABC):
-    """Base of all stored measurements of a calibration."""
+    """Base class of a calibration's stored measurements."""
 
     created: datetime = Field(description="When it was measured.")
 
     @property
     @abstractmethod
     def records(self) -> Mapping[str, Dated | None]:
-        """Calibration records in use, by their names in the theatre file; None if there was none."""
+        """Calibration records in use, by their names in the theatre file; None for a missing record."""
 
 
 def require_same_theatre(
     measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
 ) -> None:
-    """Raise CAL-020 unless the theatre has each record in use, or the one `found` from these measurements.
+    """Raise CAL-020 unless each theatre record is the one used in measuring or its replacement in `found`.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
     another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record
@@ -74,7 +74,7 @@ def require_same_theatre(
 
 
 def identifier_suffix(created: datetime) -> str:
-    """Return the suffix of identifiers of records computed from measurements of this time."""
+    """Return the identifier suffix of records computed from measurements made at this time."""
     return f"-{created:%Y%m%dT%H%M%S}"
 
 
@@ -101,7 +101,7 @@ def _is_alike(one: Any, other: Any) -> bool:
 
 
 class Outline(Strict):
-    """Outline of the ball in one image, full-sensor pixels, major semi-axis first, with perspective bias."""
+    """Ball outline in one image, full-sensor pixels, major semi-axis first, with perspective bias."""
 
     centre_px: Pixels = Field(description="Centre of the ellipse, x and y.")
     axes_px: tuple[Positive, Positive] = Field(description="Semi-axes, major first.")
@@ -138,7 +138,7 @@ class Observation(Strict):
 
 
 class ObservationSet(Measurements):
-    """All views of one head calibration, and the records that it started from."""
+    """All views for one head calibration, and the records it started from."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
@@ -154,7 +154,7 @@ class ObservationSet(Measurements):
 
 
 def read_strict(kind: type[S], path: Path) -> S:
-    """Read one strict record from JSON. Raises CAL-005 listing every error in it."""
+    """Read a strict record from JSON. Raises CAL-005 listing all its errors."""
     try:
         return kind.model_validate_json(read_json_bytes(path))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Views of a ball for a calibration: evenly spread, deterministic tool poses, and checks of their spread.
+"""Views of a ball for calibration: evenly spread, deterministic tool poses, and checks of their spread.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
@@ -51,7 +51,7 @@ class PlannedLook:
 
 
 def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
-    """Plan views of a ball (3,) in the robot frame, spread around the reference orientation robot <- tool."""
+    """Plan views of a ball (3,) in the robot frame, spread around the orientation `reference`."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
@@ -85,7 +85,7 @@ def plan_poses_about(
     turn_rad: float,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[PlannedLook, ...]:
-    """Plan poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
+    """Plan poses rotated about a point (3,) in the robot frame, at `offset_mm` in the tool frame.
 
     Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way; from number `first`
     on.
@@ -108,7 +108,7 @@ def plan_poses_about(
 
 
 def self_check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """Return the view of one self-check orientation, followed by alternatives if it is unreachable."""
+    """List views for one self-check orientation: the preferred one, then alternatives if unreachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -124,7 +124,7 @@ def self_check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) ->
 
 
 def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """Sort views so that each is nearest in orientation to the previous one."""
+    """Sort views so that each is closest in orientation to the previous one."""
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
@@ -167,7 +167,7 @@ def _build_look(
 
 
 def choose_held_out(count: int, validation: int) -> tuple[int, ...]:
-    """Choose indices to hold out for validation, evenly distributed in order of orientation."""
+    """Choose indices to hold out for validation, evenly spaced in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
@@ -177,13 +177,13 @@ def rms_mm(misses_mm: Array) -> float:
 
 
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
-    """Raise CAL-002, with `what` as its text, if the count is below the minimum."""
+    """Raise CAL-002 with the message `what` if the count is below the minimum."""
     if count < least:
         raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
 
 
 def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
-    """Raise CAL-003, with `what` as its text, if rotations (n, 3, 3) hardly vary about some axis."""
+    """Raise CAL-003 with the message `what` if rotations (n, 3, 3) hardly vary about some axis."""
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
             what,
@@ -194,7 +194,7 @@ def require_spread(rotations: NDArray[np.float64], what: str, action: str | None
 
 
 def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str) -> None:
-    """Raise CAL-004 if more than this fraction of `what` are outliers; `used` marks the inliers."""
+    """Raise CAL-004 if `what` has more than this fraction of outliers; `used` marks the inliers."""
     if (outliers := float(np.mean(~used))) > most_outliers:
         raise DoesNotFit(
             f"too many {what} disagree with the others",
@@ -204,7 +204,7 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
 
 
 def orientation_spread(rotations: NDArray[np.float64]) -> float:
-    """Return the rms variation of rotations (n, 3, 3) along its smallest direction; 0 about a single axis."""
+    """Return the rms variation of rotations (n, 3, 3) in the least varied direction; 0 for a single axis."""
     deviations = rotations - rotations.mean(axis=0)
     scatter = np.einsum("nki,nkj->ij", deviations, deviations) / len(rotations)
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))

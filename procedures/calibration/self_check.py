@@ -1,4 +1,4 @@
-"""Self-check: does the head see the ball at its calibrated position, from the same eight poses?
+"""Self-check of the head: is the ball at its calibrated position when viewed from the same eight poses?
 
 Since calibration the ball may have been put down elsewhere (b, robot frame); the arm repeats to some
 micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
@@ -48,7 +48,7 @@ ARM_FLOOR_MM = 0.005
 
 
 class Baseline(Strict):
-    """Views of the eight orientations at calibration, and the record for their evaluation."""
+    """Views of the eight orientations at calibration, and the record used to evaluate them."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     created: datetime
@@ -63,14 +63,14 @@ class Baseline(Strict):
 
     @property
     def ball_mm(self) -> Array:
-        """Position of the ball, (3,) in the robot frame, accurate to a tenth of a millimetre."""
+        """Ball position, (3,) in the robot frame, accurate to a tenth of a millimetre."""
         centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
         points, _ = intersect_rays(cameras_of(self.stereo_head), *centres)
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
         return np.asarray(np.mean(in_robot, axis=0))
 
     def require_complete(self) -> None:
-        """Raise CAL-008 unless every orientation was viewed often enough for a comparison."""
+        """Raise CAL-008 unless every orientation was viewed often enough for comparison."""
         if (count := len(self.orientations)) < LEAST_ORIENTATIONS:
             raise NotTheBaseline(
                 "the baseline has too few orientations", expected=str(LEAST_ORIENTATIONS), got=str(count)
@@ -80,7 +80,7 @@ class Baseline(Strict):
 
 @dataclass(frozen=True)
 class Sign:
-    """Sign of a change of the head: value, standard deviation, chi-square statistic and limit."""
+    """Sign that the head has changed: value, standard deviation, chi-square statistic and limit."""
 
     name: str
     unit: str
@@ -116,11 +116,11 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """Whether no sign exceeds its limit."""
+        """Whether all signs are within their limits."""
         return not any(sign.sounds for sign in self.signs)
 
     def require(self) -> None:
-        """Raise CAL-006 naming the signs that exceed their limits."""
+        """Raise CAL-006 listing the signs that exceed their limits."""
         bad = [sign for sign in self.signs if sign.sounds]
         if not bad:
             return
@@ -151,7 +151,7 @@ class _RunMeans:
 
 
 def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
-    """Compare the views of a check with the baseline. Raises CAL-008 for other poses, CAL-007 for scatter."""
+    """Compare a check's views with the baseline. Raises CAL-008 for other poses, CAL-007 for scatter."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
     then, now = (_average_run(run, head, numbers) for run in (baseline.looks, looks))
@@ -254,7 +254,7 @@ def _average_run(
     freedom = int(visits.sum()) - len(groups)
 
     def scatter(values: Array) -> float:
-        """Return the pooled variance between visits of the same pose, per axis."""
+        """Return the pooled variance between visits to the same pose, per axis."""
         columns = values.reshape(len(run), -1)
         total = sum(float(np.sum((columns[group] - columns[group].mean(axis=0)) ** 2)) for group in groups)
         return total / (freedom * columns.shape[1])
@@ -274,5 +274,5 @@ def _average_run(
 
 
 def _centre(look: Observation, side: int) -> tuple[float, float]:
-    """Return the centre of the outline; its perspective bias is equal in both runs and cancels."""
+    """Return the outline's centre; its perspective bias is the same in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

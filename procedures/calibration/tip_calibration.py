@@ -1,4 +1,4 @@
-"""Calibration of the guide's tip in the tool frame of the stereo head on the same mount.
+"""Calibration of the guide's tip in the tool frame of the stereo head, which shares its mount.
 
 In one orientation, and within millimetres of one position, an arm's errors are equal with the head over the
 ball and with the tip in the divot that replaces the ball. The difference of the two is the tip relative to
@@ -71,7 +71,7 @@ FAR_MM = 10.0  # no guide deviates this much from its drawing
 
 
 class BallLook(Strict):
-    """View of the ball by the stereo head in one orientation."""
+    """The stereo head's view of the ball in one orientation."""
 
     joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
@@ -81,7 +81,7 @@ class BallLook(Strict):
 
 
 class DivotReading(Strict):
-    """Reading with the guide's tip in the divot, in the orientation of a view of the ball."""
+    """Dial reading with the guide's tip in the divot, in the same orientation as a view of the ball."""
 
     look: int = Field(ge=0, description="Number of that measurement.")
     joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
@@ -92,7 +92,7 @@ class DivotReading(Strict):
 
 
 class TipLooks(Measurements):
-    """All views and readings of one tip calibration, and the records in use."""
+    """All views and readings for one tip calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
@@ -111,7 +111,7 @@ class TipLooks(Measurements):
 
 @dataclass(frozen=True)
 class TipResult:
-    """New record of the tip and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
+    """New tip record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
 
     fit: TipFit
     misses_mm: Array
@@ -164,7 +164,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
 
 
 def require_plausible(dials_mm: tuple[float, float, float]) -> None:
-    """Raise CAL-018 for values that the three dials, in millimetres, cannot show."""
+    """Raise CAL-018 for values that the three millimetre dials cannot show."""
     if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
         raise ReadingImplausible(
             "the dials cannot show this",
@@ -219,7 +219,7 @@ class TipFit:
 
     @property
     def hidden_gap_mm(self) -> float:
-        """Standard deviation of a gap hidden in the tip; an accepted gap is at most three times as large."""
+        """Standard deviation of a gap hidden in the tip; accepted gaps are at most three times as large."""
         return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / GAP_SIGMAS)
 
 
@@ -270,7 +270,7 @@ def fit_tip(pairs: TipPairs) -> TipFit:
 
 @dataclass(frozen=True)
 class TipPairs:
-    """Poses over ball and divot in m orientations, in the head's tool frame according to its record."""
+    """Poses over ball and divot in m orientations, in the head's recorded tool frame."""
 
     at_ball: Array  # (m, 4, 4) ROBOT <- TOOL of the head over the ball
     at_divot: Array  # (m, 4, 4) the same with the tip in the divot
@@ -301,7 +301,7 @@ def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
 
 
 def tips_of(pairs: TipPairs) -> Array:
-    """Return the tip (m, 3) in the tool frame from each single reading."""
+    """Compute the tip (m, 3) in the tool frame from each individual reading."""
     offsets = _offsets_mm(pairs)
     return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], offsets))
 
@@ -322,7 +322,7 @@ def _require_usable(pairs: TipPairs) -> None:
 
 
 def _fit_gap(pairs: TipPairs) -> tuple[Array, float, float]:
-    """Fit the offset of the divot from the ball: offset, 3-D standard error, scatter per reading and axis.
+    """Fit the divot's offset from the ball: offset, 3-D standard error, scatter per reading and axis.
 
     Solves `offsets = R tip - gap` for both unknowns.
     """
@@ -336,6 +336,6 @@ def _fit_gap(pairs: TipPairs) -> tuple[Array, float, float]:
 
 
 def _offsets_mm(pairs: TipPairs) -> Array:
-    """Return the offsets (m, 3) from the tool centre at the divot to ball plus dials, robot axes, mm."""
+    """Return offsets (m, 3) from the tool centre at the divot to ball plus dials, robot axes, mm."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])

@@ -1,4 +1,4 @@
-"""Validity of a theatre's calibration records, and the commands that create them."""
+"""Validity of a theatre's calibration records, and the commands that renew them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated re
 
 
 def options_of(theatre_file: Path) -> str:
-    """Return the command options to read a theatre file and write the new record into it."""
+    """Return the command options that read a theatre file and write the new record into it."""
     file = shlex.quote(str(theatre_file))
     return f"--config {file} --write {file}"
 
@@ -32,7 +32,7 @@ def options_of(theatre_file: Path) -> str:
 def require_valid(
     calibrations: Calibrations, moment: datetime, options: str = "", starts: Set[str] = frozenset()
 ) -> None:
-    """Raise CAL-001 with every record that has expired by `moment`, and the commands to renew them.
+    """Raise CAL-001 listing the records that have expired by `moment`, and the commands to renew them.
 
     `options` select this theatre for those commands; the records in `starts` may have expired. Raises CAL-020
     and CAL-021 like `require_consistent_arm`.
@@ -67,7 +67,7 @@ def require_valid(
 
 
 def require_consistent_arm(calibrations: Calibrations, options: str = "") -> None:
-    """Raise CAL-020 or CAL-021 for an arm that was not calibrated with this head and tip.
+    """Raise CAL-020 or CAL-021 if the arm was not calibrated with this head and tip.
 
     An arm calibration also determines the head's place and moves the tip with it; both keep their dates. A
     later head calibration attributes the nominal arm's errors to the head's place on the flange.

@@ -1,4 +1,4 @@
-"""`ronna-ct`: marker spheres in a CT series. The postoperative CT is in `postoperative.py`."""
+"""`ronna-ct`: marker sphere localization in a CT series (postoperative CT: see `postoperative.py`)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, r
 
 
 class Method(StrEnum):
-    """Method of sphere localization."""
+    """Sphere localization method."""
 
     COMBINED = "combined"
     THESIS_LINE = "thesis-line"
@@ -241,7 +241,7 @@ def view(
 
 
 def _read_layout_mm(layout: str) -> Any:
-    """Read the spheres (k, 3) mm in the layout's own frame. Raises CT-018, also for fewer than three."""
+    """Read the sphere positions (k, 3) mm of a layout, in its own frame. Raises CT-018, also for k < 3."""
     from procedures.imaging import read_picks
     from procedures.imaging.errors import PicksUnreadable
     from procedures.registration.points import FEWEST_PAIRS

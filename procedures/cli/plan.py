@@ -1,4 +1,4 @@
-"""`ronna-plan`: plan checks against CT series and arm, and proposals for marker positions."""
+"""`ronna-plan`: plan checks against the CT series and the arm, and proposed marker positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inputs of planning commands (theatre arm, CT, markers) and proposals for marker positions."""
+"""Inputs of the planning commands (theatre arm, CT, markers), and proposed marker positions."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of th
 def load_theatre_arm(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> TheatreArm | None:
-    """Load the theatre's arm with the head at the given pose; return None if no option requests it."""
+    """Load the theatre's arm with the head at the given pose; return None if no option requires it."""
     require_theatre_options(config, robot_from_ct, home_deg, strategy)
     if config is None or robot_from_ct is None:
         return None
@@ -73,7 +73,7 @@ def load_theatre_arm(
 def require_theatre_options(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> None:
-    """Raise CLI-001 and STR-002 for conflicting or invalid options."""
+    """Raise CLI-001 for conflicting options, STR-002 for an invalid strategy."""
     from procedures.strategies.catalogue import find_strategy
 
     find_strategy(strategy)
@@ -105,13 +105,13 @@ def require_theatre_options(
 
 
 def require_one_head(series_dir: Path | None, scene: Path | None) -> None:
-    """Raise CLI-001 unless the head has exactly one source."""
+    """Raise CLI-001 unless the head comes from exactly one source."""
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
 
 
 def read_volume(series_dir: Path) -> Volume:
-    """Read the series, with a progress bar."""
+    """Read a CT series, showing a progress bar."""
     from procedures.imaging import read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -121,7 +121,7 @@ def read_volume(series_dir: Path) -> Volume:
 def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
-    """Read the series and its marker centres; also return remarks on the scan or why centres are missing."""
+    """Read a series; return the volume, any marker centres, and remarks, such as why centres are missing."""
     from procedures.imaging import localize, read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -193,7 +193,7 @@ def propose_marker_places(
 
 
 def print_markers(title: str, markers: Sequence[TemplateMarker]) -> None:
-    """Print the position of each marker, and the direction of its post."""
+    """Print each marker's position and post direction."""
     terminal.print_table(
         title,
         ["marker", "centre LPS mm", "post"],

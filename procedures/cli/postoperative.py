@@ -86,7 +86,7 @@ def postoperative(
 
 
 def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
-    """Return a warning if an identifier is missing; raises POST-005 if they differ."""
+    """Raise POST-005 if the patient identifiers differ; return a warning if one is missing."""
     from procedures.imaging.dicom.slice_headers import read_patient_identifier
     from procedures.postoperative.errors import OtherPatient
 

@@ -1,4 +1,4 @@
-"""`ronna-procedure`: run or step through a case; show its steps, state chart and links."""
+"""`ronna-procedure`: run or step through a case; show steps, state chart and device links."""
 
 from __future__ import annotations
 

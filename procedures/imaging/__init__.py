@@ -1,4 +1,4 @@
-"""DICOM volumes, and the localization of spheres in them. Pure numerics.
+"""DICOM CT volumes and localization of marker spheres. Pure numerics.
 
 Names load on first use: the process that decodes compressed slices needs none of the numerics.
 """

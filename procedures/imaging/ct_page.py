@@ -1,4 +1,4 @@
-"""A CT as one self-contained HTML page: three planes to scroll, markers and candidates, coordinates on click.
+"""Self-contained HTML page of a CT: three scrollable planes, markers and candidates, coordinates on click.
 
 The page holds the CT reduced to 8 bits and fewer voxels, with all slices in one JPEG.
 """
@@ -28,7 +28,7 @@ TEMPLATE = "ct.html.j2"
 def ct_page(
     volume: Volume, name: str, markers: Sequence[Marker], candidates: Sequence[Candidate], outcome: str
 ) -> str:
-    """Render the page with `name` as heading and `outcome`, one sentence on the search.
+    """Render the page, with `name` as its heading and `outcome` summarizing the search in one sentence.
 
     Neither may name a patient.
 
@@ -91,14 +91,14 @@ def _candidate_content(word: str, candidates: Sequence[Candidate]) -> list[dict[
 
 @dataclass(frozen=True, eq=False)
 class ViewVolume:
-    """Volume thinned for viewing: grey levels (slices, rows, columns), 0 at -1024 HU and 255 at 2048 HU."""
+    """Volume reduced for viewing: grey levels (slices, rows, columns), 0 at -1024 HU and 255 at 2048 HU."""
 
     grey: NDArray[np.uint8]
     geometry: VoxelGeometry
 
 
 def view_volume(volume: Volume) -> ViewVolume:
-    """Average blocks of voxels to at most 256 along each axis; incomplete blocks are dropped."""
+    """Average blocks of voxels down to at most 256 along each axis; incomplete blocks are dropped."""
     geometry = volume.geometry
     factor = [-(-count // MOST_VOXELS) for count in geometry.shape]
     shape = tuple(count // by for count, by in zip(geometry.shape, factor, strict=True))

@@ -1,4 +1,4 @@
-"""Doubts whether a fitted sphere is a marker, from shape, neighbours and size.
+"""Doubts about whether a fitted sphere is a marker, based on its shape, neighbours and size.
 
 A fitted sphere rests on the part of a surface that fits; an egg, a rod with a round end or a cap also have
 such a part. Here every ray counts. Rays into metal carry no information. Rays that end in something denser
@@ -79,7 +79,7 @@ def assess_shape(
     *,
     cleaned: Region | None = None,
 ) -> tuple[Doubt, ...]:
-    """Quantify the ways in which a body may fail to be a whole sphere.
+    """Quantify each way in which a body may differ from a whole sphere.
 
     `edge` is a sphere fitted to its surface; `centre_mm` grid mm. `stretch` comes from the voxels if they
     determine it; otherwise rays do, which streaks and covers disturb more. `cleaned` is the region without
@@ -101,7 +101,7 @@ def assess_shape(
 def _judge_region(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
-    """Judge one region. If it is `streaked`, each ray's edge is halfway between the ray's own levels."""
+    """Judge one region. If `streaked`, the edge is sought midway between each ray's own levels."""
     shares = np.linspace(0.0, OUTERMOST, STEPS)
     directions = ray_directions()
     profiles = region.sample(
@@ -159,14 +159,14 @@ def _judge_region(
 
 
 def _level_shifts_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
-    """Return the limited shift (rays,) in HU of each ray above the usual levels on both sides of the edge."""
+    """Return each ray's level shift (rays,) in HU relative to the sphere's usual levels, clipped."""
     near, far = _levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)
     most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
 
 
 def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
-    """Return the radius, in sphere radii, where each ray first falls below its level, and whether it does.
+    """Return the radius, in sphere radii, at which each ray first falls below its level, and whether it does.
 
     The edge of a ray that is below its level throughout is at the core.
     """
@@ -182,18 +182,18 @@ def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array
 
 
 def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
-    """Return the mean intensity of each ray over spans of radii, in HU."""
+    """Return each ray's mean intensity over spans of radii, in HU."""
     return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
 def _median_around(values: Array, informative: Rays) -> Array:
-    """Return the median over each ray's neighbours, (rays,); infinite if half of these are uninformative."""
+    """Return the median over each ray's neighbours, (rays,); infinite if half of them are uninformative."""
     return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
 
 @cache
 def _neighbours() -> NDArray[np.intp]:
-    """Return the nearest rays to each ray, including itself, (rays, NEIGHBOURS)."""
+    """Return the indices of each ray's nearest rays, including itself, (rays, NEIGHBOURS)."""
     directions = ray_directions()
     return np.argpartition(-(directions @ directions.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
@@ -206,7 +206,7 @@ def _mark_adjacent_rays(directions: Array, rays: Rays) -> Rays:
 
 
 def _extent_difference(directions: Array, offsets: Array) -> float:
-    """Return the longest minus the shortest semi-axis, in radii, from offsets (n,) along directions (n, 3).
+    """Estimate longest minus shortest semi-axis, in radii, from offsets (n,) along directions (n, 3).
 
     The offsets are modelled as those of a shifted, scaled and stretched sphere. If few rays are visible, the
     stretch is shrunk towards zero.
@@ -220,7 +220,7 @@ def _extent_difference(directions: Array, offsets: Array) -> float:
 
 
 def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
-    """List doubts about spheres at `centres_mm` (n, 3); bodies of the same size are at `others_mm` (m, 3)."""
+    """List doubts about spheres at `centres_mm` (n, 3) near bodies of equal size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     offsets = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(offsets, axis=2)
@@ -238,7 +238,7 @@ def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -
 
 
 def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
-    """List the doubts about each radius (n,), from its difference to the median radius of clear spheres."""
+    """List a doubt for each radius (n,), from its deviation from the median radius of clear spheres."""
     if clear.sum() < FEWEST_ALIKE:
         return [Doubt("", 0.0)] * len(radii_mm)
     usual_mm = float(np.median(radii_mm[clear]))
@@ -252,7 +252,7 @@ def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
 
 
 def _find_rows(offsets: Array, distances: Array, diameter_mm: float) -> set[int]:
-    """Find bodies that are part of three in a line, close together and evenly spaced."""
+    """Find bodies that form a straight, close and evenly spaced row of three."""
     near = distances < IN_A_ROW * diameter_mm
     row_members: set[int] = set()
     for middle in np.flatnonzero(near.sum(axis=1) >= 2).tolist():

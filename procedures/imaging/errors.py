@@ -1,4 +1,4 @@
-"""Errors of CT series and sphere localization, CT-001 to CT-025."""
+"""Errors in CT series and sphere localization, CT-001 to CT-025."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ LISTED_CANDIDATES = 8  # in the message; the error carries all of them
 
 
 class SeriesNotFound(DataError):
-    """The folder of the series does not exist, or is a file."""
+    """The series folder does not exist or is a file."""
 
     code = "CT-001"
     action = "Give the folder that holds the DICOM files of one CT series."
 
 
 class SeriesEmpty(DataError):
-    """The folder holds no DICOM image."""
+    """The folder contains no DICOM images."""
 
     code = "CT-002"
     action = "Give the folder that holds the DICOM files of one CT series; subfolders are not searched."
 
 
 class SeriesMixed(DataError):
-    """The folder holds images of more than one series."""
+    """The folder contains images from more than one series."""
 
     code = "CT-003"
     action = "Put each series into its own folder and give one of them."
@@ -96,7 +96,7 @@ class AttributeMissing(DataError):
 
 
 class CompressionUnknown(DataError):
-    """The pixel data are compressed and no installed decoder can decompress them."""
+    """The pixel data are compressed in a format that no installed decoder supports."""
 
     code = "CT-013"
     action = "Export without compression, or install the decoders: pip install 'ronna-hw[compressed]'."
@@ -110,14 +110,14 @@ class PixelsUnusable(DataError):
 
 
 class SeriesTooShort(DataError):
-    """Too few slices to form a volume."""
+    """There are too few slices to form a volume."""
 
     code = "CT-015"
     action = "Export the whole series."
 
 
 class MarkerCountWrong(DataError):
-    """The number of markers is not as expected; `candidates` contains everything that was examined."""
+    """The number of markers differs from what was expected; `candidates` lists everything examined."""
 
     code = "CT-016"
     action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
@@ -141,7 +141,7 @@ class LocalizationMisused(DataError):
 
 
 class PicksUnreadable(DataError):
-    """The file of picks is missing or is not a list of points."""
+    """The picks file is missing or is not a list of points."""
 
     code = "CT-018"
     action = "Give CSV rows or a JSON list of L, P, S in mm, a file from --write, or a 3D Slicer point list."
@@ -170,7 +170,7 @@ class ScoutView(DataError):
 
 
 class VolumeMalformed(DataError):
-    """A volume built without a series has voxels or a geometry that no CT has."""
+    """A volume built without a series has voxels or a geometry that no CT can have."""
 
     code = "CT-022"
     action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."
@@ -184,7 +184,7 @@ class PatientMoved(DataError):
 
 
 class SlicesMisplaced(DataError):
-    """The marker shapes show that the slices are not where the headers place them."""
+    """The marker shapes show that the slices are not positioned as the headers state."""
 
     code = "CT-024"
     action = "Have the scanner's table feed and gantry tilt checked, and scan again."

@@ -1,11 +1,4 @@
-"""Decide whether a position in the scan holds a marker: find a surface, check its size, measure and judge it.
-
-Two estimators measure a sphere whose surface has been found; under strong streaks it is measured jointly
-with them. The estimators see the same noise, so their errors are correlated. Where they differ by more than
-noise explains, the image fits neither model, and the difference is added to the covariance. A streak band
-across the ball can pull the model's radius and intensities far off, and its centre with them. Edges found by
-rays cannot move that far: then they alone determine centre and radius.
-"""
+"""Examination of a position in the scan: is there a surface of the right size, and is it a marker?"""
 
 from __future__ import annotations
 
@@ -83,7 +76,7 @@ IS_MARKER = "is a marker"
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """Measured sphere in grid mm (slice, row, column), with the doubts whether it is a marker.
+    """Measured sphere in grid mm (slice, row, column), with any doubts about its being a marker.
 
     `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the surface
     too close to metal to be used. `stretch` is None if too little of the surface shows to determine it from
@@ -173,7 +166,7 @@ def examine_place(
 
 
 def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
-    """Return the sphere with doubts about its shape.
+    """Return the sphere with doubts about its shape added.
 
     Streaks distort a shape: a doubtful sphere is judged again without its streaks, and accepted if that
     clears it.
@@ -197,7 +190,7 @@ def _assess_sphere(sphere: Sphere, region: Region) -> tuple[Doubt, ...]:
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:
-    """Whether a body with an edge under it hides up to half of the sphere, while the rest is fully seen.
+    """Whether an underlying body with an edge hides up to half of the sphere and the rest is fully visible.
 
     A cylinder or a bone has open sides that are on no sphere; the end of a rounded rod continues where a
     sphere would end.
@@ -307,7 +300,7 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
-    """Measure the sphere and the streaks in each slice together.
+    """Measure the sphere jointly with the streaks in each slice.
 
     Streaks hide directions from the rays. Those that show once they are removed are used in a second fit.
     """
@@ -340,7 +333,7 @@ def _measure_with_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
 
 
 def combine_estimates(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Sphere:
-    """Combine both estimates, or use the edge alone where streaks have spoiled the ball fit."""
+    """Combine both centre estimates, or use the edge alone where streaks have spoiled the ball fit."""
     if _is_spoiled(edge, ball):
         centre_mm, radius_mm = edge.centre_mm, edge.radius_mm
         streaks = ball.streak_hu / abs(edge.inside_hu - edge.outside_hu)
@@ -378,7 +371,7 @@ def _weighted_mean(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> tu
 
 
 def _is_streaked(edge: RadialEdge, ball: BlurredBall) -> bool:
-    """Whether streaks bend the background so much that the covariance of neither fit can be trusted."""
+    """Whether streaks bend the background too much to trust the covariance of either fit."""
     apart_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
     is_bent = ball.streak_hu > STREAKED_SHARE * abs(ball.contrast_hu)
     return is_bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)

@@ -1,4 +1,4 @@
-"""Find every marker sphere in a volume, with its centre and covariance.
+"""Localization of all marker spheres in a volume, with centres and covariances.
 
 A matched filter on a coarse grid detects candidates: the volume is resampled to about a millimetre, clipped
 so that bone and metal do not outshine a polymer sphere, and correlated with a kernel that compares the mean
@@ -103,7 +103,7 @@ def localize(
 
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
-    """Find the maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
+    """Find the maxima of the sphere filter, strongest first: grid positions (3,) mm, contrasts in HU."""
     response, step_mm = _filter_spheres(volume, radius_mm)
     places = np.argwhere(response > MIN_CONTRAST_HU)
     strengths = response[tuple(places.T)]
@@ -122,7 +122,7 @@ def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
 
 
 def _filter_spheres(volume: Volume, radius_mm: float) -> tuple[NDArray[np.float32], Array]:
-    """Return the response of the sphere filter on the coarse grid, and the grid's spacing (3,) mm."""
+    """Return the sphere filter's response on a coarse grid, and the grid's spacing (3,) mm."""
     coarse, step_mm = _resample(volume, radius_mm / VOXELS_PER_RADIUS)
     kernel = _build_kernel(radius_mm, step_mm)
     # outside the volume counts as air; the kernel is symmetric, so convolution equals correlation
@@ -199,7 +199,7 @@ def _transform_kernel(kernel: NDArray[np.float32], shape: list[int]) -> NDArray[
 def judge_spheres(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
-    """Add the doubts that spheres and rejected candidates cast on each other."""
+    """Add the doubts that spheres and rejected candidates raise about each other."""
     if not found:
         return []
     centres_mm = np.array([one.centre_mm for one in found])
@@ -217,7 +217,7 @@ def judge_spheres(
 
 
 def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
-    """Keep only the clear markers if exactly the expected number stands out; else keep all."""
+    """If exactly the expected number of markers stands out, add a doubt to the other accepted spheres."""
     accepted = sorted((one for one in judged if one.accepted), key=lambda one: -one.odds)
     if not 0 < expected < len(accepted):
         return list(judged)
@@ -229,7 +229,7 @@ def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
-    """Raise CT-016 unless the count is as expected; without an expected count, if it is zero."""
+    """Raise CT-016 for a count other than expected or, without an expected count, for zero."""
     if expected is None and found == 0:
         raise MarkerCountWrong("no marker found", candidates=candidates)
     if expected is not None and found != expected:
@@ -262,7 +262,7 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
 
 
 def _is_same_object(one: Candidate, other: Candidate) -> bool:
-    """Whether two peaks on one large object led to the same fitted sphere."""
+    """Whether two peaks within one large object led to the same fitted sphere."""
     if one.radius_mm is None or other.radius_mm is None or other.accepted:
         return False
     return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm

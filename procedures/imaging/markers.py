@@ -1,4 +1,4 @@
-"""Results of the localizer: markers, candidates, and the doubts that separate markers from the rest."""
+"""Localizer results: markers, candidates, and the doubts that tell them apart."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ class Marker(BaseModel):
 
     @property
     def sigma_mm(self) -> float:
-        """Predicted error of the centre, 3-D rms."""
+        """Predicted 3-D rms error of the centre."""
         return float(np.sqrt(np.trace(np.array(self.covariance_mm2))))
 
     def document(self) -> dict[str, Any]:
-        """Return the marker as plain data for JSON, without the agreement."""
+        """Return the marker as plain data for JSON, omitting the agreement."""
         return self.model_dump(mode="json", exclude={"agreement_mm"})
 
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """Markers of one volume, from superior to inferior, and all candidates.
+    """Markers found in one volume, from superior to inferior, and all candidates.
 
     `warnings` are sentences on what the markers together reveal about the scan.
     """
@@ -74,7 +74,7 @@ class Localization:
 
     @property
     def doubtful(self) -> tuple[Candidate, ...]:
-        """Candidates of the right size that may not be whole spheres, likeliest first."""
+        """Right-sized candidates that may not be whole spheres, most likely first."""
         return tuple(likeliest_first(one for one in self.candidates if one.doubtful))
 
     @property
@@ -90,7 +90,7 @@ class Localization:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A position examined as a possible marker, and the verdict.
+    """Position examined as a possible marker, with the verdict.
 
     `centre_mm` is LPS. `accepted` candidates are the markers; for the others, and for a doubtful one that a
     person picked, `reason` says why not. `surface_share` [0..1] is the part of the sphere's surface found
@@ -125,7 +125,7 @@ def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Reason why a candidate may not be a marker; an `excess` of 1 alone makes the odds even."""
+    """Reason why a candidate may not be a marker; an `excess` of 1 on its own means even odds."""
 
     reason: str
     excess: float

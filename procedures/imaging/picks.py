@@ -1,4 +1,4 @@
-"""Manual fallback: a person picks the approximate sphere centres, and the estimators measure them.
+"""Manual fallback: a person picks approximate sphere centres, which are then measured as usual.
 
 A pick replaces detection, and a marker at a pick may show less of its surface than a detected one, or be
 doubtful. It never replaces the measurement: a pick without a sphere is refused with the reason. Picks come
@@ -61,7 +61,7 @@ def localize_picks(
     expected: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Localization:
-    """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
+    """Localize a sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
 
     Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016, CT-017
     and CT-024 like `localize`.
@@ -94,7 +94,7 @@ def localize_picks(
 def _measure_pick(
     volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]
 ) -> Sphere:
-    """Measure the sphere at a pick. Without one, raise, with a hint if RAS or metres would give a sphere."""
+    """Measure the sphere at a pick. Raises CT-019 if none is found, with a hint for RAS or metres."""
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
@@ -148,7 +148,7 @@ def _describe_extent(geometry: VoxelGeometry) -> str:
 
 
 def _list_starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:
-    """List starting points: peaks of the sphere filter near the pick, then the pick and points around it."""
+    """List starting points: nearby peaks of the sphere filter, then the pick and points around it."""
     part, offset_mm = _crop(volume, grid_mm, CROP * radius_mm)
     peaks = [
         (place_mm + offset_mm, contrast_hu)
@@ -181,7 +181,7 @@ def read_picks(path: Path) -> Array:
 
 
 def parse_points(content: bytes, name: str) -> Array:
-    """Parse the content of a point file into points (n, 3) LPS mm, n > 0. Raises CT-018."""
+    """Parse a point file's content into points (n, 3) LPS mm, n > 0. Raises CT-018."""
     try:
         is_json = name.lower().endswith(".json")
         rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), name)
@@ -203,7 +203,7 @@ def parse_points(content: bytes, name: str) -> Array:
 
 
 def _from_csv(text: str, name: str) -> list[list[float]]:
-    """Parse three columns separated by , or ; and selected by L_mm, P_mm, S_mm if there is a header.
+    """Parse three columns separated by , or ;, selected by L_mm, P_mm, S_mm if there is a header.
 
     Any other header is refused: it may mean other axes.
     """

@@ -1,4 +1,4 @@
-"""Pictures of markers: three planes through the centre with the fitted sphere."""
+"""Marker pictures: three planes through the centre, with the fitted sphere."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 
 
 def draw_markers(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
-    """Draw one PNG for each marker, in the order of `localization.markers`.
+    """Draw a PNG of each marker, in the order of `localization.markers`.
 
     Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
     patient's sides; blue is outside the scan.
@@ -58,7 +58,7 @@ def _head_marker(marker: Marker, number: int) -> str:
 
 
 def draw_candidates(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
-    """Draw one PNG for each candidate with its verdict, and a ring where a surface was found."""
+    """Draw a PNG of each candidate with its verdict, and a ring where a surface was found."""
     sheet = _Sheet(volume)
     return tuple(
         sheet.draw(
@@ -75,7 +75,7 @@ def _as_text(centre_mm: Iterable[float]) -> str:
 
 
 class _Sheet:
-    """Reusable figure with three planes of a volume's grid.
+    """Reusable figure showing three planes of a volume's grid.
 
     What all pictures share, such as axes and letters, is drawn once and kept as pixels.
     """
@@ -127,7 +127,7 @@ class _Sheet:
         self._shared = self._canvas.copy_from_bbox(self._figure.bbox)
 
     def draw(self, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
-        """Draw a PNG with the planes through a position (LPS), and a ring if a radius is known."""
+        """Draw a PNG of the planes through a position (LPS), with a ring if a radius is known."""
         from matplotlib.image import imsave
 
         geometry = self._volume.geometry
@@ -153,7 +153,7 @@ class _Sheet:
 
 
 def _sample_planes(volume: Volume, centre_mm: Array) -> list[Array]:
-    """Sample the three planes, (n, n) HU each, rows along the down axis and columns along the across axis.
+    """Sample the three planes, (n, n) HU each; rows follow the down axis, columns the across axis.
 
     NaN outside the scan.
     """

@@ -1,4 +1,4 @@
-"""Detect scanner faults that the headers do not show: a patient who moved, a wrong table feed, a hidden tilt.
+"""Detection of faults that the headers do not show: patient motion, wrong table feed, hidden tilt.
 
 Outlines in a head change steadily from slice to slice. Any change in excess of those around it is compared
 with a shift of the outlines across the slice. If a change runs against those around it, slices repeat: the
@@ -51,7 +51,7 @@ REFUSED = 0.015
 
 
 def check_motion(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """Warn of a jump between slices; raise CT-023 if it exceeds 1 mm, sideways or back along the table."""
+    """Warn of a jump between slices, sideways or back along the table; raise CT-023 if it exceeds 1 mm."""
     if len(voxels) < AROUND or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
     found = estimate_jumps(voxels, geometry)
@@ -84,7 +84,7 @@ def _warn_of_jump(way: str, jumps_mm: Array, geometry: VoxelGeometry) -> tuple[s
 
 @dataclass(frozen=True, eq=False)
 class Jumps:
-    """Jump of each inner slice against the one before, (slices - 5,); 0 where it cannot be judged.
+    """Jump of each inner slice relative to the previous one, (slices - 5,); 0 where it cannot be judged.
 
     `across_mm` across the slice, with the share of the sudden change that such a shift explains; `back_mm`
     along the table, with the correlation of the change with those around it.
@@ -136,7 +136,7 @@ def _estimate_jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm:
 
 
 def _estimate_return(changes: Array, slice_mm: float) -> tuple[float, float]:
-    """Estimate the apparent return of the table in mm, and the correlation with the changes around it.
+    """Estimate how far the table apparently moved back, mm, and the correlation with nearby changes.
 
     Those have no slice in common with the middle one, whose noise would otherwise count.
     """
@@ -166,7 +166,7 @@ class Distortion:
 
 
 def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> Distortion | None:
-    """Estimate the distortion from medians over the markers' stretches; return None for fewer than four."""
+    """Estimate the distortion from the median stretch of the markers; return None for fewer than four."""
     shapes = [stretch.terms_mm / radius_mm for stretch in stretches if stretch is not None]
     if len(shapes) < FEWEST:
         return None
@@ -183,7 +183,7 @@ def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) ->
 
 
 def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
-    """Warn of a significant distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
+    """Warn of a significant distortion; raise CT-024 above 1.5 % in scale or 0.9 degrees of tilt."""
     found = measure_distortion(stretches, radius_mm)
     if found is None:
         return ()
@@ -200,7 +200,7 @@ def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> t
 
 
 def _word_distortion(wording: str, value: float, limit: float, unit: str, markers: int) -> str:
-    """Describe one distortion in a sentence; raise CT-024 beyond the limit."""
+    """Describe a distortion in one sentence; raise CT-024 if it exceeds the limit."""
     if value > limit:
         raise SlicesMisplaced(
             f"by the shape of {markers} markers {wording.format(format_against_limit(value, limit, 1))}",

@@ -1,4 +1,4 @@
-"""Read a DICOM CT series from a folder: geometry checked, pixels in HU."""
+"""Reader for a folder's DICOM CT series: validated geometry, pixels in HU."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ AIR_BELOW_HU = -500  # every head is surrounded by air
 
 
 def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
-    """Read the CT series whose files lie directly in `directory`.
+    """Read the CT series whose files are directly in `directory`.
 
     Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called with the
     fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;

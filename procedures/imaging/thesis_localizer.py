@@ -1,4 +1,4 @@
-"""The localizer of the thesis, for comparison with ours on the same data. Not for patients.
+"""Localizer of the thesis, for comparison on the same data. Not for patients.
 
 Šuligoj, Spatial patient registration in robotic neurosurgery, Zagreb 2018, section 5.1. The thesis names the
 steps but no parameters: every constant here is our estimate. Steps 1 to 3: HU filter, regions, circles in the
@@ -61,7 +61,7 @@ COVARIANCE_ASSUMED = "covariance_assumed"
 
 
 class ThesisFit(StrEnum):
-    """The two centre fits of the thesis."""
+    """Centre fits of the thesis."""
 
     LINE = "thesis-line"
     SPHERE = "thesis-sphere"
@@ -136,7 +136,7 @@ class Circles:
 
 
 def find_regions(volume: Volume) -> list[Box]:
-    """Find the bounding boxes of all objects that are neither air nor head."""
+    """Find the bounding box of every object that is neither air nor head."""
     spacing_mm = volume.geometry.spacing_mm
     skip = np.maximum(np.rint(REGION_STEP_MM / spacing_mm).astype(int), 1)
     body = volume.voxels[:: skip[0], :: skip[1], :: skip[2]] > BODY_HU
@@ -185,7 +185,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
 
 
 def _find_plane_circles(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
-    """Find the circles (column, row, radius) of a plane in fine pixels; also return the pixel size in mm."""
+    """Find the circles (column, row, radius) in a plane, in fine pixels; also return the pixel size in mm."""
     low, high = POLYMER_HU
     grey = np.clip((plane.astype(np.float32) - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
     size = np.maximum(np.rint(np.array(plane.shape) * spacing_mm / PIXEL_MM).astype(int), 1)
@@ -213,7 +213,7 @@ def _disk(diameters: Array) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class Cluster(Circles):
-    """Stacked circles along one axis, and the sphere centre that they imply."""
+    """Circles stacked along one axis, and the sphere centre they imply."""
 
     middle_mm: Array
 
@@ -240,7 +240,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
 
 
 def pair_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tuple[Cluster, Cluster]]:
-    """Pair the axial and sagittal clusters of the same sphere, nearest first; each is used once."""
+    """Pair the axial and sagittal clusters of each sphere, nearest first, using each cluster once."""
     pairs = sorted(
         (float(np.linalg.norm(one.middle_mm - other.middle_mm)), i, j)
         for i, one in enumerate(axial)
@@ -278,7 +278,7 @@ def _as_cluster(circles: Circles, chain: list[int], radius_mm: float) -> Cluster
 
 
 def fit_lines(axial: Cluster, sagittal: Cluster) -> Array:
-    """Return the point (3,) in grid mm nearest to the lines through both clusters' centres."""
+    """Return the point (3,) in grid mm nearest to the lines through the circle centres of both clusters."""
     (p, u), (q, v) = (_fit_line(cluster.centres_mm) for cluster in (axial, sagittal))
     offset, cosine = q - p, float(u @ v)
     # the feet of the common perpendicular
@@ -321,7 +321,7 @@ def _fit_line(points: Array) -> tuple[Array, Array]:
 def _find_consensus(
     points: Array, count: int, mark_agreeing: Callable[[Array], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Find the largest set of points (n,) that agrees with `count` points drawn at random (RANSAC)."""
+    """Find the largest set of points (n,) consistent with a random sample of `count` points (RANSAC)."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)
     for _ in range(TRIALS):
@@ -341,7 +341,7 @@ def _circle_points(cluster: Cluster) -> Array:
 
 
 def _fit_algebraic_sphere(points: Array) -> tuple[Array, float]:
-    """Solve |x|² = 2 c·x + (R² - |c|²) by least squares, relative to the mean of the points."""
+    """Solve |x|² = 2 c·x + (R² - |c|²) by least squares, with coordinates relative to the points' mean."""
     middle = points.mean(axis=0)
     offsets = points - middle
     design = np.column_stack([2.0 * offsets, np.ones(len(points))])

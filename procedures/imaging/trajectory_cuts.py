@@ -1,4 +1,4 @@
-"""Three CT planes through a target, with the planned trajectories: for confirmation, report and operation."""
+"""Three CT planes through a target with the planned trajectories, for confirmation, report and operation."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _sample_plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -
 
 
 def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, is_own: bool) -> None:
-    """Draw a trajectory from entry to target in short pieces."""
+    """Draw a trajectory from entry to target in short segments."""
     import cv2
 
     entry, target = line
@@ -87,7 +87,7 @@ def _clamp(picture: Picture, pixel: float) -> int:
 
 
 def _write(picture: Picture, title: str, letters: tuple[str, str, str, str]) -> None:
-    """Write the plane's name and, at the edges, the patient's sides."""
+    """Write the plane's name, and the patient's sides at the edges."""
     import cv2
 
     size = picture.shape[0]

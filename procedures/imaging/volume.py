@@ -1,4 +1,4 @@
-"""CT volumes: voxels in HU, the geometry that relates them to the patient, and regions cut from them.
+"""CT volumes: voxels in HU, their geometry in patient coordinates, and regions cut from them.
 
 Grid millimetres are voxel indices (slice, row, column) times their spacing: a Cartesian frame that differs
 from the patient's only by rotation and translation.
@@ -105,7 +105,7 @@ class Volume:
 
     @cached_property
     def extent_mm(self) -> Array:
-        """Size along (slice, row, column) between the outer faces, (3,) mm."""
+        """Size along (slice, row, column) between the outer voxel faces, (3,) mm."""
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
 
     def sample(self, places_mm: ArrayLike, outside_hu: float) -> NDArray[Any]:
@@ -166,7 +166,7 @@ class Region:
 
 
 def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region:
-    """Cut the voxels within a cube around a grid position, clipped to the volume."""
+    """Cut out the voxels within a cube around a grid position, clipped to the volume."""
     cube = cube_around(volume.geometry, centre_mm, half_width_mm)
     piece = volume.voxels[cube]
     values = piece.astype(float)
@@ -176,7 +176,7 @@ def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region
 
 
 def cube_around(geometry: VoxelGeometry, centre_mm: Array, half_width_mm: float) -> tuple[slice, ...]:
-    """Return the slices of the voxels in a cube around a grid position, at least one along each axis."""
+    """Return the index ranges of a cube around a grid position, at least one voxel along each axis."""
     shape = np.array(geometry.shape)
     low = np.clip(np.floor((centre_mm - half_width_mm) / geometry.spacing_mm).astype(int), 0, shape - 1)
     high = np.ceil((centre_mm + half_width_mm) / geometry.spacing_mm).astype(int) + 1

@@ -1,4 +1,4 @@
-"""Correspondence of points, rigid registration, and prediction of the registration error.
+"""Point correspondence, rigid registration, and prediction of the registration error.
 
     from procedures.registration import match, register
 

@@ -1,4 +1,4 @@
-"""Register point clouds without correspondence: principal axes as start, then iterative closest points.
+"""Registration of point clouds without correspondence: principal axes, then iterative closest point (ICP).
 
 For surfaces and dense scans; fiducials are paired by `match`, which states its certainty. Nearest neighbours
 come from SciPy's k-d tree; every step uses the same rigid fit as the fiducials. Iterative closest points:
@@ -53,7 +53,7 @@ class CloudFit:
 def register_clouds(
     image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
 ) -> CloudFit:
-    """Register clouds (n, 3) and (m, 3) in mm, of any point order and size.
+    """Register clouds (n, 3) and (m, 3) in mm, of any size and in any order.
 
     `start` is an approximate transform physical <- image; without it the principal axes yield four, and both
     clouds must cover the same part. `overlap` is the share of the image points that have a counterpart.
@@ -118,7 +118,7 @@ def _as_fit(fit: _Fit) -> CloudFit:
 def _iterate_closest_points(
     image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float
 ) -> _Fit:
-    """Pair each image point with the nearest physical point and fit, until the residual stops changing."""
+    """Alternate between pairing nearest points and fitting until the residual stops decreasing."""
     matrix, before_mm = start, np.inf
     kept = round(overlap * len(image))
     for step in range(1, MOST_STEPS + 1):
@@ -135,7 +135,7 @@ def _iterate_closest_points(
 
 
 def _align_axes(image: Array, physical: Array) -> list[Array]:
-    """Align the principal axes of both clouds in all four proper rotations."""
+    """Align the principal axes of two clouds in each of the four proper rotations."""
     image_axes, physical_axes = _principal_axes(image, "image"), _principal_axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):

@@ -1,4 +1,4 @@
-"""Correspondence of two point sets with its certainty, and prior knowledge of the orientation."""
+"""Correspondence of two point sets, its certainty, and prior knowledge of the orientation."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ class MatchStatus(StrEnum):
 
 
 class PosePrior(Protocol):
-    """Evidence about the pose physical <- image that is independent of the distances."""
+    """Evidence about the pose physical <- image, independent of inter-point distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); '' if there is none."""
+        """Explain why a pose, (3, 3) and (3,), of paired points (k, 3) is unlikely; '' if it is not."""
         ...
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Approximate rotation physical <- image, with the largest deviation of the true rotation."""
+    """Approximate rotation physical <- image, and how far the true rotation may deviate from it."""
 
     rotation: Rotation
     tolerance_rad: float = DEFAULT_PRIOR_TOLERANCE_RAD
 
     def __post_init__(self) -> None:
-        """Raise REG-007 unless the prior is one rotation with an angle of at most pi."""
+        """Raise REG-007 unless the prior is a single rotation with a tolerance of at most pi."""
         if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
             raise BadParameter(
                 "a prior needs one SciPy Rotation physical <- image",
@@ -59,7 +59,7 @@ class Prior:
             )
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State by how much the rotation exceeds the tolerance; return '' if it does not."""
+        """State how far the rotation is off if it exceeds the tolerance; return '' otherwise."""
         turned_rad = turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation)
         if turned_rad <= self.tolerance_rad:
             return ""
@@ -115,7 +115,7 @@ class Match:
         runner_up: Hypothesis | None = None,
         margin_nats: float = 0.0,
     ) -> Self:
-        """Build the result from the best hypothesis or without pairs; `counts` of image, physical points."""
+        """Build the result from the best hypothesis, if any; `counts` are the image and physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
         unmatched = [
             tuple(index for index in range(count) if index not in set(used.tolist()))

@@ -1,4 +1,4 @@
-"""Fiducial and target errors of a rigid registration, with formulas numbered as in the thesis.
+"""Fiducial and target errors of rigid registration, with formulas numbered as in the thesis.
 
 FLE is the 3-D rms localization error of BOTH spaces together; FRE the rms residual after the fit; TRE the
 rms error at a target. FRE says nothing about TRE: use it only as a gate. Sources: Fitzpatrick, West, Maurer
@@ -27,21 +27,21 @@ DEFAULT_CONFIDENCE = 0.95
 
 
 def degrees_of_freedom(pairs: int) -> int:
-    """Return the residual degrees of freedom of a rigid fit of `pairs` points, 3n - 6. Raises REG-002."""
+    """Return the residual degrees of freedom of a rigid fit to `pairs` points, 3n - 6. Raises REG-002."""
     if pairs < FEWEST_PAIRS:
         raise TooFewPoints(f"{pairs} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
     return 3 * pairs - POSE_UNKNOWNS
 
 
 def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
-    """Return the FLE of both spaces from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
+    """Estimate the FLE of both spaces from FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
     degrees_of_freedom(pairs)
     require_size("FRE", fre_mm)
     return fre_mm * math.sqrt(pairs / (pairs - 2))
 
 
 def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
-    """Return the FLE of each of two spaces of equal FLE from several FREs, eq. 37 and 38.
+    """Estimate the FLE of one of two equally accurate spaces from one or more FREs, eq. 37 and 38.
 
     The squares are averaged over the registrations and halved between the two spaces. Raises REG-002,
     REG-007.
@@ -65,7 +65,7 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
 
 
 def chi_square_limit(freedom: int, confidence: float) -> float:
-    """Return the chi-square value that is exceeded with probability 1 - confidence. Raises REG-007."""
+    """Return the chi-square value exceeded with probability 1 - confidence. Raises REG-007."""
     _require_confidence(confidence)
     return float(chdtri(freedom, 1.0 - confidence))
 
@@ -79,7 +79,7 @@ def _require_confidence(confidence: float) -> None:
 
 @dataclass(frozen=True)
 class FreGate:
-    """Result of the chi-square gate on a residual. A passed gate does not prove accuracy."""
+    """Result of a chi-square gate on a residual. Passing the gate does not prove accuracy."""
 
     fre_mm: float
     chi_square: float
@@ -110,7 +110,7 @@ class FreGate:
 
 
 def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
-    """Judge an FRE against the known FLE (3-D rms, both spaces together). Raises REG-002, REG-007."""
+    """Judge an FRE against a known FLE (3-D rms, both spaces together). Raises REG-002, REG-007."""
     require_size("FRE", fre_mm)
     limit_mm = fre_limit_mm(fle_mm, pairs, confidence)
     limit = chi_square_limit(degrees_of_freedom(pairs), confidence)
@@ -139,7 +139,7 @@ def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) 
 
 
 def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:
-    """Return the covariance (6, 6) of the fitted pose about the fiducials' centroid: rad^2, rad mm and mm^2.
+    """Return the fitted pose's covariance (6, 6) about the fiducials' centroid: rad^2, rad mm and mm^2.
 
     If the fit was `weighted` with the inverse covariances, this is the inverse normal matrix; for plain least
     squares, the sandwich form, valid for any fiducial error.
@@ -153,7 +153,7 @@ def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: boo
 
 
 def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) -> Array:
-    """Return the covariance (m, 3, 3) of mapped targets (m, 3) from the covariance of the pose."""
+    """Propagate the pose covariance to mapped targets (m, 3), giving (m, 3, 3)."""
     jacobian = pose_jacobian(points_mm, fiducials_mm.mean(axis=0))
     return np.asarray(jacobian @ pose @ np.swapaxes(jacobian, -1, -2))
 

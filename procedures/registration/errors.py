@@ -1,4 +1,4 @@
-"""Errors of point correspondence and registration, REG-001 to REG-012."""
+"""Errors in point correspondence and registration, REG-001 to REG-013."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class BadPoints(DataError):
 
 
 class TooFewPoints(DataError):
-    """Fewer than three pairs were given for a rigid transform."""
+    """Fewer than three point pairs were given for a rigid transform."""
 
     code = "REG-002"
     action = "Measure at least three fiducials; five are recommended."
@@ -27,7 +27,7 @@ class CollinearPoints(DataError):
 
 
 class DuplicatePoints(DataError):
-    """Two points of one set are closer than two spheres can be; one sphere was measured twice."""
+    """Two points in a set are closer than two spheres can be, so one sphere was measured twice."""
 
     code = "REG-004"
     action = "Remove the duplicate point; it would silently count twice."
@@ -41,7 +41,7 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """A weighted fit or a cloud registration did not converge, since its inputs contradict each other."""
+    """A weighted fit or a cloud registration did not converge, as when its inputs contradict each other."""
 
     code = "REG-006"
     action = (
@@ -50,14 +50,14 @@ class NotConverged(DataError):
 
 
 class BadParameter(DataError):
-    """A standard deviation, a count, a prior or a confidence is out of range."""
+    """A standard deviation, count, prior or confidence is invalid."""
 
     code = "REG-007"
     action = "Give a positive finite length in mm."
 
 
 class NoUniqueMatch(RefusedError):
-    """A correspondence that is not unique was about to be used."""
+    """The correspondence is not unique, so it must not be used."""
 
     code = "REG-008"
     action = (
@@ -68,21 +68,21 @@ class NoUniqueMatch(RefusedError):
 
 
 class UnsoundRegistration(RefusedError):
-    """A mirrored or ill-posed registration was about to be used."""
+    """The registration is mirrored or ill-posed, so it must not be used."""
 
     code = "REG-009"
     action = "Check left and right in the series and in the pairing; measure a fiducial outside the plane."
 
 
 class ResidualTooLarge(RefusedError):
-    """The residuals are larger than the known localization errors explain."""
+    """The residuals are larger than the known localization errors can explain."""
 
     code = "REG-010"
     action = "Find the fiducial that moved (leave-one-out residuals), or localize again."
 
 
 class SymmetricCloud(DataError):
-    """A cloud of unpaired points fits in several orientations."""
+    """A cloud of unpaired points fits in more than one orientation."""
 
     code = "REG-011"
     action = "Give an approximate transform as the start, or register paired fiducials."
@@ -99,7 +99,7 @@ class LayoutNotFound(RefusedError):
 
 
 class HeadElsewhere(RefusedError):
-    """A touched point of the head is not at its matched position, or cannot exclude a mirror image."""
+    """A touched point on the head is away from its matched position, or cannot rule out a mirror image."""
 
     code = "REG-013"
     action = (

@@ -1,4 +1,4 @@
-"""Pair two unordered point sets with outliers in both, or explain why no pairing is certain.
+"""Pairing of two unordered point sets with outliers in both, or an explanation of why none is certain.
 
 The largest sets of pairs with matching distances are fitted and scored, each also with single pairs removed.
 The best must be 10,000 times more likely than any that contradicts it, or the answer is AMBIGUOUS.
@@ -52,7 +52,7 @@ def match(
     expected: int | None = None,
     prior: PosePrior | Rotation | None = None,
 ) -> Match:
-    """Pair image points (n, 3) with physical points (m, 3), in mm, in unknown order with outliers in both.
+    """Pair unordered image points (n, 3) with physical points (m, 3), in mm, with outliers in both.
 
     A sigma is one standard deviation, common to all axes or one per axis; pairing is isotropic and uses the
     rms of the three. `expected` is the planned number of pairs; UNIQUE then means exactly that many. `prior`
@@ -76,7 +76,7 @@ def match(
 
 
 def validate_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
-    """Return the prior; a bare rotation gets the default tolerance. Raises REG-007."""
+    """Return the prior, giving a bare rotation the default tolerance. Raises REG-007."""
     return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
@@ -91,7 +91,7 @@ def weigh_evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
 
 
 def _variance_mm2(name: str, sigma_mm: Any) -> float:
-    """Return the variance per axis: the square of one number, or the mean square of three."""
+    """Return the variance per axis: a single sigma squared, or the mean square of three."""
     try:
         given = np.asarray(sigma_mm)
     except ValueError:  # rows of unequal length
@@ -130,7 +130,7 @@ class CorrespondenceSearch:
     prior: PosePrior | None
 
     def answer(self) -> Match:
-        """Search the largest cliques first, and all cliques only if none of these passes."""
+        """Search the largest cliques first, then all cliques if that does not settle the match."""
         tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
         nearest: list[Candidate] = []
@@ -166,13 +166,13 @@ class CorrespondenceSearch:
         return self._explain(nearest, is_outside_prior)
 
     def answer_too_few(self, counts: str) -> Match:
-        """Return a result without pairs for fewer points than expected, and report which points agree."""
+        """Return a result without pairs for too few points, reporting which of them agree."""
         found = self.answer()
         without_pairs = self.answer_without_pairs(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
         return replace(without_pairs, runner_up=found.runner_up)
 
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
-        """Divide candidates into passing and failed ones; drop those with too little evidence."""
+        """Split candidates into passing and failed ones, dropping those with too little evidence."""
         masks_by_size: dict[int, list[int]] = {}
         for clique in cliques:
             masks_by_size.setdefault(clique.bit_count(), []).append(clique)
@@ -211,7 +211,7 @@ class CorrespondenceSearch:
         return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
 
     def _may_have_bad_pair(self, one: Candidate) -> bool:
-        """Whether a candidate may contain a pair that lowers its score, so that subsets must be examined.
+        """Whether a candidate may contain a bad pair that lowers its score, so that subsets must be tried.
 
         Up to the planned number of pairs none is doubted: they are known to exist.
         """
@@ -219,7 +219,7 @@ class CorrespondenceSearch:
         return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
-        """Return UNIQUE if the best candidate beats all contradicting ones, else the reason why not."""
+        """Decide whether the best candidate clearly beats all contradicting ones."""
         larger = [
             one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
         ]
@@ -271,7 +271,7 @@ class CorrespondenceSearch:
         return self._build_match(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
 
     def _explain(self, nearest: list[Candidate], is_outside_prior: bool) -> Match:
-        """Explain why no pairing passes, with the closest candidate."""
+        """Explain, using the closest candidate, why no pairing passes."""
         excluded = [one for one in nearest if is_outside_prior and self._objection(one)]
         miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
         if is_outside_prior:

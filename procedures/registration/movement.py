@@ -1,4 +1,4 @@
-"""Detect how known points have moved from a second measurement in the same frame."""
+"""Motion of known points, detected from a second measurement in the same frame."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class RigidMove:
 
     @property
     def turn_rad(self) -> float:
-        """Angle of the rotation."""
+        """Angle of rotation."""
         return float(self.fit.transform.rotation.magnitude())
 
     @property
     def rms_mm(self) -> float:
-        """Rms displacement of the points under the motion."""
+        """Rms displacement of the points due to the motion."""
         displacements = np.asarray(self.fit.transform.apply(self.fit.image_mm)) - self.fit.image_mm
         return math.sqrt(float(np.square(displacements).sum(axis=1).mean()))
 
@@ -52,12 +52,12 @@ class RigidMove:
         return self.fit.gate(confidence=GATE_CONFIDENCE)
 
     def error_mm(self, place_mm: ArrayLike) -> float:
-        """Predict the rms error of the motion at a position (3,) mm before it."""
+        """Predict the rms error of the motion at a position (3,) mm occupied before it."""
         return float(self.fit.predict_tre_mm(np.reshape(np.asarray(place_mm, dtype=float), (1, 3)))[0])
 
 
 def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
-    """Fit the rigid motion of paired points (n, 3), n >= 3.
+    """Fit a rigid motion to paired points (n, 3), n >= 3.
 
     `covariance_mm2` (n, 3, 3) is the sum over both measurements of each point. Raises REG-001 to REG-006, and
     REG-009 for a mirrored set.
@@ -69,7 +69,7 @@ def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: Ar
 
 @dataclass(frozen=True)
 class PointShift:
-    """Mean displacement (3,) mm of points, rms displacement under the rigid motion, and number of points."""
+    """Mean displacement (3,) mm and rms displacement of points, and how many there are."""
 
     mean_mm: Array
     rms_mm: float
@@ -83,7 +83,7 @@ class PointShift:
 
 
 def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Measure the shift of two or more points, each near its recorded position; return None for fewer.
+    """Measure the shift of points found near their recorded positions; return None for fewer than two.
 
     Unlike in `measure_shift`, `rms_mm` is of the displacements themselves.
     """
@@ -99,7 +99,7 @@ def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShi
 
 
 def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Measure the shift of points (n, 3) from new readings (m, 3) in any order, among other points.
+    """Measure the shift of points (n, 3) from unordered new readings (m, 3) that may include other points.
 
     None when fewer than three of them are seen, or when their identity is not clear.
     """
@@ -114,7 +114,7 @@ def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | No
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
-    """Return the displacement of a single moved point, mm; None unless three or more others stayed in limit.
+    """Return the displacement in mm of a lone moved point, or None unless at least three others stayed put.
 
     Shapes like in `measure_shift`.
     """
@@ -127,7 +127,7 @@ def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: f
 
 
 def identify_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
-    """Find points (n, 3) in a new reading (m, 3) of any order and return pairs of row indices.
+    """Find points (n, 3) in an unordered new reading (m, 3); return pairs of row indices.
 
     Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer
     than three are seen, or when their identity is not clear.

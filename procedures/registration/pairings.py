@@ -1,4 +1,4 @@
-"""Candidate pairings of two point sets: compatibility of pairs, and likelihood of sets of pairs.
+"""Candidate pairings of two point sets: which pairs are compatible, and how likely sets of pairs are.
 
 A node of the consistency graph is one possible pair (image i, physical j). Two nodes are joined when the
 distance between the two image points equals that between the two physical points, within what the noise
@@ -40,7 +40,7 @@ LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line 
 
 
 def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> NDArray[np.bool_]:
-    """Build the adjacency (n*m, n*m); node i*m + j pairs image point i of n with physical point j of m."""
+    """Build the adjacency matrix (n*m, n*m); node i*m + j pairs image point i with physical point j."""
     within_image = np.linalg.norm(image_mm[:, None] - image_mm[None], axis=-1)
     within_physical = np.linalg.norm(physical_mm[:, None] - physical_mm[None], axis=-1)
     # A point has one partner: infinite distances of opposite sign exclude pairs that share i or j.
@@ -78,7 +78,7 @@ def prune(neighbours: list[int], smallest: int) -> list[int]:
 
 
 def _drop_lonely(kept: list[int], fewest: int) -> None:
-    """Remove nodes with too few neighbours, repeatedly and in place."""
+    """Repeatedly remove nodes with too few neighbours, in place."""
     lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
     while lonely:
         removed = 0
@@ -93,7 +93,7 @@ def _drop_lonely(kept: list[int], fewest: int) -> None:
 
 @dataclass
 class CliqueSearch:
-    """Bron-Kerbosch search with pivoting over bit sets for the maximal cliques near the largest size.
+    """Bron-Kerbosch search with pivoting on bit sets for the maximal cliques near the largest size.
 
     `exhausted` is true when the search was cut off, so cliques may be missing.
     """
@@ -122,7 +122,7 @@ class CliqueSearch:
         return max(self.fewest, self.largest - self.slack)
 
     def _grow_greedily(self) -> int:
-        """Grow a large clique from the best connected node; return its size as first bound of the search."""
+        """Grow a clique greedily from the best connected node; return its size as an initial bound."""
         best = max(self._neighbours, key=int.bit_count, default=0)
         if not best:
             return 0
@@ -159,7 +159,7 @@ class CliqueSearch:
 
 
 def bits(mask: int) -> list[int]:
-    """List the positions of the set bits, ascending."""
+    """List the positions of the set bits in ascending order."""
     positions = []
     while mask:
         lowest = mask & -mask
@@ -169,7 +169,7 @@ def bits(mask: int) -> list[int]:
 
 
 def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
-    """Pack each row of an adjacency matrix into an integer, with bit k for column k."""
+    """Pack each row of an adjacency matrix into an integer, column k in bit k."""
     packed = np.packbits(adjacency, axis=1, bitorder="little")
     return [int.from_bytes(row.tobytes(), "little") for row in packed]
 
@@ -187,13 +187,13 @@ class Evidence:
         return math.log(PAIR_ODDS) + by_chance
 
     def most_nats(self, pairs: int) -> float:
-        """Return the upper bound on the score of a candidate with this number of pairs."""
+        """Return an upper bound on the score of a candidate with this many pairs."""
         return (pairs - 2) * self.nats_per_pair
 
 
 @lru_cache(maxsize=64)
 def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
-    """Return the limit on the residual chi-square of a rigid fit of `pairs` pairs, for both noise models.
+    """Return the chi-square limit for the residuals of a rigid fit to `pairs` pairs, under both noise models.
 
     If an error is normal on each axis, the residual is chi-square with 3k - 6 degrees of freedom. If its
     length is normal, in any direction, the variance is equal but the tail is longer: three times a chi-square
@@ -229,7 +229,7 @@ class Candidate:
 
     @property
     def passed_mirrored(self) -> bool:
-        """Whether a mirror image would pass although the rotation does not."""
+        """Whether a mirror image would pass but the rotation does not."""
         return not self.passed and not self.on_a_line and self.mirrored_chi_square < gate(self.size)
 
 
@@ -266,7 +266,7 @@ def evaluate(
 
 
 def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """List all pairings that result from dropping one pair, without duplicates.
+    """List all distinct pairings that result from dropping one pair.
 
     Dropping only the worst pair would leave swapped pairs behind.
     """

@@ -43,7 +43,7 @@ ILL_POSED_MARGIN = 0.05  # third over second singular value; this near 1, a mirr
 
 
 class Caveat(StrEnum):
-    """Defect of a registration that does not show in its FRE."""
+    """Defect of a registration that its FRE does not reveal."""
 
     NEARLY_COLLINEAR = "nearly collinear"
     MIRRORED = "a mirror image fits better than any rotation"
@@ -67,7 +67,7 @@ class TargetError:
 
 @dataclass(frozen=True)
 class Registration:
-    """Rigid registration physical <- image with residuals and predicted error.
+    """Rigid registration physical <- image, with residuals and predicted error.
 
     `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `chi_square` is the residual sum
     weighted by the covariances (None without). `fre_mm` is a residual, never an accuracy.
@@ -89,7 +89,7 @@ class Registration:
 
     @cached_property
     def leave_one_out_mm(self) -> tuple[float | None, ...]:
-        """Distance of each measured position from its prediction by the other pairs.
+        """Distance of each measured position from where the other pairs predict it.
 
         None if the others do not determine a transform. Raises REG-006 if their fit does not converge. Costs
         as many fits as there are pairs, when it is first read.
@@ -104,17 +104,17 @@ class Registration:
         return fle_from_fre_mm(self.fre_mm, self.pairs)
 
     def between(self, target: Frame, source: Frame) -> Transform:
-        """Return the transform between named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
+        """Return the transform between named frames, such as `between(Frame.ROBOT, Frame.CT)`."""
         return Transform(target, source, self.transform)
 
     def require_sound(self) -> None:
-        """Raise REG-009 if the fit is mirrored or ill-posed; such a transform must not be used."""
+        """Raise REG-009 if the fit is mirrored or ill-posed, in which case it must not be used."""
         bad = [caveat for caveat in self.caveats if caveat is not Caveat.NEARLY_COLLINEAR]
         if bad:
             raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
 
     def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
-        """Judge the residual by chi-square, for a known FLE in mm or, by default, for the stated covariances.
+        """Judge the residual by chi-square against a known FLE in mm or, by default, the stated covariances.
 
         An FLE estimated from the same FRE cannot judge it: raises REG-007 when neither is given.
         """
@@ -218,7 +218,7 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
 
 
 def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
-    """Return the distance of each measured position from its prediction by the other pairs, mm."""
+    """Return the distance of each measured position from where the other pairs predict it, mm."""
     distances: list[float | None] = []
     for index in range(len(image)):
         keep = np.arange(len(image)) != index

@@ -48,7 +48,7 @@ def validate_targets(points_mm: ArrayLike) -> Array:
 
 
 def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
-    """Return two sets of equal length, at least three points, no duplicates. Raises REG-001, 002, 004."""
+    """Return two sets of equal length, with at least three distinct points. Raises REG-001, 002, 004."""
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
@@ -60,7 +60,7 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
-    """Raise REG-004 if two points of a set are closer than two spheres can be."""
+    """Raise REG-004 if two points in a set are closer than two spheres can be."""
     distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
     np.fill_diagonal(distances, np.inf)
     if distances.min() < NEAREST_SPHERES_MM:
@@ -76,7 +76,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
 
 
 def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
-    """Return covariances (count, 3, 3) in mm2, made exactly symmetric. Raises REG-005."""
+    """Return covariances (count, 3, 3) in mm2, symmetrized exactly. Raises REG-005."""
     values = _validate_numbers(covariance_mm2, "the covariances", BadCovariance)
     if values.shape != (count, 3, 3):
         raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")

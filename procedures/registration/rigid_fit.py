@@ -1,4 +1,4 @@
-"""Rigid transform between two point sets: least squares, or weighted by the error ellipsoid of each pair.
+"""Rigid transform between two point sets: least squares, or weighted by each pair's error ellipsoid.
 
 The closed form (singular value decomposition) works on stacks of point sets, because a correspondence search
 fits hundreds of candidates. Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a
@@ -28,7 +28,7 @@ SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far belo
 
 @dataclass(frozen=True)
 class RigidFit:
-    """Rigid fits of a stack of point sets; every field has the leading axes of the stack.
+    """Rigid fits to a stack of point sets; every field has the leading axes of the stack.
 
     `rotation` (..., 3, 3) is proper, `translation_mm` (..., 3). `spread_mm2` (..., 3) are the singular
     values of the cross-covariance sum, largest first: the set's extent along its three principal axes.
@@ -57,7 +57,7 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """Convert a fit, (3, 3) and (3,), without normalizing: products of singular vectors are orthogonal.
+    """Convert a fit, (3, 3) and (3,), without normalizing, since the rotation is already orthogonal.
 
     Normalizing would cost as much as the fit.
     """
@@ -82,7 +82,7 @@ def reflection_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
 
 
 def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
-    """Return the derivative (..., 3, 6) of points (..., 3) by a rotation about `centre_mm` and a translation.
+    """Differentiate points (..., 3) by a rotation about `centre_mm` and a translation, giving (..., 3, 6).
 
     The first three columns are per radian about x, y, z of the physical frame, the last three per mm.
     """
@@ -104,7 +104,7 @@ def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
 def fit_weighted(
     image_mm: Array, physical_mm: Array, covariance_mm2: Array, rotation: Array, translation_mm: Array
 ) -> tuple[Array, Array]:
-    """Find the maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a nearby start.
+    """Fit rotation (3, 3) and translation (3,) physical <- image by maximum likelihood, from a nearby start.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame. Raises REG-006.
     """

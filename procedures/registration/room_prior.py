@@ -77,13 +77,13 @@ class HeadSight:
         return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
 
     def mirrored(self) -> HeadSight:
-        """Return the sight with the head mirrored."""
+        """Return the sight for a mirrored head."""
         return replace(self, centre_mm=self.centre_mm * MIRROR)
 
 
 @dataclass(frozen=True, eq=False)
 class RoomPrior:
-    """Head poses that gravity, the patient's body and the tracker's line of sight allow.
+    """Head poses allowed by gravity, the patient's body and the tracker's line of sight.
 
     `lying_up` (3,) is the patient's side that is up when lying flat; `recline_deg` is the range by which the
     upper body is raised from there, `tolerance_deg` how far the head may be turned or tilted beyond it. The
@@ -102,7 +102,7 @@ class RoomPrior:
         return self.check_position(rotation, middle_mm) or sight_objection
 
     def check_position(self, rotation: Array, middle_mm: Array) -> str:
-        """State evidence against the patient's position, given orientation and centre of the head."""
+        """State any evidence against the patient's position, given the head's orientation and centre."""
         return self._check_gravity(rotation) or self._check_body(rotation, middle_mm)
 
     def _check_gravity(self, rotation: Array) -> str:
@@ -129,7 +129,7 @@ class RoomPrior:
 
 @dataclass(frozen=True, eq=False)
 class Landmark:
-    """Landmark of the head in the room: matched position, and positions in mirror images (n, 3)."""
+    """Landmark on the head in the room: its matched position, and those in mirror images (n, 3)."""
 
     name: str
     direction: tuple[float, float, float]
@@ -150,7 +150,7 @@ class Landmark:
 def choose_landmark(
     matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior
 ) -> Landmark | None:
-    """Choose the landmark that best distinguishes a match from its mirror images; return None without one.
+    """Choose the landmark that best distinguishes a match from its mirror images; return None if none does.
 
     Landmarks on the patient's underside are left out. `mirrored` are the poses physical <- image * MIRROR
     that fit the same spheres in view of the tracker; of each, the orientations count that the prior does not

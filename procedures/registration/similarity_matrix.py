@@ -1,4 +1,4 @@
-"""Correspondence by similarity matrix as in the thesis, with validation: a baseline, not for clinical use.
+"""Similarity matrix correspondence as in the thesis, validated: a baseline, not for clinical use.
 
 Cell (i, j) counts the distances from image point i that equal one from physical point j within e. Points
 whose best cell is lowest are dropped one by one until all remaining points agree with each other, or too few
@@ -36,7 +36,7 @@ REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives no
 
 @dataclass(frozen=True)
 class SimilarityPairs:
-    """Result for one reading: pairs (k, 2) if UNIQUE, else none."""
+    """Result for one reading: pairs (k, 2) if UNIQUE, otherwise none."""
 
     status: MatchStatus
     pairs: Indices
@@ -61,7 +61,7 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Return matrices (b, n, m) from sorted image (b, n, k) and physical distances (b, m, l), limits e (b,).
+    """Count matches (b, n, m) within e (b,) of sorted image (b, n, k) and physical distances (b, m, l).
 
     All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
     shorter is skipped.
@@ -92,7 +92,7 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings with the same numbers of remaining points: `index` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with equal numbers of remaining points: `index` (k,), `rows` (k, r), `columns` (k, c)."""
 
     index: Indices
     rows: Indices
@@ -105,7 +105,7 @@ class _Readings:
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Return results of settled and of too small readings; drop one point from all others."""
+        """Return the results of settled or exhausted readings; drop one point from each of the others."""
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
@@ -143,7 +143,7 @@ class _Readings:
 
 
 def _iterate_groups(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
-    """Yield readings in groups of equal size, largest first, until none remains."""
+    """Yield readings grouped by size, largest first, until none remain."""
     batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
     waiting: list[_Readings] = []
     everything = np.arange(batch)
@@ -162,7 +162,7 @@ def _iterate_groups(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _find_worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """Find the row whose best cell is lowest, by row sum in a tie; return the row and that cell."""
+    """Find the row whose best cell is lowest, breaking ties by row sum; return the row and that cell."""
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
@@ -180,7 +180,7 @@ def _distances(points: Array) -> Array:
 
 
 def _sort_rows(distances: Array, kept: Indices) -> Array:
-    """Return the ascending distances from each kept point to the other kept points."""
+    """Sort the distances from each kept point to the other kept points."""
     chosen = np.take_along_axis(distances, kept[:, :, None], axis=1)
     chosen = np.take_along_axis(chosen, kept[:, None, :], axis=2)
     return np.asarray(np.sort(chosen, axis=2)[:, :, 1:])  # the first is the distance to itself

@@ -45,7 +45,7 @@ GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Errors of one source that act at all poses: `k` independent errors of one standard deviation each.
+    """Errors from one source that act at all poses: `k` independent errors of one standard deviation each.
 
     Displacement of the true tool from its assumed position, mm in the frame of the targets.
     """
@@ -57,7 +57,7 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class IndependentErrors:
-    """Errors of one source that are independent between poses, as covariances in mm2."""
+    """Errors from one source that are independent between poses, as covariances in mm2."""
 
     source: str
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
@@ -66,7 +66,7 @@ class IndependentErrors:
 
 @dataclass(frozen=True)
 class TargetPrediction:
-    """Covariance (3, 3) mm2 of the error at one target for each source; sources are independent."""
+    """Covariance (3, 3) mm2 of the error at one target due to each source; sources are independent."""
 
     by_source_mm2: dict[str, Array]
 
@@ -77,7 +77,7 @@ class TargetPrediction:
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square length of the error."""
+        """Rms magnitude of the error."""
         return float(np.sqrt(np.trace(self.covariance_mm2)))
 
     @property
@@ -124,7 +124,7 @@ def predict_target_error(
 
 
 def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike | None = None) -> Array:
-    """Return the shift (n, 3, 3) of the mapped target per shift of each sphere; the sum is the identity."""
+    """Return the mapped target's shift per shift of each sphere, (n, 3, 3); these sum to the identity."""
     centre = spheres_mm.mean(axis=0)
     jacobian = pose_jacobian(spheres_mm, centre)
     projected = np.swapaxes(jacobian, -1, -2)
@@ -137,7 +137,7 @@ def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike
 def chi_square_of_shared(
     residuals_mm: Array, fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array
 ) -> float:
-    """Return chi-square of residuals (n, 3) mm of a rigid fit with any weights, 3n - 6 degrees of freedom.
+    """Return chi-square of a rigid fit's residuals (n, 3) mm with any weights, 3n - 6 degrees of freedom.
 
     `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) is the independent part,
     `shared_mm` (n, 3, k) the displacement of every point by each of k unit errors. What a rigid motion can
@@ -165,7 +165,7 @@ def find_unnoticed_point(
     gate: FreGate,
     largest_mm: float,
 ) -> UnnoticedPoint:
-    """Find the worst displacement of one point, up to `largest_mm`, that the gate passes half of the time.
+    """Find the worst displacement of one point, up to `largest_mm`, that passes the gate half of the time.
 
     Arguments as in `chi_square_of_shared`; `weights` (n, 3, 3) are those of the fit. The expected chi-square
     is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
@@ -185,7 +185,7 @@ def find_unnoticed_point(
 
 
 def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
-    """Return the inverse covariance (3n, 3n) of residuals, without the part explained by rigid motions."""
+    """Return the inverse covariance (3n, 3n) of residuals, excluding what rigid motions can explain."""
     columns = shared_mm.reshape(-1, shared_mm.shape[-1])
     weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)
     pose = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0)).reshape(-1, 6)
@@ -194,7 +194,7 @@ def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -
 
 
 def _directions() -> Array:
-    """Return directions (k, 3), uniform over a half sphere by the golden angle."""
+    """Return directions (k, 3), spread uniformly over a hemisphere by the golden angle."""
     number = np.arange(DIRECTIONS)
     height = (number + 0.5) / DIRECTIONS
     turn = number * GOLDEN_ANGLE_RAD

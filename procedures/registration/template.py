@@ -1,4 +1,4 @@
-"""Known layouts of spheres: pairing through a rigid template, and finding a layout in a scan.
+"""Known sphere layouts: pairing through a rigid template, and finding a layout in a scan.
 
 Each side is matched to the template separately, so that the template's distances decide rather than those
 between noisy points; points without a counterpart in the template are ignored on both sides.
@@ -32,13 +32,13 @@ TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for
 
 @dataclass(frozen=True)
 class _TemplatePrior:
-    """Prior for the image, applied to the template as found in the image."""
+    """Image prior, applied to the template as located in the image."""
 
     prior: PosePrior
     image_from_template: RigidTransform
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the objection to the pose physical <- image implied by the pose physical <- template."""
+        """State the objection to the pose physical <- image that a pose physical <- template implies."""
         turned = rotation @ self.image_from_template.rotation.as_matrix().T
         moved_mm = translation_mm - turned @ self.image_from_template.translation
         return self.prior.objection(turned, moved_mm, physical_mm)
@@ -107,7 +107,7 @@ def _answer_failure(found: Match, side: str, image: Array, physical: Array) -> M
 
 @dataclass(frozen=True, eq=False)
 class FoundLayout:
-    """Layout found in a scan: `order` (k,) holds the scan index of each sphere of the layout."""
+    """Layout found in a scan: `order` (k,) gives the scan index of each layout sphere."""
 
     order: NDArray[np.intp]
     scan_from_layout: RigidTransform

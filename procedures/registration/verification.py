@@ -32,7 +32,7 @@ class Instrument(StrEnum):
 
 
 class CtToRoomRow(Strict):
-    """One sphere of the CT and its measurements in the room; None where it was not measured."""
+    """CT sphere and its measurements in the room; None where it was not measured."""
 
     fiducial: int = Field(description="Index in the CT.")
     ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")
@@ -44,7 +44,7 @@ class CtToRoomRow(Strict):
 
 
 class RoomToCtRow(Strict):
-    """One measured point, mapped into the CT."""
+    """Measured point, mapped into the CT."""
 
     instrument: Instrument = Field(description="Tracker or stereo head.")
     index: int = Field(description="Among that instrument's points.")
@@ -54,7 +54,7 @@ class RoomToCtRow(Strict):
 
 
 class TwoWayTable(Strict):
-    """Table of both directions, with the unmatched points on either side."""
+    """Table for both directions, with the unmatched points on either side."""
 
     ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
     room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")

@@ -1,4 +1,4 @@
-"""The workcell: the only way for procedures to take looks and make motions."""
+"""The workcell: the only interface through which procedures take looks and move an arm."""
 
 from procedures.workcell.arm_history import Insertion
 from procedures.workcell.tools import MountedTool

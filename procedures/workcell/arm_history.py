@@ -1,4 +1,4 @@
-"""History of an arm and of the work through its guide: its place, the path it took, the stages of work.
+"""History of an arm and the work through its guide: its place, the path it took, the stages of work.
 
 Folded line by line from the journal: by `ArmLog` while the case runs, afterwards from the file. A resumed
 case therefore knows what the running one knew.
@@ -48,7 +48,7 @@ class JournalledAxis(Values):
 
 @dataclass(frozen=True)
 class Insertion:
-    """Line along which a guide may move near the head.
+    """Axis along which a guide may move near the head.
 
     `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin. `travel_mm` is its distance
     along the axis from the start of the approach, where the retreat ends. `arriving` (+1 or -1) is the
@@ -61,7 +61,7 @@ class Insertion:
     arriving: tuple[int, ...] | None = None
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Return plain values for the journal, enough to find the way out again."""
+        """Return plain values for the journal, sufficient for a later retreat."""
         axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm, arriving=self.arriving)
         return axis.model_dump(mode="json")
 
@@ -77,7 +77,7 @@ class Insertion:
         return back_along_axis(self.held, self.travel_mm)
 
     def travel_from_start_mm(self, tool: Transform) -> float:
-        """Return the travel (mm) of a pose ROBOT <- TOOL along the axis; negative before the approach."""
+        """Return how far (mm) a pose ROBOT <- TOOL is along the axis; negative before the approach."""
         along_mm = self.start.inverse().apply(tool.translation_mm)[2]
         return float(along_mm)
 
@@ -96,7 +96,7 @@ class Insertion:
 
 
 class MotionKind(StrEnum):
-    """Kind of a motion, as named in the journal."""
+    """Kind of motion, as recorded in the journal."""
 
     START = "start"  # a confirmed start: an unverified controller is tested by a micro-move
     GO = "go"
@@ -121,7 +121,7 @@ class PlaceKind(StrEnum):
 
 @dataclass(frozen=True)
 class ArmPlace:
-    """Place of one arm, built from the journal by `ArmHistory`.
+    """Place of one arm, derived from the journal by `ArmHistory`.
 
     `axis` is set from the intent to insert the guide to the end of its withdrawal. That includes these
     motions and a kill in one. `instrument_may_be_inside` names a trajectory, the gauge or the divot;
@@ -142,12 +142,12 @@ class ArmPlace:
 
     @property
     def is_out(self) -> bool:
-        """Whether the arm may be away from home, according to the run's motions or a measurement."""
+        """Whether the arm may be away from home, according to this run's motions or a measurement."""
         return not self.is_home and (self.moved or self.place_kind is not PlaceKind.UNKNOWN)
 
     @property
     def trajectory(self) -> str | None:
-        """Trajectory on whose axis the guide is or may be; None if it is on none."""
+        """Trajectory whose axis the guide is on or may be on, if any."""
         return None if self.axis is None else self.axis.trajectory
 
     @property
@@ -179,7 +179,7 @@ def stands_at(
 
 @dataclass(frozen=True)
 class ArmHistory:
-    """History of one arm. `trail` holds the joint positions it has passed since it left home.
+    """History of one arm. `trail` lists the joint positions it has passed since leaving home.
 
     A guide is on its axis from the intent to approach along it to the end of its withdrawal. An instrument is
     inside from before it goes in until it is confirmed to be out. After a kill, one may be inside a guide
@@ -198,7 +198,7 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
     def with_line(self, line: Line) -> ArmHistory:
-        """Return the history with one more line. Raises LookupError, TypeError, ValueError for a bad one."""
+        """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
             return self.with_restart(torn=bool(line.get("torn_bytes")))
@@ -223,7 +223,7 @@ class ArmHistory:
                 return self
 
     def with_restart(self, *, torn: bool) -> ArmHistory:
-        """Return the history after the end of a program. `torn` means that its last lines may be lost."""
+        """Apply the end of a program. `torn` means that its last journal lines may be lost."""
         place = self.place
         if torn or place.place_kind is PlaceKind.MOVING:
             place = replace(place, place_kind=PlaceKind.UNKNOWN, moved=True)
@@ -267,7 +267,7 @@ class ArmHistory:
         return replace(moved, trail=trail)._with_rest(line.get("at_home"))
 
     def _with_look(self, line: Line) -> ArmHistory:
-        """Apply a comparison of the measured joints with home, which overrides the motions before it."""
+        """Apply a comparison of the measured joints with home, which overrides earlier motions."""
         if (axis := line.get("axis")) is not None:
             found = Insertion.from_plain(str(line["trajectory"]), axis)
             place = replace(
@@ -283,7 +283,7 @@ class ArmHistory:
         return self._with_rest(False)
 
     def _with_rest(self, at_home: object) -> ArmHistory:
-        """Set the place of the arm at rest. `at_home` is None if it was not measured."""
+        """Set the place of the resting arm. `at_home` is None if it was not measured."""
         if self.place.axis is not None:
             return replace(self, place=replace(self.place, place_kind=PlaceKind.ON_AXIS))
         place_kind = (
@@ -293,7 +293,7 @@ class ArmHistory:
         return replace(self, place=replace(self.place, place_kind=place_kind), trail=trail)
 
     def _cut_trail(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
-        """Return the trail up to the position to which the arm went back."""
+        """Cut the trail back to the position that the arm returned to."""
         for number in range(len(self.trail), 0, -1):
             if stands_at(joints_rad, self.trail[number - 1]):
                 return self.trail[:number]
@@ -313,12 +313,12 @@ UNMOVED = ArmHistory()
 
 
 def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
-    """Build the history of one arm from a journal. Raises PRO-011 for a line this version cannot read."""
+    """Build an arm's history from journal lines. Raises PRO-011 for a line this version cannot read."""
     return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
 def fold_history(chain: Chain, arm: str = MASTER) -> ArmHistory:
-    """Build the history from the journal of a program that has ended. Raises the errors of `arm_history`."""
+    """Build an arm's history from the journal of an ended program. Raises as `arm_history`."""
     return arm_history(chain.lines, arm).with_restart(torn=bool(chain.torn))
 
 
@@ -336,10 +336,10 @@ def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:
 
 
 class ArmLog:
-    """Log of one arm: its journal, its history and its home."""
+    """Log of one arm: its journal, its history and its home position."""
 
     def __init__(self, journal: Journal, clock: Clock, history: ArmHistory) -> None:
-        """`history` has been built from the lines already in the journal."""
+        """Take `history` as the state after all lines already in the journal."""
         self._journal = journal
         self._clock = clock
         self.history = history
@@ -356,5 +356,5 @@ class ArmLog:
         self.history = self.history.with_line({"entry": entry, "arm": self.history.arm, **data})
 
     def is_home(self, joints_rad: JointVector) -> bool | None:
-        """Return whether these joints are at home; None before home is set."""
+        """Return whether these joints are at home, or None before home is set."""
         return None if self.home_rad is None else stands_at(joints_rad, self.home_rad)

@@ -1,4 +1,4 @@
-"""Looks at a single ball from planned poses, each reached from the same side."""
+"""Looks at a single ball from planned poses, each approached from the same side."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ANOTHER_BALL_MM = 10.0  # from the expected position: more than the error of too
 
 @dataclass
 class BallWatcher:
-    """Taker of looks at one ball. `ball_mm` (3,) is its best known position in the robot frame."""
+    """Measures one ball repeatedly. `ball_mm` (3,) is its best known position in the robot frame."""
 
     workcell: Workcell
     ball_mm: Array
@@ -44,7 +44,7 @@ class BallWatcher:
     last: Look | None = None
 
     def find(self, first: PlannedLook) -> Look:
-        """Go to the first look and, if the ball is not in view, search in a spiral. Raises STE-009."""
+        """Go to the first look and search in a spiral until the ball is in view. Raises STE-009."""
 
         def settle(pose: Transform) -> None:
             self._settle(self.workcell.joints_at(pose, self.workcell.home_rad))
@@ -59,12 +59,12 @@ class BallWatcher:
             next(poses)
 
     def observe(self, planned: PlannedLook) -> Observation | None:
-        """Measure the ball from a planned look. Return None and count the reason if that fails."""
+        """Measure the ball from a planned look; on failure, count the reason and return None."""
         seen = self.take(planned)
         return None if seen is None else self._build_observation(seen, planned.orientation)
 
     def take(self, planned: PlannedLook, arriving: Sequence[int] = ONE_SIDE) -> Look | None:
-        """Take a look at the ball with each joint arriving from its given side; None as for `observe`."""
+        """Take a planned look, each joint arriving from its given side; return None as for `observe`."""
         pose = move_look(planned, self.ball_mm).pose
 
         def settle() -> None:
@@ -76,7 +76,7 @@ class BallWatcher:
         return self._look_or_none(planned.ball_in_tool_mm)
 
     def observe_at(self, joints: JointVector, orientation: int | None) -> Observation | None:
-        """Measure the ball from given joint angles, or return None. Raises the errors of the motion."""
+        """Measure the ball at given joint angles; return None if it is not seen. Raises motion errors."""
         self._settle(joints)
         seen = self._look_or_none(None)
         return None if seen is None else self._build_observation(seen, orientation)
@@ -84,7 +84,7 @@ class BallWatcher:
     def observe_all(
         self, plan: Iterable[PlannedLook], wanted: int, progress: Callable[[int], None]
     ) -> list[Observation]:
-        """Take looks from the plan until `wanted` of them show the ball."""
+        """Take planned looks until `wanted` of them have measured the ball."""
         taken: list[Observation] = []
         for planned in plan:
             if len(taken) >= wanted:
@@ -96,7 +96,7 @@ class BallWatcher:
         return taken
 
     def reaches(self, pose: Transform) -> bool:
-        """Return whether the arm reaches a tool pose in its home branch."""
+        """Return whether the arm can reach a tool pose in its home branch."""
         try:
             self.workcell.joints_at(pose, self.workcell.home_rad)
         except LimitError:
@@ -104,7 +104,7 @@ class BallWatcher:
         return True
 
     def why_rejected(self) -> str:
-        """Return the reasons for rejected looks, the most frequent first."""
+        """Summarize why looks were rejected, most frequent reason first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def _look_or_none(self, expected_in_tool_mm: Vector3 | None) -> Look | None:
@@ -162,7 +162,7 @@ def build_ball_surroundings(
 
 
 def build_stand(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """Build the stand of a ball, without the ball itself."""
+    """Build a ball's stand, excluding the ball."""
     x, y, z = _as_vector(ball_mm)
     top = z - STAND_BELOW_MM - STAND_RADIUS_MM
     body = Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM)
@@ -175,7 +175,7 @@ def build_free_surroundings(
     tool: Sequence[ToolBody],
     obstacles: Sequence[Obstacle] = (),
 ) -> Surroundings:
-    """Build the surroundings of a tool without a patient: bodies of the room and further obstacles."""
+    """Build the surroundings of a tool without a patient: the room and any further obstacles."""
     flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
     standing = (body for body in surroundings.bodies if body.frame is BodyFrame.ROBOT)
     room = [Obstacle(body.name, body.capsule) for body in standing]

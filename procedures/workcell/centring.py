@@ -36,7 +36,7 @@ LIGHT_PROBLEMS = (NoContrast, NotTrusted)  # besides saturation, problems that a
 
 @dataclass(frozen=True)
 class CentredSphere:
-    """A measured sphere: its centre `point_mm` (3,) in the robot frame, and the residuals of the servo."""
+    """Measured sphere: its centre `point_mm` (3,) in the robot frame, and the servo residuals."""
 
     fiducial: int
     point_mm: Array
@@ -51,7 +51,7 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """Settings for centring spheres: arrival direction of each joint, sensor area, approach distance.
+    """Settings for centring on spheres: arrival side of each joint, sensor area, approach distance.
 
     With `arriving` None, each joint arrives from any side.
     """
@@ -111,7 +111,7 @@ class Centring:
         )
 
     def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
-        """Look in the servo's area, on the whole sensors, in a spiral, then with other exposures."""
+        """Look with the servo's area, then the whole sensors, then in a spiral, then with other exposures."""
         workcell = self.workcell
         workcell.sensors.read_around_tool(self.area_px)
         try:
@@ -144,7 +144,7 @@ class Centring:
     def _look_in_other_light(
         self, looks: int, exposures: Sequence[float], refusal: RonnaError
     ) -> tuple[Look, int]:
-        """Look with other exposures. Raises `refusal` if none of them shows the sphere."""
+        """Look with other exposures. Raises `refusal` if the sphere is not found with any of them."""
         workcell = self.workcell
         for share in exposures:
             workcell.sensors.expose(share)
@@ -157,7 +157,7 @@ class Centring:
         raise refusal
 
     def _settle(self, pose: Transform) -> None:
-        """Move to a pose. With `arriving`, each joint arrives from its given side."""
+        """Move to a pose, each joint arriving from its given side if `arriving` is set."""
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 
@@ -168,7 +168,7 @@ class Centring:
 def search_poses(
     expected: Transform, settle: Callable[[Transform], object], arm: ArmView
 ) -> Iterator[Transform]:
-    """Settle onto the poses of a search pattern around the expected pose, and yield each pose reached.
+    """Move through a search pattern around the expected pose, yielding each pose reached.
 
     The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
     the last, and errors that trip the arm.
@@ -189,7 +189,7 @@ def search_poses(
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Make a motion. Return a refusal from before the arm moved, otherwise None. Raises if the arm trips."""
+    """Make a motion; return the error if it was refused before the arm moved. Raises if the arm trips."""
     try:
         move()
     except LimitError as error:

@@ -1,4 +1,4 @@
-"""Views of devices for steps, guards and commands, without the calls that move an arm."""
+"""Views of devices for steps, guards and commands, without the methods that move an arm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.devices.readings import ArmReading
 
 
 class DeviceView(Protocol):
-    """View of a `Device` that can open its connection and show its last known state."""
+    """View of a `Device` that can connect and report its last known state."""
 
     @property
     def state(self) -> Lifecycle: ...
@@ -27,7 +27,7 @@ class DeviceView(Protocol):
 
 
 class ArmView:
-    """View of an arm without the calls that move it, which only the workcell makes."""
+    """View of an arm without the methods that move it, which are reserved to the workcell."""
 
     def __init__(self, arm: RobotArm) -> None:
         self._arm = arm
@@ -40,11 +40,11 @@ class ArmView:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Notices that the driver gave at `configure`."""
+        """Notices issued by the driver in `configure`."""
         return self._arm.notices
 
     def limits(self) -> MotionLimits:
-        """Return the limits of every motion in the present operating mode."""
+        """Return the motion limits of the current operating mode."""
         return self._arm.limits()
 
     def observe(self) -> LastKnown[ArmReading]:
@@ -56,5 +56,5 @@ class ArmView:
         return self._arm.connect(timeout_s)
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Bring the arm's controller to its verified configuration."""
+        """Put the arm's controller into its verified configuration."""
         self._arm.configure(timeout_s)

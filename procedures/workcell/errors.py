@@ -1,4 +1,4 @@
-"""Errors of motions and looks that the workcell refuses."""
+"""Errors for motions and looks refused by the workcell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import LimitError, RefusedError
 
 
 class WrongTool(LimitError):
-    """The controller's inputs report a different tool from the one that the step needs."""
+    """The controller's inputs report a different tool from the one the step needs."""
 
     code = "PRO-009"
     action = "Mount the named tool, then repeat the step. No motion until then."
@@ -14,7 +14,7 @@ class WrongTool(LimitError):
 
 
 class InstrumentInside(RefusedError):
-    """The guide is held before an entry: only motion along its own axis is possible."""
+    """The guide is held in front of an entry, so it may only move along its own axis."""
 
     code = "PRO-014"
     action = "First retreat along the named trajectory."
@@ -29,21 +29,21 @@ class TipOffAxis(LimitError):
 
 
 class InstrumentInGuide(RefusedError):
-    """An instrument is in the guide, beyond the entry: nothing may move."""
+    """An instrument is in the guide, beyond the entry, so nothing may move."""
 
     code = "TOOL-001"
     action = "Remove the instrument from the guide and confirm that it is out."
 
 
 class SphereNotFound(RefusedError):
-    """The stereo head sees no sphere at its expected position or around it."""
+    """The stereo head sees no sphere at or near its expected position."""
 
     code = "PRO-008"
     action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."
 
 
 class AnotherArm(RefusedError):
-    """The calibration record of the arm belongs to another arm."""
+    """The arm's calibration record belongs to another arm."""
 
     code = "CAL-013"
     action = "Name this arm's own record in [calibration.arm], or calibrate it with ronna-arm calibrate."

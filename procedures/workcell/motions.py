@@ -1,4 +1,4 @@
-"""Planned motion of the workcell, and its facts as worded in a question.
+"""Planned motions of the workcell, and the facts about them stated in a question.
 
 The operator confirms exactly what the arm then drives.
 """
@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """One motion of the workcell from the arm's present position. All legs but the last are joint moves.
+    """Motion of the workcell from the arm's present position. All legs but the last are joint moves.
 
     If its first leg is not clear, any motions of `replacement` replace it. They are separate
     motions, so that the journal has the arm's actual way.
@@ -37,7 +37,7 @@ class PlannedMotion:
 
     @property
     def trajectory(self) -> str | None:
-        """Trajectory along whose axis the motion leads; None for any other motion."""
+        """Trajectory along whose axis the motion leads; None for other motions."""
         return None if self.axis is None else self.axis.trajectory
 
     def as_intent(self) -> dict[str, JournalValue]:
@@ -47,7 +47,7 @@ class PlannedMotion:
 
 
 class PreviewingArm(Protocol):
-    """An arm, or a plan of one, that can preview a motion."""
+    """Arm, or simulated plan of one, that can preview motions."""
 
     @property
     def kinematics(self) -> Kinematics:
@@ -55,13 +55,13 @@ class PreviewingArm(Protocol):
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        """Preview a motion that starts from the given joints."""
+        """Preview a motion that starts at the given joints."""
         ...
 
 
 @dataclass(frozen=True)
 class MotionFacts:
-    """Facts about one motion before it is made, from the previews of its legs."""
+    """Facts about a motion before it is made, from the previews of its legs."""
 
     what: str  # the moving tool, such as `the guide`
     travel_mm: float  # sum of the straight distances: of the tool on a line, of the flange in a joint move
@@ -69,11 +69,11 @@ class MotionFacts:
     detour: str = ""  # such as `via home`
 
     def __str__(self) -> str:
-        """Return one line for the operator."""
+        """Return a one-line description for the operator."""
         return self.describe(", ", self.clearances())
 
     def describe(self, apart: str, clearances: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after the separator `apart`, time and clearances."""
+        """Describe the moving tool and its travel, then, after the separator `apart`, time and clearances."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
@@ -87,7 +87,7 @@ class MotionFacts:
         )
 
     def clearances(self) -> list[str]:
-        """Return statements of the closest pair of bodies and, unless implied, the distance from the head."""
+        """Describe the closest pair of bodies and, unless implied, the distance from the head."""
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
@@ -100,7 +100,7 @@ class MotionFacts:
 
     @property
     def read_back(self) -> ReadBack:
-        """Distance for the operator to type back, which only a reader of the question knows."""
+        """Distance that the operator must type back to prove that the question was read."""
         distance_mm = _format_nonzero(self.travel_mm)
         return ReadBack(
             "how many mm it moves first",
@@ -112,7 +112,7 @@ class MotionFacts:
 
 
 def describe_motions(facts: Sequence[MotionFacts]) -> str:
-    """State all motions of a question. The distance to type ends a line, and no clearance is repeated."""
+    """Describe all motions in a question. The distance to type ends a line; no clearance is repeated."""
     motions: list[str] = []
     statements: set[str] = set()
     for one in facts:
@@ -127,7 +127,7 @@ def describe_motions(facts: Sequence[MotionFacts]) -> str:
 
 
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
-    """Return the facts of motions made one after another from here. Raises as `RobotArm.preview`."""
+    """Return the facts of consecutive motions from the current position. Raises as `RobotArm.preview`."""
     here = arm.read_state()
     return collect_facts(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
 
@@ -135,7 +135,7 @@ def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[Motion
 def collect_facts(
     at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
 ) -> list[MotionFacts]:
-    """Return the facts of motions made one after another from the joints `at_rad`."""
+    """Return the facts of consecutive motions that start at the joints `at_rad`."""
     facts: list[MotionFacts] = []
     for motion in motions:
         own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)

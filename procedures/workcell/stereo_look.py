@@ -1,4 +1,4 @@
-"""Looks of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
+"""Stereo head looks at a sphere: a triggered pair, two outlines, one point in the tool frame."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class Look:
 
     @property
     def reason(self) -> str:
-        """Reason why no point was measured; empty if one was."""
+        """Why no point was measured; empty if one was."""
         return "" if self.problem is None else self.problem.what
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
-    """Return the area of this size around the image of the tool centre, kept inside the sensor."""
+    """Return a readout area of this size around the image of the tool centre, kept within the sensor."""
     columns, rows = camera.sensor_px
     width, height = min(size_px[0], columns), min(size_px[1], rows)
     (x, y), _ = Camera(camera).project((0.0, 0.0, 0.0))
@@ -66,13 +66,13 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
 
 
 def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
-    """Return the area that covers the whole sensor."""
+    """Return the area covering the whole sensor."""
     columns, rows = camera.sensor_px
     return AreaOfInterest(0, 0, columns, rows)
 
 
 def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
-    """Take a stereo pair and measure the sphere in it. An incomplete or old pair is retaken.
+    """Take a stereo pair and measure the sphere in it, retrying if the pair is incomplete or stale.
 
     Raises STE-012 if none is usable: a search elsewhere would not help.
     """
@@ -124,7 +124,7 @@ def _offset(centre_px: float, size: int, whole: int) -> int:
 
 
 class Sensors:
-    """Readout area and exposure of both cameras of the stereo head."""
+    """Readout area and exposure of the stereo head's cameras."""
 
     def __init__(self, stereo: Callable[[], StereoPair], head: StereoHeadCalibration) -> None:
         self._stereo = stereo
@@ -132,7 +132,7 @@ class Sensors:
         self._exposure_share = 1.0  # of the configured one
 
     def read_around_tool(self, size_px: tuple[int, int]) -> None:
-        """Read out only this many columns and rows around the tool centre, which is faster."""
+        """Read out only this many columns and rows around the tool centre, for speed."""
         left, right = (area_around_tool(side, size_px) for side in (self._head.left, self._head.right))
         self._stereo().set_areas(left, right)
 
@@ -141,7 +141,7 @@ class Sensors:
         self._stereo().set_areas(whole_sensor(self._head.left), whole_sensor(self._head.right))
 
     def expose(self, share: float) -> None:
-        """Expose both sensors for a share of the configured exposure time."""
+        """Expose both sensors for a fraction of the configured exposure time."""
         if share != self._exposure_share:
             self._stereo().scale_exposure(share)
             self._exposure_share = share

@@ -1,4 +1,4 @@
-"""Checkpoint, confirmation and journal around every motion of an arm.
+"""Checkpoint, confirmation and journal entries for every motion of an arm.
 
 The intent is on disk before a motion begins; its result follows once the arm rests. A motion that was
 stopped from outside is asked about and re-planned from where the arm then is. The first motion after a stop
@@ -52,7 +52,7 @@ class SupervisedMotion:
     def __init__(
         self, log: ArmLog, arm: Callable[[], RobotArm], require_allowed: Callable[[PlannedMotion], None]
     ) -> None:
-        """`arm` opens the arm on first use; `require_allowed` raises if a motion must not be made now."""
+        """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now."""
         self._log = log
         self._arm = arm
         self._require_allowed = require_allowed
@@ -65,7 +65,7 @@ class SupervisedMotion:
 
     @contextlib.contextmanager
     def announce_step_motions(self, step_motions: str) -> Iterator[None]:
-        """Within the block, have the confirmation of a first motion also state all motions of the step."""
+        """Within the block, include all motions of the step when asking to confirm the first one."""
         self._step_motions = step_motions
         try:
             yield
@@ -73,15 +73,15 @@ class SupervisedMotion:
             self._step_motions = ""
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
-        """From now on, pass this checkpoint before every motion, and ask before the first one."""
+        """From now on, pass this checkpoint before every motion and ask before the first one."""
         self._checkpoint, self._ask = checkpoint, ask
 
     def reset_confirmation(self) -> None:
-        """Have the next motion confirmed as a first one, after a stop of the arm or the end of its stream."""
+        """Require confirmation of the next motion, as after a stop of the arm or the end of its stream."""
         self._confirmed = False
 
     def note_hold(self) -> None:
-        """Note a stop between two motions of a step, after which the next one needs no question."""
+        """Note a stop between two motions of a step, so that the next one needs no confirmation."""
         self._held = True
 
     def confirm(
@@ -92,7 +92,7 @@ class SupervisedMotion:
         trajectory: str | None = None,
         covers: str = "",
     ) -> None:
-        """Have motions confirmed, by a person in two steps. Raises PRO-002 unless the answer is yes.
+        """Ask a person to confirm motions in two steps. Raises PRO-002 unless the answer is yes.
 
         `covers` states what else the answer confirms.
         """
@@ -108,7 +108,7 @@ class SupervisedMotion:
         self._confirmed = self._require_yes(question) or self._confirmed
 
     def start(self, devices: Iterable[Device]) -> None:
-        """Activate all devices that are configured.
+        """Activate all configured devices.
 
         A driver may require a confirmation before it starts its arm, and may then move it out and back. The
         operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
@@ -140,7 +140,7 @@ class SupervisedMotion:
         return True
 
     def carry_out_with_detour(self, motion: PlannedMotion) -> ArmReading:
-        """Carry out a motion or, if it is not clear, its replacements. Raises as `carry_out`."""
+        """Carry out a motion or, if its path is not clear, the replacement motions. Raises as `carry_out`."""
         try:
             return self.carry_out(motion)
         except NotClear:
@@ -149,7 +149,7 @@ class SupervisedMotion:
             return [self.carry_out(one) for one in motion.replacement][-1]
 
     def carry_out(self, motion: PlannedMotion) -> ArmReading:
-        """Carry out a motion. After a stop, replan it if the operator agrees.
+        """Carry out a motion; if it is stopped, replan it once the operator agrees.
 
         Whether it is allowed is checked first, and again right before the arm moves. Raises PRO-002, PRO-003,
         PRO-004, findings of guards and watches, the reason against the motion, and the errors of the arm.
@@ -209,7 +209,7 @@ class SupervisedMotion:
     def _drive_journalled(
         self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]
     ) -> ArmReading:
-        """Drive a motion between its two journal lines, and return its last reading."""
+        """Drive a motion between its two journal lines and return the last reading."""
         number = self._log.history.motions + 1
         self._log.write(Entry.MOTION, number=number, **intent)
         try:
@@ -226,7 +226,7 @@ class SupervisedMotion:
         return reached
 
     def _rests_at_home(self) -> bool | None:
-        """Return whether a failed motion left the arm at home; None if its joints cannot be read."""
+        """Return whether a failed motion left the arm at home, or None if its joints cannot be read."""
         with contextlib.suppress(RonnaError):
             if self._arm().state in RUNNING:
                 return self._log.is_home(self._arm().read_state().joints_rad)

@@ -1,4 +1,4 @@
-"""The tool on an arm, its poses by the arm's calibration, and the instrument in the guide."""
+"""The tool on an arm, its calibrated poses, and the instrument in the guide."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Sides = Sequence[int] | None
 
 
 class MountedTool(StrEnum):
-    """The mounted tool according to the last check."""
+    """Mounted tool, as found by the last check."""
 
     UNKNOWN = "unchecked tool"
     STEREO_HEAD = "stereo head"
@@ -32,7 +32,7 @@ class MountedTool(StrEnum):
 
 
 class ToolMount:
-    """Tool mount of one arm. `tool` is the tool found at the last check."""
+    """Tool mount of one arm. `tool` is the tool found by the last check."""
 
     def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
         self.tool = MountedTool.UNKNOWN
@@ -42,11 +42,11 @@ class ToolMount:
 
     @property
     def checked_number(self) -> int | None:
-        """Number of the tool found at the last check; None if unknown."""
+        """Number of the tool found by the last check; None if unknown."""
         return None if self.tool is MountedTool.UNKNOWN else self._number(self.tool)
 
     def check(self, tool: MountedTool) -> int:
-        """Check that a tool is mounted, and return its number. Raises PRO-009 for another tool."""
+        """Check that a tool is mounted and return its number. Raises PRO-009 for another tool."""
         expected = self._number(tool)
         self.tool = MountedTool.UNKNOWN
         mounted = self._reported = self._read_number()
@@ -69,7 +69,7 @@ class ToolMount:
         return self.tool
 
     def flange_from(self, tool: MountedTool) -> Transform:
-        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
+        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unknown tool."""
         if tool is MountedTool.UNKNOWN:
             known = (f"{each}, number {self._number(each)}" for each in list(MountedTool)[1:])
             raise WrongTool(
@@ -89,7 +89,7 @@ class ToolMount:
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
-    """Return the arm with the deviations of its record, or the nominal arm without a record.
+    """Return the arm with its record's deviations applied, or the nominal arm without a record.
 
     Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
@@ -106,7 +106,7 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
 
 
 def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
-    """Raise CAL-013 if the record is another arm's of this model. `serial` is empty if not reported."""
+    """Raise CAL-013 if the record belongs to another arm of this model. An empty `serial` is unreported."""
     if record is not None and record.serial and serial and record.serial != serial:
         raise AnotherArm(
             f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
@@ -115,17 +115,17 @@ def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
 
 @dataclass(frozen=True)
 class CarriedTool:
-    """A tool carried by an arm, converting between poses ROBOT <- TOOL and joint angles."""
+    """Tool carried by an arm, for converting between poses ROBOT <- TOOL and joint angles."""
 
     arm: CalibratedArm
     flange_from_tool: Transform
 
     def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Return the tool's pose at joint angles. `arrived` is the side each joint came from, if known."""
+        """Return the tool's pose at joint angles. `arrived` is the arrival side of each joint, if known."""
         return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Return the joints for a pose of the tool, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.arm.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
     def commanded(
@@ -142,7 +142,7 @@ class CarriedTool:
 
 
 class WorkedStages:
-    """Stages of work through the guide, by trajectory. They survive motions, failures and restarts.
+    """Stages of work through the guide at each trajectory, preserved across motions, failures and restarts.
 
     A stage is journalled as begun before anybody works, and as done once that is confirmed.
     """
@@ -151,19 +151,19 @@ class WorkedStages:
         self._log = log
 
     def tasks_at(self, trajectory: str) -> Mapping[str, bool]:
-        """Return, for each task begun at a trajectory, whether it was confirmed as done."""
+        """Return the tasks begun at a trajectory, and whether each was confirmed as done."""
         return self._log.history.stages.get(trajectory, {})
 
     def is_doubted(self, trajectory: str) -> bool:
-        """Whether more may have been done at a trajectory than the journal says."""
+        """Return whether more may have been done at a trajectory than the journal records."""
         return trajectory in self._log.history.doubted
 
     def may_have_begun(self, trajectory: str) -> bool:
-        """Whether work at a trajectory has begun, or may have."""
+        """Return whether work at a trajectory has, or may have, begun."""
         return bool(self.tasks_at(trajectory)) or self.is_doubted(trajectory)
 
     def stop_at(self, trajectory: str) -> Stop | None:
-        """Return the last setting of the depth stop at a trajectory, or None."""
+        """Return the last depth stop setting at a trajectory, if any."""
         return self._log.history.stops.get(trajectory)
 
     def record_stop(self, trajectory: str, stop: Stop) -> None:
@@ -171,7 +171,7 @@ class WorkedStages:
         self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
 
     def record_doubt(self, trajectory: str) -> None:
-        """Record that more may have been done there than the journal says: its last lines may be lost."""
+        """Record that more may have been done than the journal says, since its last lines may be lost."""
         if not self.is_doubted(trajectory):
             self._log.write(Entry.STAGE, trajectory=trajectory, doubted=True)
 
@@ -185,7 +185,7 @@ class WorkedStages:
 
 
 class Instrument:
-    """The instrument in the guide. Nothing moves while it is, or may be, in an entry or in the gauge.
+    """Instrument in the guide. Nothing may move while it is, or may be, in an entry or the gauge.
 
     An insertion is journalled before it begins, a removal once it is confirmed.
     """
@@ -196,7 +196,7 @@ class Instrument:
 
     @property
     def inside(self) -> str | None:
-        """Trajectory, gauge or divot in which the instrument is or may be; None if it is out."""
+        """Trajectory, gauge or divot that the instrument is or may be in; None if it is out."""
         return self._log.history.place.instrument_may_be_inside
 
     def record_insertion(self, trajectory: str) -> None:
@@ -209,7 +209,7 @@ class Instrument:
             self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
 
     def record_assumed(self, trajectory: str) -> None:
-        """Record that the instrument may be inside although no earlier line says so."""
+        """Record that the instrument may be inside, although no earlier line says so."""
         self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
 
     def require_out(self, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Tracker readings while the arm is at rest: distinct frames, and mean poses.
+"""Tracker readings with the arm at rest: distinct frames and mean poses.
 
 A tracker with the definition of the x-shaped frame loaded reports the frame on the head as one pose instead
 of as strays. The markers of that pose are added to the strays, for the watches of the spheres.
@@ -32,7 +32,7 @@ MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
-    """Return the pose ROBOT <- MARKER of the reference frame at these joints."""
+    """Return the reference frame's pose ROBOT <- MARKER at these joints."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     flange = workcell.flange_pose(joints_rad)
     return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
@@ -44,7 +44,7 @@ def read_frames_at_rest(
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
 ) -> tuple[list[TrackerFrame], int]:
-    """Start tracking, read `count` distinct frames and end tracking; see `read_fresh_frames`."""
+    """Start tracking, read `count` distinct frames and stop tracking; see `read_fresh_frames`."""
     tracker.activate()
     try:
         return read_fresh_frames(tracker, clock, progress, count)
@@ -56,7 +56,7 @@ def read_frames_at_rest(
 def read_fresh_frames(
     tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
-    """Read distinct frames. Return them with the number of lost readings.
+    """Read distinct frames; also return the number of lost readings.
 
     A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 if the
     tracker returns too few in time, and the driver's error if too many are lost.
@@ -99,13 +99,13 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
 
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
-    """Return a tool's mean pose TRACKER <- MARKER; None if fewer than `least` frames show the tool."""
+    """Return a tool's mean pose TRACKER <- MARKER, or None if seen in fewer than `least` frames."""
     seen_poses = _list_poses(frames, tool)
     return _average_poses(seen_poses) if len(seen_poses) >= least else None
 
 
 def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
-    """Return the most frequent reason for frames without the tool, and the action to take."""
+    """Return the main reason why frames lack the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]
     outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
     disturbed = sum(
@@ -120,7 +120,7 @@ def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str,
 
 
 def _list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
-    """Return the rotations and positions of a tool in the frames that show it."""
+    """List a tool's rotations and positions from the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [
         (one.rotation, one.position_mm)
@@ -130,7 +130,7 @@ def _list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion,
 
 
 def _average_poses(seen_poses: list[tuple[Quaternion, Vector3]]) -> Transform:
-    """Return the mean pose TRACKER <- MARKER of at least one pose."""
+    """Return the mean pose TRACKER <- MARKER of one or more poses."""
     from scipy.spatial.transform import RigidTransform, Rotation
 
     quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*seen_poses, strict=True))
@@ -142,7 +142,7 @@ def _average_poses(seen_poses: list[tuple[Quaternion, Vector3]]) -> Transform:
 
 
 def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
-    """Add the spheres of the frame on the head to the strays, if the frame is seen as a tool."""
+    """Add the spheres of the frame on the head to the strays, provided the frame is tracked as a tool."""
     name = find_frame_name(tracker.markers_mm)
     if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
         return frame
@@ -160,5 +160,5 @@ def find_frame_name(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str 
 
 
 def _are_alike(marker: Sequence[float], centre: Sequence[float]) -> bool:
-    """Return whether two points agree in each coordinate. Plain numbers: this runs for every frame."""
+    """Return whether two points agree in each coordinate. Avoids NumPy, as it runs for every frame."""
     return all(abs(one - other) <= ALIKE_MM for one, other in zip(marker, centre, strict=True))

@@ -1,4 +1,4 @@
-"""Arm, mounted tool, surroundings, stereo head and tracker as a unit that takes looks and makes motions.
+"""The workcell: an arm with its tool, surroundings, stereo head and tracker, for taking looks and moving.
 
 A workcell needs an open journal, in which every motion is an intent and a result. While the guide is held
 before an entry, only motion along its axis is possible, whoever asks. While an instrument is in the guide,
@@ -47,7 +47,7 @@ D = TypeVar("D")
 
 
 class Workcell:
-    """One arm with the tool and devices it uses. All tool poses are ROBOT <- TOOL of the mounted tool."""
+    """An arm with its tool and devices. All tool poses are ROBOT <- TOOL of the mounted tool."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class Workcell:
 
     @property
     def arm(self) -> ArmView:
-        """The arm without the calls that move it."""
+        """Arm without the methods that move it."""
         return ArmView(self._arm)
 
     @property
@@ -93,17 +93,17 @@ class Workcell:
 
     @property
     def stereo(self) -> StereoPair:
-        """The stereo head, which takes pictures through `look`."""
+        """Stereo head; use `look` to take pictures."""
         return self._theatre.stereo
 
     @property
     def tracker(self) -> OpticalTracker:
-        """The tracker."""
+        """Optical tracker."""
         return self._theatre.tracker
 
     @property
     def devices(self) -> Mapping[str, DeviceView]:
-        """Devices by role in the order of connection; additional devices as `device.NAME`."""
+        """Devices by role, in connection order; additional devices as `device.NAME`."""
         return {**self._devices, "arm": self.arm}
 
     @property
@@ -112,7 +112,7 @@ class Workcell:
         return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Return the device of table `[device.NAME]` as `interface`.
+        """Return the device from table `[device.NAME]` as `interface`.
 
         Raises DEV-007 without such a table, DEV-008 for a device of another kind and for an arm.
         """
@@ -128,15 +128,15 @@ class Workcell:
 
     @property
     def tool(self) -> MountedTool:
-        """The tool found mounted at the last check."""
+        """Mounted tool, as found by the last check."""
         return self.mount.tool
 
     def read_tool_number(self) -> int:
-        """Return the tool number reported now by the controller's inputs; 0 means no tool."""
+        """Return the tool number now reported by the controller's inputs; 0 means no tool."""
         return self._arm.read_tool_identity().number
 
     def flange_from(self, tool: MountedTool) -> Transform:
-        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
+        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unknown tool."""
         return self.mount.flange_from(tool)
 
     @property
@@ -147,7 +147,7 @@ class Workcell:
     # Pose and place of the arm
 
     def joints_rad(self) -> JointVector:
-        """Measure the joints, rad."""
+        """Measure the joint angles, rad."""
         return self._arm.read_state().joints_rad
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
@@ -155,11 +155,11 @@ class Workcell:
         return self._carried.pose(joints_rad or self.joints_rad(), arrived)
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """Return the pose ROBOT <- FLANGE at joint angles, by the arm's calibration if there is one."""
+        """Return the pose ROBOT <- FLANGE at joint angles, using the arm's calibration if there is one."""
         return self._calibrated.flange_pose(joints_rad)
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Return the joints for a pose of the tool, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self._carried.joints_at(pose, near, arriving)
 
     @property
@@ -168,30 +168,30 @@ class Workcell:
 
     @property
     def home_rad(self) -> JointVector:
-        """Joints of the arm at set-up, rad. Raises PRO-001 before that."""
+        """Joint angles of the arm at set-up, rad. Raises PRO-001 before set-up."""
         if self._log.home_rad is None:
             raise StepRefused("the arm has no home position yet", action="Run set_up first.")
         return self._log.home_rad
 
     @property
     def settled_home(self) -> bool:
-        """Whether the arm is at home and each joint arrived from its usual side."""
+        """Whether the arm is at home with each joint having arrived from its usual side."""
         return self.supervised.settled_home and self.place.is_home
 
     def set_home(self) -> JointVector:
-        """Make the present position home: the place for parking, and for detours when a way is not clear."""
+        """Make the present position home, for parking and for detours when a direct path is not clear."""
         home_rad = self._log.home_rad = self.joints_rad()
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
 
     def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
-        """Restore the arm's history, and its home if given, in a resumed run. Nothing moves."""
+        """Restore the arm's history, and any known home, in a resumed run. Nothing moves."""
         if home_rad is not None:
             self._log.home_rad = home_rad
         self._log.history = history
 
     def compare_place(self) -> None:
-        """Compare the measured joints with home, and journal the place if the journal has another.
+        """Compare the measured joints with home, and journal the place if the journal disagrees.
 
         Somebody may have jogged it. Whether it left its axis is checked before the next motion along that.
         Raises the arm's error if it reports no joints.
@@ -205,7 +205,7 @@ class Workcell:
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def record_found_on_axis(self, axis: Insertion) -> None:
-        """Journal that the guide was found on an axis, because the line that says so may be lost."""
+        """Journal that the guide was found on an axis, in case the original line was lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(
             Entry.PLACED, joints_rad=joints_rad, at_home=False, trajectory=axis.trajectory, axis=plain
@@ -220,29 +220,29 @@ class Workcell:
 
     @property
     def place(self) -> ArmPlace:
-        """Position of the arm as journalled, and whether an instrument may be inside."""
+        """Journalled position of the arm, and whether an instrument may be inside."""
         return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
-        """Pass tool and surroundings to the arm. Clearance is exact near these joints, by default home."""
+        """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
         near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
-        """Start the correction stream, and the cameras if asked, unless running. Raises PRO-002, TOOL-001."""
+        """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
         if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
             self.instrument.require_out("start the arm")
         self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
-        """Return the motion that `go` makes."""
+        """Return the motion that `go` would make."""
         return self._joint_motion(MotionKind.GO, JointMove(joints_rad), via_home=True)
 
     def settle_motion(
         self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
     ) -> PlannedMotion:
-        """Return the motion that `settle` makes."""
+        """Return the motion that `settle` would make."""
         onto = JointMove(joints_rad)
         if arriving is None:
             return self._joint_motion(MotionKind.STEP, onto)
@@ -250,7 +250,7 @@ class Workcell:
         return self._joint_motion(MotionKind.SETTLE, back, onto, via_home=allow_detour)
 
     def return_motion(self) -> PlannedMotion:
-        """Return the motion that `return_home` makes."""
+        """Return the motion that `return_home` would make."""
         home = self._home_motion(self.home_rad)
         back = tuple(
             self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
@@ -261,41 +261,41 @@ class Workcell:
     def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> PlannedMotion:
-        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present."""
+        """Return the motion that `line_to` would make, in the branch of `near_rad` (default: current)."""
         commanded = self._commanded_pose(pose, arriving, near_rad)
         return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
     def insert_motion(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
-        """Return the motion that `insert` makes; `near_rad` as for `line_to_motion`."""
+        """Return the motion that `insert` would make; `near_rad` as for `line_to_motion`."""
         commanded = self._commanded_pose(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
         return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
     def withdraw_motion(self, insertion: Insertion) -> PlannedMotion:
-        """Return the motion that `withdraw` makes."""
+        """Return the motion that `withdraw` would make."""
         line = LineMove(self._commanded_pose(insertion.start, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is clear."""
+        """Move to joint angles, via home if the direct path is not clear. Raises ARM-007 if neither is."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def go_home(self) -> ArmReading:
-        """Move the joints home. Each arrives from the same side, so that small changes show at home."""
+        """Move home, each joint arriving from the same side so that small changes show there."""
         return self.supervised.carry_out(self._home_motion(self.home_rad))
 
     def return_home(self) -> ArmReading:
-        """Go home directly or, if that way is not clear, back the way the arm came."""
+        """Move home directly or, if that path is not clear, back the way the arm came."""
         return self.supervised.carry_out_with_detour(self.return_motion())
 
     def park(self, subject: str = "park the arm") -> ArmReading:
-        """Return home after the operator has confirmed it. Raises PRO-002."""
+        """Return home once the operator has confirmed it. Raises PRO-002."""
         self.start()
         self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
         return self.return_home()
 
     def settle(self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False) -> ArmReading:
-        """Move to joint angles with each joint arriving from its given side (+1 or -1), for equal backlash.
+        """Move to joint angles, each joint arriving from its given side (+1 or -1) for equal backlash.
 
         Without directions, go straight there. `allow_detour` allows the way via home if the direct one is not
         clear.
@@ -304,7 +304,7 @@ class Workcell:
         return self.supervised.carry_out_with_detour(settle_motion)
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
-        """Bring the mounted tool to a pose along a straight line of the flange."""
+        """Move the mounted tool to a pose along a straight line of the flange."""
         return self.supervised.carry_out(self.line_to_motion(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
@@ -317,7 +317,7 @@ class Workcell:
         return self.supervised.carry_out(self.insert_motion(insertion))
 
     def hold(self) -> None:
-        """Stand still until the next motion, supervised by the link."""
+        """Hold still, supervised by the link, until the next motion."""
         if self._arm.state is Lifecycle.ACTIVE:
             self._arm.stop()
             self.supervised.note_hold()
@@ -331,7 +331,7 @@ class Workcell:
         return self.supervised.carry_out(self.withdraw_motion(self._axis_of(trajectory)))
 
     def retreat(self, trajectory: str) -> None:
-        """Withdraw the guide after the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
+        """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
         self.start()
         way_out = [self.withdraw_motion(self._axis_of(trajectory))]
         self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
@@ -345,7 +345,7 @@ class Workcell:
         return axis
 
     def recover(self, role: str, by: str) -> None:
-        """Recover a device from its fault without motion. After an arm fault, the tool is unchecked."""
+        """Recover a faulted device without motion. After an arm fault, the tool must be checked again."""
         device = self._devices[role]
         device.recover(by)
         if device is self._arm:
@@ -355,29 +355,29 @@ class Workcell:
                 self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
-        """Take a stereo pair and measure the sphere in it. Raises STE-012 without a new and complete pair."""
+        """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""
         seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
 
     @property
     def streaming(self) -> bool:
-        """Whether the arm's correction stream runs. Without it, nothing here can move the arm."""
+        """Whether the arm's correction stream is running. Otherwise the workcell cannot move the arm."""
         return self._arm.observe().state in RUNNING
 
     def link_statistics(self) -> LinkStatistics:
-        """Return the health of the robot link since the last activation of the arm."""
+        """Return the robot link's statistics since the arm was last activated."""
         return self._arm.link_statistics()
 
     def rest(self) -> None:
-        """End the arm's correction stream and stop the cameras, for a tool change or a parked arm."""
+        """Stop the arm's correction stream and the cameras, for a tool change or a parked arm."""
         for device in (self._arm, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self.supervised.reset_confirmation()
 
     def stop(self) -> None:
-        """Bring the arm to rest as well as the link still allows. Never raises."""
+        """Stop all arms as well as their links still allow. Never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
         self.supervised.reset_confirmation()
@@ -387,7 +387,7 @@ class Workcell:
         self._theatre.close()
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
-        """Raise unless a motion keeps to the guide's axis, rechecked because a hand may have pushed it."""
+        """Raise if a motion would leave the guide's axis, or if the guide has been pushed off it."""
         on, axis = self.place.axis, motion.axis
         if axis is None or (on is not None and axis.trajectory != on.trajectory):
             self._require_outside(motion.what)

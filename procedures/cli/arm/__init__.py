@@ -1,1 +1,1 @@
-"""`ronna-arm`: calibrate the arm, check that its calibration still holds."""
+"""`ronna-arm`: arm calibration and calibration checks."""

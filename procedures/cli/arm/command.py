@@ -1,4 +1,4 @@
-"""`ronna-arm`: calibrate the arm, check that its calibration still holds."""
+"""`ronna-arm`: arm calibration and calibration checks."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Calibrations at the command line."""
+"""Calibration commands."""

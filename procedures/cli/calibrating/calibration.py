@@ -1,4 +1,4 @@
-"""Calibrations at the command line: measure or recompute, show the figures, finish interrupted ones."""
+"""Calibration runs from the command line: measuring, recomputing, resuming, and display of the figures."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def calibrate(
     command_options: CalibrationOptions,
     theatre: RunRequest,
 ) -> None:
-    """Measure in the theatre or read recorded looks, compute, write the files and show the figures.
+    """Run a calibration from new or recorded looks, write its files and show the figures.
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
@@ -83,7 +83,7 @@ def calibrate(
 def resume_calibration(
     request: RunRequest, interrupted: InterruptedRun, *, accepted: bool, as_json: bool
 ) -> None:
-    """Resume an interrupted calibration and write its files; show the figures of a finished one.
+    """Resume an interrupted calibration and write its files; if already finished, just show its figures.
 
     Raises the errors of `resume`, and those of the calibration itself.
     """
@@ -124,7 +124,7 @@ def run_with_bar(
     conclude: Callable[[Case], None] = lambda _case: None,
     resumption: Resumption | None = None,
 ) -> Engine:
-    """Run the steps of a calibration or measurement with a progress bar, then `conclude` with its results."""
+    """Run a calibration or measurement with a progress bar, then pass the case to `conclude`."""
 
     def conclude_run(engine: Engine) -> None:
         with bar.hidden():  # it would write over the messages
@@ -144,7 +144,7 @@ def check_calibration(
     *,
     as_json: bool,
 ) -> None:
-    """Run a check, then write and show the figures from `judge`, even if its verdict raises."""
+    """Run a check, then write and show the figures from `judge`, even if the check fails."""
     checked_figures: list[F] = []
 
     def conclude(case: Case) -> None:
@@ -166,7 +166,7 @@ def check_calibration(
 
 
 def bar_observers(bar: ProgressBar) -> RunObservers:
-    """Return observers that show a run's progress in `bar` and pause it during questions."""
+    """Return observers that show progress in `bar` and hide it during questions."""
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:

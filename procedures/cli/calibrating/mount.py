@@ -1,4 +1,4 @@
-"""`ronna-procedure calibrate`: the reference frame on the mount, the tip of the guide."""
+"""`ronna-procedure calibrate`: calibration of the mount's reference frame and the guide tip."""
 
 from __future__ import annotations
 

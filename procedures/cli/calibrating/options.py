@@ -1,4 +1,4 @@
-"""Options of calibrations and measurements."""
+"""Command-line options for calibrations and measurements."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ USED_TO_RECOMPUTE = frozenset({"recorded", "config", "write", "days", "out", "as
 
 @dataclass(frozen=True)
 class MeasuringOptions(TheatreOptions):
-    """Options of a measurement in a theatre, and the output folder."""
+    """Options for measuring in a theatre, including the output folder."""
 
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("calibrations")
     as_json: JsonOption = False
@@ -31,7 +31,7 @@ class MeasuringOptions(TheatreOptions):
 
 @dataclass(frozen=True)
 class CalibrationOptions(MeasuringOptions):
-    """Options of a calibration: measurement source and use of the resulting records."""
+    """Calibration options: where measurements come from and where the records go."""
 
     recorded: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ class CalibrationOptions(MeasuringOptions):
     ] = None
 
     def source(self, context: typer.Context) -> RunRequest:
-        """Return the run request for the theatre to measure in, or for recorded measurements.
+        """Return the run request for a theatre to measure in, or for recomputing from recorded measurements.
 
         Raises CLI-001 unless each input has one source.
 
@@ -75,7 +75,7 @@ def _list_other_options(context: typer.Context, names: Set[str]) -> str:
 
 
 def require_finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
-    """Return the ball position from the options, mm. Raises CLI-001 unless it is finite."""
+    """Return the `--ball` position in mm. Raises CLI-001 unless it is finite."""
     if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
         got = " ".join(f"{value:g}" for value in ball_mm)
         raise UsageMistake("--ball needs three finite numbers", got=got)

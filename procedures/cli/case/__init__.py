@@ -1,1 +1,1 @@
-"""Command-line interface of a case: options, displays, prompts, and the person at the terminal."""
+"""Command-line interface of a case: options, displays, prompts and the terminal operator."""

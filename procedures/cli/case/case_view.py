@@ -42,7 +42,7 @@ Show = Callable[[Sequence[Event]], None]
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a case's history."""
+    """One line in the history of a case."""
 
     mark: str
     style: str
@@ -84,12 +84,12 @@ def plain_line_of(event: Event) -> str | None:
 
 
 def describe_state(case: CaseState) -> str:
-    """Describe a state and its reason. The reason of a held case is left to its failed step."""
+    """Describe the state of a case with its reason, except for a held case, whose failed step explains it."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
 def describe_loss(lost: SignalsLost) -> str:
-    """Describe how many signals a follower missed."""
+    """Describe how many signals a follower has missed."""
     return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
 
@@ -146,7 +146,7 @@ class CaseView:
         return "   ".join(map(self._describe_device, self._devices.values()))
 
     def lines(self) -> list[tuple[str, str]]:
-        """Style and text of each line below the progress."""
+        """Return the style and text of each line shown below the progress bar."""
         shown = [("", self.state)]
         if self._devices:
             shown.append(("", self.devices))
@@ -155,13 +155,13 @@ class CaseView:
         return shown
 
     def _settle(self, step: str) -> None:
-        """Drop earlier errors of a step that has since succeeded."""
+        """Drop the errors of earlier attempts at a step that begins again."""
         kept_errors = [one for one in self._errors if one[0] != step]
         self._errors.clear()
         self._errors.extend(kept_errors)
 
     def _settle_fault(self, device: str, fault: str) -> None:
-        """Drop a cleared fault and the refusals that it caused."""
+        """Drop a cleared fault and the refusals it caused."""
         fault_words = (f"the {device} is in fault", f"{_code_of(fault)}: ")
         kept_errors = [one for one in self._errors if not any(words in one[1] for words in fault_words)]
         self._errors.clear()
@@ -196,7 +196,7 @@ def _summarize_line(line: Mapping[str, object]) -> str:
 
 
 class EventFollower:
-    """Follower of an event stream in its own thread. Calls to `show` never overlap."""
+    """Follows an event stream in its own thread. Calls to `show` never overlap."""
 
     def __init__(self, events: EventStream, show: Show) -> None:
         self._reader = events.subscribe()
@@ -223,7 +223,7 @@ class EventFollower:
             return batch.ended
 
     def join(self) -> None:
-        """Wait until the end of the stream is shown."""
+        """Wait until the rest of the stream has been shown."""
         self._thread.join(ENDING_S)
 
     def _follow(self) -> None:

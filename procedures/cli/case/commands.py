@@ -1,4 +1,4 @@
-"""Operator orders at a prompt: parsing and immediate execution."""
+"""Operator orders typed at a prompt: parsing and immediate execution."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def read_command(engine: Engine, command: str, argument: str) -> Order:
 
 
 def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
-    """Carry out an order from a prompt, given by the person named `by`. Raises the errors of steps."""
+    """Carry out an order typed at a prompt by the person `by`. Raises the errors of steps."""
     find = engine.order.find
     match order:
         case ListSteps():
@@ -148,7 +148,7 @@ def _explain(engine: Engine, key: StepKey, say: Say) -> None:
 
 
 def _repetition(engine: Engine, key: StepKey) -> str:
-    """Addition to the status of a step that is done: how it is repeated, or why it cannot be now."""
+    """Describe how to repeat a finished step, or why it cannot be repeated now."""
     unmet = engine.why_refused(key)
     return f"; it cannot be repeated now: {'; '.join(unmet)}" if unmet else f"; back {key} repeats it"
 
@@ -178,7 +178,7 @@ def _resume(engine: Engine, say: Say) -> None:
 
 
 def continue_hint(engine: Engine, commands: str) -> str:
-    """Say how the case continues: by these `commands`, unless no step remains."""
+    """Return the hint that `commands` continue the case, or what to do if no step remains."""
     is_last = engine.machine.ended or engine.upcoming is None
     return _describe_nothing_upcoming(engine) if is_last else commands
 

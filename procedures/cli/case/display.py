@@ -1,4 +1,4 @@
-"""Display of a running case and of its outcome, and handling of Ctrl-C.
+"""Display of a running case and its outcome, and Ctrl-C handling.
 
 Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
 points are between steps and before each motion. While a question is open, the second one ends everything.
@@ -46,7 +46,7 @@ AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
 
 
 class Interrupts:
-    """Handler of Ctrl-C for an engine."""
+    """Ctrl-C handler of a running engine."""
 
     def __init__(self) -> None:
         self._engine: Engine | None = None
@@ -60,7 +60,7 @@ class Interrupts:
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[WritePrompt]:
-        """While a question is open, show the prompt again on the first Ctrl-C; end the command on the second.
+        """During a question, repeat the prompt on the first Ctrl-C and end the command on the second.
 
         Nothing moves meanwhile. On Ctrl-C a terminal discards output that it has not shown yet.
         """
@@ -75,7 +75,7 @@ class Interrupts:
         write_prompt(prompt)
 
     def interrupt(self) -> None:
-        """Count one Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
+        """Count a Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
         engine = self._engine
         if engine is None or self._at_question:
             raise KeyboardInterrupt
@@ -95,7 +95,7 @@ class Interrupts:
 
 @contextlib.contextmanager
 def pause_on_interrupt() -> Iterator[Interrupts]:
-    """Request a pause on Ctrl-C while the block runs, if a person sits at a terminal."""
+    """Within the block, request a pause on Ctrl-C, provided that the command runs on a terminal."""
     interrupts = Interrupts()
     if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
         yield interrupts
@@ -113,7 +113,7 @@ def pause_on_interrupt() -> Iterator[Interrupts]:
 
 @contextlib.contextmanager
 def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
-    """Follow a run by its events: live on a terminal, one line per step and finding elsewhere."""
+    """Show a run as it proceeds: live on a terminal, otherwise one line per step and finding."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
             opened = (lambda _engine: None) if quiet else partial(_write_lines_of, stack=stack)
@@ -217,7 +217,7 @@ def _show_table(outcome: FinishedRun) -> None:
 def follow_case(
     request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
-    """Run and show a case in a new folder in `out`. With JSON, print one object whatever the outcome."""
+    """Run and show a case in a new folder in `out`. With `as_json`, always print exactly one object."""
     check_case(request)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.config is not None
@@ -234,7 +234,7 @@ def follow(
     waits: bool,
     left: InterruptedRun | None = None,
 ) -> None:
-    """Show a case while it runs, then its outcome, and write its report. `left` is a resumed one.
+    """Show a case while it runs, write its report, then show its outcome. `left` is the run being resumed.
 
     With a console that `waits`, nothing is done until someone has taken the operator's seat.
     """

@@ -1,4 +1,4 @@
-"""Live display of a case on a terminal: finished steps scroll by above the current state.
+"""Live terminal display of a case: finished steps scroll past above the current state.
 
 A module of its own, because it imports rich.
 """
@@ -22,7 +22,7 @@ class LiveDisplay:
     """Live display of events: visible within `shown`, cleared within `hidden` for other output."""
 
     def __init__(self, console: Console, *, errors: bool) -> None:
-        """Show errors if `errors` is set. Otherwise the operator of the case gets them, with advice."""
+        """Show errors only if `errors` is set; the operator of a case gets them elsewhere, with advice."""
         self.view = CaseView()
         self._errors = errors
         self._console = console
@@ -36,19 +36,19 @@ class LiveDisplay:
         self._live = self._picture()
 
     def _picture(self) -> Live:
-        """Build a new live picture, not yet started. Reusing an old one would hide later output."""
+        """Create a new, unstarted live area. Reusing an old one would hide later output."""
         return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
-        """Show the progress before the case exists."""
+        """Show a progress message before the case exists."""
         self._bar.update(self._task, description=printable(text))
 
     def tell(self, text: str) -> None:
-        """Print one line without wrapping or markup, so that it can be copied."""
+        """Print a line without wrapping or markup, so that it can be copied."""
         self._console.print(printable(text), soft_wrap=True, markup=False, highlight=False)
 
     def show(self, events: Sequence[Event]) -> None:
-        """Update the display from these events."""
+        """Update the display with these events."""
         for event in events:
             self.view.take_in(event)
             if (entry := entry_of(event, errors=self._errors)) is not None:
@@ -68,7 +68,7 @@ class LiveDisplay:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hide the display while the block runs, if it is shown."""
+        """Hide the display, if shown, while the block runs."""
         if not self._live.is_started:
             yield
             return

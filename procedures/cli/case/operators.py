@@ -1,4 +1,4 @@
-"""The person at the terminal: answers questions, acts in the room, and types readings."""
+"""The operator at the terminal: answering questions, acting in the room and typing readings."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 class Alarms:
-    """Device faults, as last seen, for the person at a question or prompt. Asks no device.
+    """Last known device faults, shown with a question or prompt. No device is queried.
 
     A person may answer in the belief that the arm can move.
     """
 
     def __init__(self, advice: str = ADVICE) -> None:
-        """Set the `advice` to append to each fault description."""
+        """Set the `advice` appended to each fault description."""
         self._advice = advice
         self._engine: Engine | None = None
         self._reported: set[str] = set()  # roles, at this question
@@ -50,11 +50,11 @@ class Alarms:
         self._engine = engine
 
     def begin(self) -> None:
-        """Start a new question, so that all present faults are shown again."""
+        """Start a new question, so that current faults are shown again."""
         self._reported = set()
 
     def take_new_lines(self) -> list[str]:
-        """Return one line for each device in fault that this question has not shown yet."""
+        """Return one line for each faulted device not yet shown with this question."""
         faults = self._faults()
         lines = [f"{what}. {self._advice}" for role, what in faults.items() if role not in self._reported]
         self._reported = set(faults)  # a recurring fault is shown again
@@ -62,7 +62,7 @@ class Alarms:
 
     @property
     def note(self) -> str:
-        """Addition to the prompt, such as ` (the arm is in fault)`; empty without a fault."""
+        """Suffix for the prompt, such as ` (the arm is in fault)`; empty without a fault."""
         roles = " and ".join(f"the {role}" for role in sorted(self._reported))
         return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
 
@@ -77,7 +77,7 @@ def forget_typed() -> None:
 
 
 def await_input(alarms: Alarms, deadline_s: float | None = None) -> tuple[bool, list[str]]:
-    """Wait for a typed line, the deadline or an alarm; return whether a line is ready, and new alarm lines.
+    """Wait for input, an alarm or the deadline; return whether a line is ready, and any new alarm lines.
 
     Input typed before an alarm is discarded: it was typed without knowing of it.
     """
@@ -98,14 +98,14 @@ def write_prompt(prompt: str) -> None:
 
 
 def plain_prompt() -> AbstractContextManager[WritePrompt]:
-    """Return a prompt for a terminal to which nothing else writes."""
+    """Return the prompt writer for a terminal that nothing else writes to."""
     return nullcontext(write_prompt)
 
 
 def terminal_observers(
     asking: Asking = plain_prompt, opened: Callable[[Engine], None] = lambda _engine: None
 ) -> RunObservers:
-    """Return observers with the person at the terminal, and device alarms at each question."""
+    """Return observers for an operator at the terminal, with device alarms shown at each question."""
     alarms = Alarms()
 
     def attach_alarms(engine: Engine) -> None:
@@ -120,7 +120,7 @@ def terminal_observers(
 
 
 class TerminalOperator:
-    """Operator at the terminal. Without a terminal nobody answers.
+    """Operator who answers at the terminal; without a terminal, questions go unanswered.
 
     `asking` is held while a question is open, so that nothing else overwrites it. `alarms` are told at once,
     and nothing typed before counts.
@@ -131,7 +131,7 @@ class TerminalOperator:
         self._alarms = Alarms() if alarms is None else alarms
 
     def ask(self, question: Question) -> Answer:
-        """Show the value and wait for one of the answers, typed in full; repeat after other input.
+        """Show a question and wait until one of its answers is typed in full, repeating after other input.
 
         The first answer counts only with the value to be read back, within the same time limit.
         """
@@ -168,7 +168,7 @@ class TerminalOperator:
 
 
 class TerminalRoom:
-    """Room staff represented by the person at the terminal."""
+    """Room staff, represented by the person at the terminal."""
 
     def __init__(
         self,
@@ -177,22 +177,22 @@ class TerminalRoom:
         simulated: bool = False,
         alarms: Alarms | None = None,
     ) -> None:
-        """Set up the prompts; in a `simulated` theatre they name the command that does the work."""
+        """Set up the prompts; in a `simulated` theatre they show the command that does the work."""
         self._asking = asking
         self._alarms = Alarms() if alarms is None else alarms
         self._simulated = simulated
 
     def announce(self, step: str) -> None:
-        """Do nothing: the person sees the progress."""
+        """Do nothing: progress is already visible."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Prompt for the tool; the step confirms and records it."""
+        """Ask for a tool to be mounted; the step confirms and records it."""
         with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             self._hint(f"mount {number}")
 
     def prepare_stand(self, holds: str) -> None:
-        """Prompt for the calibration stand; the step confirms it."""
+        """Ask for an object to be put on the calibration stand; the step confirms it."""
         with self._asking():
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
@@ -205,7 +205,7 @@ class TerminalRoom:
         sys.stderr.flush()
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Prompt for the task and return the typed readings; empty without a terminal."""
+        """Ask for a task to be done and return the typed readings; empty without a terminal."""
         with self._asking() as write:
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
@@ -216,7 +216,7 @@ class TerminalRoom:
 
 
 def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """Return the typed readings, confirmed if there are several; empty if nobody enters any."""
+    """Read and return the task's values, confirmed if there are several; empty if none are entered."""
     while True:
         readings: list[float] = []
         for what in task.reads:
@@ -241,7 +241,7 @@ def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float,
 def _read_plausible_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
-    """Prompt until a plausible number is typed; return None if nobody enters one or input ends.
+    """Prompt until a plausible number is typed; return None if no reading is available or input ends.
 
     `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
@@ -269,7 +269,7 @@ def _say(line: str) -> None:
 
 
 def _emphasize_read_back(question: Question) -> str:
-    """Return the question's value, with the part to be read back in bold on a terminal."""
+    """Return the question's value, with the part to read back in bold on a terminal."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
@@ -278,7 +278,7 @@ def _emphasize_read_back(question: Question) -> str:
 def _read_typed(
     write: WritePrompt, what: str, deadline_s: float | None, alarms: Alarms, ahead: bool = False
 ) -> str:
-    """Read typed input without surrounding space; repeat after a blank line.
+    """Read a typed line without surrounding space; ask again after a blank line.
 
     Empty if time is out or the terminal is gone. Input typed before the question, or before a device was
     reported in fault, is discarded, unless it may be typed `ahead`.

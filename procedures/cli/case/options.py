@@ -28,7 +28,7 @@ ConfigOption = Annotated[
 
 
 class FiducialChoice(StrEnum):
-    """Kind of markers on the patient."""
+    """Type of markers on the patient."""
 
     FREE = "free"
     XFRAME = "xframe"
@@ -43,7 +43,7 @@ class SpeedChoice(StrEnum):
 
 @dataclass(frozen=True)
 class TheatreOptions:
-    """Options of a theatre, simulated or with configured endpoints, and of a scripted operator."""
+    """Options for choosing a theatre, simulated or configured, and a scripted operator."""
 
     sim: Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")] = False
     config: ConfigOption = None
@@ -87,7 +87,7 @@ class TheatreOptions:
         )
 
     def read_answer_file(self) -> Answers | None:
-        """Read the file of answers, if any. Raises PRO-026, CFG-001."""
+        """Read the answer file, if any. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
         from procedures.runs.answers import read_answers
@@ -95,7 +95,7 @@ class TheatreOptions:
         return read_answers(self.answers, self.config)
 
     def theatre(self) -> RunRequest:
-        """Return a calibration's run request without a procedure.
+        """Return the run request for a calibration, which has no clinical procedure.
 
         Raises CLI-001 for conflicting options, CFG-001, CAL-005.
         """
@@ -107,7 +107,7 @@ class TheatreOptions:
         return request
 
     def check(self) -> None:
-        """Raise CLI-001 unless the options name exactly one theatre and all apply to it."""
+        """Raise CLI-001 unless the options select exactly one theatre and all apply to it."""
         if self.sim and self.config is not None:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
@@ -125,7 +125,7 @@ class TheatreOptions:
             self.choice.check()
 
     def _list_changed_options(self, names: Sequence[str]) -> str:
-        """Return the options that differ from the default, as they are typed."""
+        """List the options among `names` that differ from their defaults, as typed on the command line."""
         changed = (
             option.name
             for option in fields(self)
@@ -136,7 +136,7 @@ class TheatreOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(TheatreOptions):
-    """Options of a case, shared by the commands `run` and `step`."""
+    """Case options shared by the `run` and `step` commands."""
 
     case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
     plan: Annotated[
@@ -185,7 +185,7 @@ class CaseOptions(TheatreOptions):
         )
 
     def request(self) -> RunRequest:
-        """Return the requested run. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
+        """Return the requested run. Raises CLI-001 for conflicting options, PRO-026 for a bad answer file."""
         if self.config is not None and not self.sim and self.case is None:
             raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
         self.check()
@@ -212,7 +212,7 @@ class CaseOptions(TheatreOptions):
 
 @dataclass(frozen=True)
 class ConsoleOptions:
-    """Options of the browser console, including access for viewers at other computers."""
+    """Options for the browser console, including access from other computers."""
 
     console: Annotated[
         bool,
@@ -226,7 +226,7 @@ class ConsoleOptions:
     key: KeyOption = None
 
     def request(self) -> ConsoleRequest | None:
-        """Return the requested console. Raises PRO-040 if it is not installed, CLI-001 for a mistake."""
+        """Return the requested console. Raises PRO-040 if not installed, CLI-001 for invalid options."""
         if not self.console:
             if self.console_port or self.bind or self.certificate or self.key:
                 raise UsageMistake("--console-port, --bind, --certificate and --key require --console")

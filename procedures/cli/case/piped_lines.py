@@ -1,4 +1,4 @@
-"""Script lines from standard input, read ahead so that `stop` overtakes earlier commands."""
+"""Script commands from standard input, read ahead so that `stop` overtakes earlier commands."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOO_LONG = f"line-of-more-than-{LONGEST_LINE}-bytes"  # in place of a longer lin
 
 
 class PipedLines:
-    """Script lines, read ahead so that `stop` (and no other command) overtakes earlier ones."""
+    """Script lines from standard input, read ahead so that `stop` alone overtakes earlier commands."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -28,11 +28,11 @@ class PipedLines:
         self._idle = True  # the case waits for a command, or nothing was read yet
 
     def attach(self, engine: Engine) -> None:
-        """Start reading, directing `stop` to this engine."""
+        """Start reading; `stop` goes directly to this engine."""
         threading.Thread(target=self._read, args=(engine,), name="standard input", daemon=True).start()
 
     def wait_for_line(self, timeout_s: float) -> bool:
-        """Return whether a line or the end of input is readable within `timeout_s` of host time."""
+        """Wait up to `timeout_s` (host time) for a line or the end of input; return whether one arrived."""
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._lines), timeout_s)
 

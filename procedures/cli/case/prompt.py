@@ -1,4 +1,4 @@
-"""Prompt that carries out an operator's commands until the input or the case ends."""
+"""Prompt that carries out the operator's commands until the input or the case ends."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
 class Prompt:
-    """Command prompt. `asking` is held while it waits for input."""
+    """Command prompt. `asking` is entered while it waits for input."""
 
     def __init__(
         self,
@@ -78,13 +78,13 @@ class Prompt:
         self.input_ended = False
 
     def attach(self, engine: Engine) -> None:
-        """Direct pauses to this engine."""
+        """Set the engine that this prompt operates."""
         if engine is not self._engine:
             self._alarms.attach(engine)
         self._engine = engine
 
     def follow(self, engine: Engine) -> bool:
-        """Carry out commands until `quit` or the end of input; return whether the case continues.
+        """Carry out commands until `quit` or the end of input; return whether the case goes on.
 
         Failures are shown and leave the case held. With `resumes`, a finished case goes on without further
         commands. Raises the error that ended the case.
@@ -114,7 +114,7 @@ class Prompt:
         return False
 
     def ask(self, question: Question) -> Answer:
-        """Ask at a pause for `resume`, `abort` or a command without motion. End of input ends the case."""
+        """At a pause, ask for `resume`, `abort` or a command without motion. End of input ends the case."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             forget_typed()
         self._say(f"{question.subject}; {question.value}")
@@ -139,7 +139,7 @@ class Prompt:
         return Answer(question.silence)
 
     def _unknown(self, name: str, argument: str, known: Iterable[str], choices: str) -> str:
-        """Return the reply to an unknown word."""
+        """Return the reply to an unknown command."""
         if name == "skip" and self._engine is not None:  # often expected, but every result is needed later
             try:
                 return f"there is no command 'skip': {why_not_skipped(self._engine, argument)}"
@@ -176,7 +176,7 @@ class Prompt:
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """Show why the case is held and how to continue. For a faulted device, show its current state."""
+        """Show why the case is held, the state of any faulted device, and how to continue."""
         faults = engine.faults.descriptions
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
@@ -186,7 +186,7 @@ class Prompt:
         self._say(f"{HELD}; {self._continue_hint(engine)}")
 
     def _continue_hint(self, engine: Engine) -> str:
-        """Command that continues the case at this prompt."""
+        """Return the hint on how to continue the case at this prompt."""
         if self._resumes:
             return "resume continues, next does one step"
         return continue_hint(engine, "next continues")
@@ -234,5 +234,5 @@ def _command_of(line: str) -> tuple[str, str]:
 
 
 def _has_surplus_argument(name: str, argument: str) -> bool:
-    """Whether words follow a command that takes no argument."""
+    """Return whether a command that takes no argument was given one."""
     return bool(argument) and (name in ENDING_PAUSE or (name in COMMANDS and not COMMANDS[name].argument))

@@ -1,4 +1,4 @@
-"""`ronna-procedure step`: a case run manually, one command per line on standard input."""
+"""`ronna-procedure step`: manual operation of a case, one command per line on standard input."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None = None) -> None:
-    """Carry out commands until `quit` or the end of input. A failure is shown and holds the case.
+    """Carry out commands until `quit` or the end of input. A failure is shown and the case is held.
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
     """

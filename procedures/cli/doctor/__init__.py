@@ -1,1 +1,1 @@
-"""`ronna-procedure doctor`: checks of this computer and results of the driver probes."""
+"""`ronna-procedure doctor`: checks of this computer, and driver probe results."""

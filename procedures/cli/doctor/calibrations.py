@@ -1,4 +1,4 @@
-"""Diagnostics of calibration and tool records in a theatre file: presence, fit and expiry."""
+"""Diagnostics of the calibration and tool records in a theatre file: presence, consistency and expiry."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXPIRY_NOTICE = timedelta(days=3)  # before its expiry a record is mentioned
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
-    """Yield one diagnostic per record, in the order in which records are made.
+    """Yield one diagnostic per calibration record, in the order in which the records are created.
 
     Missing records are a problem if the file has what a case needs to move.
     """
@@ -59,7 +59,7 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Report the arm and tool frame errors used in predictions, and why they exceed the stated ones."""
+    """Report the arm and tool frame errors assumed in predictions, and why they exceed those configured."""
     if theatre.calibration is None:
         return
     settings, arm = theatre.procedure, theatre.calibration.arm
@@ -77,7 +77,7 @@ def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
 
 
 def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
-    """Diagnose whether the tool records are valid and match this flange and the calibrated tip."""
+    """Report whether the tool records are valid and match the flange and the calibrated tip."""
     if theatre.calibration is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""Inspection of each device for use in a case, while the driver's probe holds the connection.
+"""Inspection of each device's readiness for a case, through the connection opened by the driver's probe.
 
 The facts come through the typed interfaces of the devices, so they are the same for every driver. Nothing
 moves: an arm is configured, which takes its port, and never activated.
@@ -38,14 +38,14 @@ OF_THIS_ARM = (
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
-    """Return the endpoint of one side's camera, or the side itself if both cameras share one."""
+    """Return the endpoint of the camera on one side, or the side itself if both cameras share an endpoint."""
     return str(device.address(side)) if side in device.endpoints else side
 
 
 def advise_on_serials(
     found: Sequence[Diagnostic], device: DeviceConfig, head: StereoHeadCalibration
 ) -> tuple[Diagnostic, ...]:
-    """Advise on refused cameras by the serial number of their side.
+    """Advise on refused cameras by comparing serial numbers on each side.
 
     The refusal of the whole pair repeats the advice of its first refused camera, if there is one.
     """
@@ -80,7 +80,7 @@ def _verdict(
     device: DeviceConfig,
     head: StereoHeadCalibration,
 ) -> str:
-    """Describe a camera fault on one side; empty without a fault or if the driver already locates it."""
+    """Describe a camera fault on one side; empty without a fault or if the driver already explains it."""
     actual = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
     configured = str(device.options.get(f"{side}_serial") or recorded[side])
@@ -109,7 +109,7 @@ def _verdict(
 
 
 def _differ_by_a_typing_error(one: str, other: str) -> bool:
-    """Return whether the texts differ by one wrong, missing, extra or transposed character."""
+    """Return whether two texts differ by one wrong, missing, extra or transposed character."""
     if len(one) == len(other):
         wrong = [place for place in range(len(one)) if one[place] != other[place]]
         first, last = wrong[0], wrong[-1] + 1
@@ -119,7 +119,7 @@ def _differ_by_a_typing_error(one: str, other: str) -> bool:
 
 
 def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], Iterator[Diagnostic]]:
-    """Return the inspection function for a device table. Each refusal becomes a diagnostic."""
+    """Return the inspection function for a device. Each refusal becomes a diagnostic."""
     calibrations, driver = theatre.calibration, theatre.devices[name].driver
 
     def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
@@ -157,7 +157,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 def _check_records(
     name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
-    """Check that the records belong to this device and that the right tool is mounted."""
+    """Check that the records belong to this device and, on an arm, that the stereo head is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
         check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, device.tools)

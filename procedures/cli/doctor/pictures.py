@@ -1,4 +1,4 @@
-"""Diagnostics of exposure and focus for a pair of camera images.
+"""Exposure and focus diagnostics for a pair of camera images.
 
 Sharpness, and an image that is too dark, show only on a sphere near the tool centre: a head that looks at
 nothing has dark images too.
@@ -32,7 +32,7 @@ UNSHARP = "Focus the lens on the tool centre and clean it, then calibrate the he
 def pair_diagnostics(
     subject: str, pair: StereoReading, head: StereoHeadCalibration | None
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of exposure and focus for both images, as far as the view allows."""
+    """Yield exposure and focus diagnostics for both images, as far as the view allows."""
     records = (None, None) if head is None else (head.left, head.right)
     images = (pair.left, pair.right)
     found = [_sphere_near_tool(image, record) for image, record in zip(images, records, strict=True)]
@@ -47,7 +47,7 @@ def pair_diagnostics(
 def _sphere_near_tool(
     image: CameraImage | None, record: CameraCalibration | None
 ) -> SphereImage | RonnaError | None:
-    """Return a sphere at about the tool centre's distance, or the error; None if it cannot be searched."""
+    """Find a sphere at about the tool centre's distance; return it, the error, or None if not searched."""
     if image is None or record is None:
         return None
     radius_px = SPHERE_RADIUS_MM * record.focal_px[0] / math.hypot(*record.camera_from_tool.translation_mm)
@@ -60,7 +60,7 @@ def _sphere_near_tool(
 
 
 def _shows_central_sphere(image: CameraImage | None, finding: SphereImage | RonnaError | None) -> bool:
-    """Return whether this camera sees a sphere that must be at least partly visible to the other."""
+    """Return whether this camera sees a sphere so central that the other must see at least part of it."""
     if image is None or not isinstance(finding, SphereImage):
         return False
     rows, columns = image.pixels.shape

@@ -1,4 +1,4 @@
-"""Computer checks and driver probes: execution, verdicts and display."""
+"""The doctor's report: running computer checks and driver probes, deriving verdicts, printing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Examination = Callable[[Progress], Sequence[Diagnostic]]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a device or case; `because` names the failed checks in display order."""
+    """Verdict on a device or case; `because` lists the failed checks in display order."""
 
     of: str
     ready: bool
@@ -72,7 +72,7 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All diagnostics in display order, starting with any instrument in the head."""
+        """All diagnostics in display order; an instrument left in the head comes first."""
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
@@ -88,7 +88,7 @@ def examine(
     *,
     out: Path = RUNS,
 ) -> Report:
-    """Check the computer, each endpoint and every device of a theatre file, for runs in `out`.
+    """Check this computer, each endpoint and every device in a theatre file, for runs in `out`.
 
     Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at, PRO-043 for one
     of a theatre that a run uses.
@@ -132,8 +132,10 @@ def examine(
 
 
 def show(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics. Ends with exit code 4 where a device, endpoint or calibration has a problem, and
-    with 3 where only something else keeps a case from beginning.
+    """Print the diagnostics, then exit with an error code if a check failed.
+
+    The code is 4 for a problem with a device, endpoint or calibration, or if the theatre is in use or its
+    clock cannot be read; it is 3 if only something else prevents a case.
     """
     show_findings(report, as_json=as_json)
     in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
@@ -144,7 +146,7 @@ def show(report: Report, *, as_json: bool) -> None:
 
 
 def show_findings(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics, and the verdicts if there are any."""
+    """Print the diagnostics and any verdicts."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -175,7 +177,7 @@ def show_findings(report: Report, *, as_json: bool) -> None:
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
-    """Return the reasons for a verdict; for the case only the failed checks, as their findings are above."""
+    """Return the reasons for a verdict; for a case, only the subjects of the failed checks."""
     if verdict.of != CASE:
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
@@ -183,7 +185,7 @@ def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
 
 
 def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Examination]]:
-    """Yield one examination per requested probe, covering all its endpoints."""
+    """Yield one examination per driver probe, covering all requested endpoints it supports."""
     if not endpoints:
         return
     probes = endpoint_probes()
@@ -203,7 +205,7 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
 
 
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
-    """Return the diagnostics of the driver's probe. A failed probe is itself a diagnostic."""
+    """Return the diagnostics from a driver's probe. A failed probe is itself a diagnostic."""
     try:
         found = load_probe(config.driver)(name, config, progress, inspection(name, theatre))
     except Exception as problem:  # a driver of another package may raise anything

@@ -1,4 +1,4 @@
-"""Checks of the theatre file, its current use and this computer, without any device access."""
+"""Checks of the theatre file, its current use and this computer. No device is accessed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras a
 
 
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
-    """Yield obstacles to a case in a folder of `out` other than its devices and records."""
+    """Check everything that a case in `out` needs apart from its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
     yield run_check("theatre file", kind, lambda: require_one_kind(theatre))
     yield run_check(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
@@ -62,7 +62,7 @@ def _read_clock(theatre: TheatreFile) -> None:
 
 
 def run_check(subject: str, found: str, require: Callable[[], object]) -> Diagnostic:
-    """Return a diagnostic with the text `found`, or with the error raised by `require`."""
+    """Run `require`; return a diagnostic with the text `found`, or with the error raised."""
     try:
         require()
     except RonnaError as error:
@@ -71,7 +71,7 @@ def run_check(subject: str, found: str, require: Callable[[], object]) -> Diagno
 
 
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
-    """Yield obstacles to a new case from the theatre's current use; their subject is `RUN` if in use."""
+    """Yield obstacles to a new case from current or earlier use of the theatre; subject `RUN` if in use."""
     if (user := find_theatre_user(theatre)) is not None:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
@@ -94,7 +94,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Return device diagnostics with advice adapted to the theatre's unfinished run."""
+    """Adapt the advice in device diagnostics to the theatre's unfinished run."""
     run, instrument_left = resumable_run(theatre), find_instrument_inside(read_last_note(theatre))
     advised = list(found)
     for place, one in enumerate(found):
@@ -109,7 +109,7 @@ def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list
 
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
-    """Yield the diagnostics of this computer."""
+    """Yield diagnostics of this computer."""
     from ronna_hw.host.process import find_foreign_packages
 
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])

@@ -1,1 +1,1 @@
-"""`ronna-procedure new-theatre`: creation of a theatre file for a laboratory's own devices."""
+"""`ronna-procedure new-theatre`: creates a theatre file for a laboratory's own devices."""

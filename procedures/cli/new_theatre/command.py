@@ -120,7 +120,7 @@ def new_theatre(
 
 
 def _report_devices(out: Path, found: Sequence[DeviceTable], *, check: bool, as_json: bool) -> bool:
-    """Report found devices and the doctor's verdict; return whether every device is present and ready."""
+    """Report the devices found and the doctor's verdict; return whether all are present and ready."""
     from procedures.cli.doctor.report import examine, show_findings
 
     for one in found:
@@ -139,7 +139,7 @@ def _report_devices(out: Path, found: Sequence[DeviceTable], *, check: bool, as_
 
 
 def _ask_interfaces() -> list[str]:
-    """Ask which networks to search, repeating after a typing error; return none without a terminal."""
+    """Ask which networks to search, repeating after invalid input; return none without a terminal."""
     from ronna_hw.host.network import interfaces
 
     if not terminal.on_terminal(sys.stdin):
@@ -163,7 +163,7 @@ def _parse_cards(answer: str) -> list[str]:
 
 
 def _choose(question: str, words: Sequence[str]) -> int | None:
-    """Ask a person to choose; return the index, or None without a terminal."""
+    """Ask the user to choose; return the index, or None without a terminal."""
     if not terminal.on_terminal(sys.stdin):
         return None
     for number, one in enumerate(words, start=1):

@@ -1,4 +1,4 @@
-"""Device search and selection among the results."""
+"""Device search, and selection among its results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where
 
 @dataclass(frozen=True)
 class DeviceTable:
-    """Device table of a theatre file, for a found device or as an example."""
+    """Theatre file table of a device, either found or given as an example."""
 
     table: str
     proposal: Proposal
@@ -25,7 +25,7 @@ class DeviceTable:
 
 
 def find_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
-    """Return network interfaces by name or address. Raises CLI-001 listing the existing ones."""
+    """Find network interfaces by name or address. Raises CLI-001 listing those available."""
     every = interfaces()
     chosen: list[Interface] = []
     for name in names:
@@ -65,7 +65,7 @@ ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
 
 
 def endpoint_of(option: str, text: str) -> Endpoint:
-    """Parse the endpoint in an option. Raises CLI-001 with the expected format and an example."""
+    """Parse an endpoint given as an option. Raises CLI-001 with the expected format and an example."""
     read, form, example = ENDPOINT_OPTIONS[option]
     try:
         return read(text)
@@ -75,7 +75,7 @@ def endpoint_of(option: str, text: str) -> Endpoint:
 
 
 def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
-    """Return the serial lines to probe: the given ones, else every serial port of this computer.
+    """Return the serial lines to probe: those given, or else every serial port of this computer.
 
     Raises CLI-001 for anything else.
     """
@@ -93,7 +93,7 @@ def search_all(
     choose: Choose,
     progress: Progress,
 ) -> tuple[DeviceTable, ...]:
-    """Search with every finder and choose among multiple results. Raises CLI-001 if nobody chooses."""
+    """Run every finder and choose where it finds several devices. Raises CLI-001 if nobody chooses."""
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
     for number, finder in enumerate(each):

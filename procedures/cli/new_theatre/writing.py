@@ -1,4 +1,4 @@
-"""Text of a new theatre file: found devices, all driver options, and missing entries."""
+"""Text of a new theatre file: devices found, all driver options, and entries still to be filled in."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 def theatre_text(
     name: str, found: Sequence[DeviceTable], clock: str, copied: Mapping[str, Any], banner: str = ""
 ) -> str:
-    """Return a new theatre file as TOML with comments; `copied` are tables of another file."""
+    """Return a new theatre file as commented TOML; `copied` contains tables from another file."""
     lines = [*_comment(HEAD), "", "schema = 1", _line("theatre", name)]
     if banner:
         lines.append(_line("banner", banner))
@@ -118,7 +118,7 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _line(key: str, value: Any) -> str:
-    """Return `key = value` on one line of any length; an empty table stays on the line."""
+    """Format `key = value` on one line of any length; an empty table is written inline."""
     if value == {}:
         return f"{key} = {{}}"
     if isinstance(value, Enum):
@@ -133,7 +133,7 @@ def _toml(content: Mapping[str, Any]) -> str:
 
 
 class _Definition(BaseModel, extra="allow", strict=True):
-    """Tool definition of a tracker, without driver-specific settings."""
+    """Tracker tool definition without driver-specific settings."""
 
     rom: str = ""
 
@@ -147,21 +147,21 @@ class _Tracker(BaseModel, strict=True):
 
 
 class _TheatrePart(BaseModel, strict=True):
-    """Parts of another theatre file that are read in addition to its records."""
+    """Parts of another theatre file read in addition to its records."""
 
     tracker: _Tracker = _Tracker()
 
 
 @dataclass(frozen=True)
 class CopiedRecords:
-    """Records copied from another theatre file: flange, mount and cell tables, tracked tools."""
+    """Records copied from another theatre file: flange, mount and cell tables, and tracked tools."""
 
     tables: Mapping[str, Any] = field(default_factory=dict)
     tools: Sequence[Mapping[str, Any]] = ()
 
 
 def read_records(source: Path) -> CopiedRecords:
-    """Read records to copy from a complete or partial theatre file.
+    """Read the records to copy from a complete or partial theatre file.
 
     Raises CFG-001 for a file that cannot be read, has mistakes, or has none of the tables.
     """
@@ -193,7 +193,7 @@ def read_records(source: Path) -> CopiedRecords:
 
 
 def with_tools(found: Sequence[DeviceTable], tools: Sequence[Mapping[str, Any]]) -> tuple[DeviceTable, ...]:
-    """Return device tables with the tracker's tool definitions replaced by `tools`, if any."""
+    """Replace the tracker's tool definitions in the device tables by `tools`, if any."""
     if not tools:
         return tuple(found)
     return tuple(_apply_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
@@ -221,7 +221,7 @@ def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[De
 
 
 def _require_fitting(text: str, found: DeviceTable) -> None:
-    """Raise CLI-001 if the driver rejects the options including this one."""
+    """Raise CLI-001 if the driver rejects a device table because of this option."""
     options = found.proposal.options
     chosen = {option.key: option.value for option in options if option.chosen}
     for model in {option.model for option in options if option.model is not None}:

@@ -1,1 +1,1 @@
-"""Commands on existing runs."""
+"""Commands for existing runs."""

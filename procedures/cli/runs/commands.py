@@ -1,4 +1,4 @@
-"""Command-line commands on runs. Implementations are imported on first call."""
+"""Command definitions for existing runs. Implementations are imported on first call."""
 
 from __future__ import annotations
 
@@ -253,6 +253,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def add_commands(app: typer.Typer) -> None:
-    """Add these commands to an application."""
+    """Add the run commands to an application."""
     for name, command in COMMANDS.items():
         app.command(name)(command)

@@ -44,7 +44,7 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Print changed, missing and added files. Exits with 3 if any.
+    """Print changed, missing and added files. Exits with 3 if there are any.
 
     Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
     """

@@ -1,4 +1,4 @@
-"""`ronna-procedure resume`, `home` and `acknowledge`: recovery of interrupted runs, arm and faults."""
+"""`ronna-procedure resume`, `home` and `acknowledge`: recovery from interruptions and faults."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def resume(
     as_json: bool,
     console: ConsoleRequest | None = None,
 ) -> None:
-    """Resume and finish a run; show the outcome of a finished one.
+    """Resume and finish a run; if already finished, just show its outcome.
 
     With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
     PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
@@ -83,7 +83,7 @@ def resume(
 
 
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
-    """After acceptance of the findings, have any instrument removed and bring the arm home.
+    """Once the findings are accepted, ask for removal of any instrument and move the arm home.
 
     Raises the errors of `resume`; the run is unchanged and can be resumed.
     """
@@ -108,7 +108,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
 
 def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
-    """Raise PRO-032 naming the run that must bring the arm home, or PRO-043 while that run is active."""
+    """Raise PRO-032 if another run must bring the arm home first, or PRO-043 while that run is active."""
     theatre = request.config
     if (
         theatre is not None
@@ -129,7 +129,7 @@ def _print_outcome(
 
 
 def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
-    """Acknowledge the faults of a run's devices and record this in its journal.
+    """Acknowledge the device faults of a run and record this in its journal.
 
     Raises the errors of `home` and of `acknowledge_theatre`.
     """
@@ -156,7 +156,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
 
 
 def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
-    """Acknowledge the faults of a theatre's devices.
+    """Acknowledge the device faults of a theatre.
 
     Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
     """
@@ -178,7 +178,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
 
 def _require_own_fault(theatre: Path, run: Path | None) -> None:
-    """Raise PRO-044 if a different, resumable run used the devices last.
+    """Raise PRO-044 if the devices were last used by a different, resumable run.
 
     Only that run's journal can put its earlier localizations in doubt.
     """
@@ -191,7 +191,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
 
 def _acknowledging_person(by: str | None) -> str:
-    """Return the acknowledging person's name, prompting if not given. A login is not used as a name.
+    """Return the acknowledging person's name, prompting if not given; the login name is never used.
 
     Raises DEV-006.
     """
@@ -208,7 +208,7 @@ def _recover_all(
     as_json: bool,
     **about: str,
 ) -> None:
-    """Connect and configure every device without motion, and recover the faults found.
+    """Connect and configure every device without motion, and recover any faults found.
 
     A device that does not respond does not block the others; its error is raised at the end.
     """

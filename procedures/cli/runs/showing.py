@@ -24,7 +24,7 @@ from ronna_hw.text import format_count, printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
-    """Print the runs of a folder, oldest first.
+    """Print the runs in a folder, oldest first.
 
     Only the sources of the rows are compared; an error from a changed file is omitted.
     """
@@ -94,7 +94,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
 
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
-    """Print results and their ancestors. Raises PRO-033 if files of the run were changed."""
+    """Print results and their ancestors. Raises PRO-033 if files of the run have been changed."""
     from procedures.engine.run_folder import lineage_mermaid, lineage_text, read_run
 
     run = read_run(folder)
@@ -151,7 +151,7 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
 
 
 def watch(run: Path, *, as_json: bool) -> None:
-    """Show the present state, then each event, until the run has ended. Raises CLI-005, PRO-018.
+    """Show a run's current state, then each event until it ends. Raises CLI-005, PRO-018.
 
     For a run that is over, files that are not as it left them are named first.
     """

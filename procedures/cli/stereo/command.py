@@ -1,4 +1,4 @@
-"""`ronna-stereo`: calibrate the stereo head, check its calibration, measure a ball."""
+"""`ronna-stereo`: stereo head calibration, calibration checks, and ball measurement."""
 
 from __future__ import annotations
 

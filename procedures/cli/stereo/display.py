@@ -10,7 +10,7 @@ from ronna_hw.command_line import terminal
 
 
 def print_check(figures: HeadCheckFigures) -> None:
-    """Print the three tests of a check."""
+    """Print the results of the three tests in a check."""
     rows = [
         [
             f"{sign.name}, {sign.unit}",

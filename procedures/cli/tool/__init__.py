@@ -1,1 +1,1 @@
-"""`ronna-tool`: records of the tools that can be mounted on the arm."""
+"""`ronna-tool`: records of tools that can be mounted on the arm."""

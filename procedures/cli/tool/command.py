@@ -1,4 +1,4 @@
-"""`ronna-tool`: define a tool's record, check the records of a theatre file, list them."""
+"""`ronna-tool`: define, check and list the tool records of a theatre file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conversion of tool records between command line and theatre file."""
+"""Conversion of tool records between the command line and the theatre file."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
 
 
 def _numbers(source: str, line: str) -> tuple[str, list[float]]:
-    """Parse one reading of all dials from a line; return it with its source. Raises CLI-001."""
+    """Parse one reading of all dials from a line; return it with the line's source. Raises CLI-001."""
     try:
         numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
     except ValueError:
@@ -90,7 +90,7 @@ def _numbers(source: str, line: str) -> tuple[str, list[float]]:
 def record_of(
     config: Path, given: dict[str, Any], name: str, readings: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return a tool record in file format, with flange and tip, and the names of dropped tables.
+    """Return a tool record in file format, with flange and tip, and the names of tables it drops.
 
     `readings` are those of its gauge.
 
@@ -136,7 +136,7 @@ def _tip_fields(calibrations: Calibrations) -> dict[str, Any]:
 
 
 def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> UsageMistake | None:
-    """Return why this theatre's arm cannot reach a gauge, or None if it can or there is no arm."""
+    """Explain why the theatre's arm cannot reach the gauge; return None if it can, or without an arm."""
     config = theatre.robot.get(MASTER)
     arm = (
         None if config is None or joints_deg is None else make_device(f"robot.{MASTER}", config, HostClock())
@@ -159,7 +159,7 @@ def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> U
 def renew_record(
     config: Path, name: str, signed: dict[str, Any], readings: Path
 ) -> tuple[dict[str, Any], list[str]]:
-    """Renew a tool's record for the current tip calibration; also describe its change from the old one.
+    """Renew a tool's record for the current tip calibration; also return remarks on what changed.
 
     `signed` has its new identity, dates and maker, `readings` is the file of dial readings with it. Raises
     TOOL-002, CFG-001, CLI-001.

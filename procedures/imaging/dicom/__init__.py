@@ -1,1 +1,1 @@
-"""DICOM files of a CT series: headers, geometry and pixels, validated on reading."""
+"""Reader of DICOM CT series: headers, geometry and pixels, validated on reading."""

@@ -1,4 +1,4 @@
-"""Read DICOM files and validate their attributes; errors name the file.
+"""DICOM file reader that validates attributes and names the file in every error.
 
 Reads are bounded, because a damaged file can make the parser read without end.
 """
@@ -27,7 +27,7 @@ LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scan
 
 
 def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
-    """Read a DICOM file; with `only`, just these attributes, without pixels. Raises CT-005."""
+    """Read a DICOM file, or just the attributes `only`, without pixels. Raises CT-005."""
     import pydicom
 
     try:
@@ -66,24 +66,24 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
 
 
 def _inflate(content: bytes, begin: int) -> bytes:
-    """Inflate the data set of a file with a size limit, which pydicom does not apply."""
+    """Inflate a file's data set within a size limit, which pydicom does not enforce."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
 
 
 class DataSetDeflated(Exception):
-    """Raised at the start of a deflated data set."""
+    """The data set is deflated; `begin` is the position where it starts."""
 
     def __init__(self, begin: int) -> None:
         self.begin = begin
 
 
 class StartTooShort(Exception):
-    """Raised when a read goes beyond the loaded start of a file."""
+    """A read extends past the part of the file that was loaded."""
 
 
 class BoundedStream(io.BytesIO):
-    """Byte stream with limits on reads; with `is_start`, it holds only the start of the file.
+    """Byte stream that limits reads; with `is_start`, it contains only the start of the file.
 
     Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
     """
@@ -95,7 +95,7 @@ class BoundedStream(io.BytesIO):
         self._longest_value = longest_value
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read `size` bytes. Raises without a size, as in a deflated data set or a truncated start."""
+        """Read `size` bytes. Raises if no size is given or if the read extends past the loaded start."""
         if size is None or size < 0:
             raise StartTooShort if self._start_bytes is not None else DataSetDeflated(self.tell())
         if self._start_bytes is not None and self.tell() + size > self._start_bytes:

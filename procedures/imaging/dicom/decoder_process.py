@@ -1,4 +1,4 @@
-"""Decode compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, internal use only.
+"""Decoder subprocess for compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`.
 
 The decoders are C++, and damaged frames make some of them abort the whole program. Each line on standard
 input names one file; the answer on FD is a line of JSON followed by the pixels. Ends at end of input.

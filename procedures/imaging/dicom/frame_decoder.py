@@ -1,4 +1,4 @@
-"""Decode compressed slices in a separate process, so that a crashing decoder does not end the case.
+"""Decoding of compressed slices in a separate process, so that a decoder crash does not end the case.
 
 The size that a frame declares is checked first: decoders allocate whatever it declares, and one of them
 aborts the whole program if that is too much.
@@ -47,11 +47,11 @@ _RLE_HEADER = struct.Struct("<16I")
 
 
 class NotDecoded(Exception):
-    """A slice was not decoded: the decoder's message, or how its process ended."""
+    """A slice could not be decoded; the message is the decoder's, or says how its process ended."""
 
 
 class FrameDecoder:
-    """Decoder of one series. The process starts with the first compressed slice."""
+    """Decoder for one series. Its process starts with the first compressed slice."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None

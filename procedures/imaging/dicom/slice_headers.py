@@ -1,4 +1,4 @@
-"""Headers of the slices in a folder, checked to form one CT series, and the patient's identity.
+"""Slice headers of a folder, checked to form one CT series, and the patient's identity.
 
 The identity is read only on request: volumes, markers, logs and reports contain none.
 """
@@ -109,7 +109,7 @@ class SliceHeader:
 
 
 def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
-    """Read the headers of all CT slices directly in `directory`, in order of file names.
+    """Read the headers of all CT slices directly in `directory`, in file name order.
 
     Skips non-DICOM files and DICOM objects without an image. Raises CT-001 to CT-006, CT-012, CT-020, CT-021;
     the message names the offending file, series or frame of reference.
@@ -129,7 +129,7 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
 def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
-    """Read these attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    """Read `tags` of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(iterate_images(directory, tags, progress))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
@@ -139,7 +139,7 @@ def read_images(
 def iterate_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> Iterator[tuple[Path, FileDataset]]:
-    """Yield path and attributes of each DICOM image directly in `directory`; there may be none."""
+    """Yield the path and attributes of each DICOM image, if any, directly in `directory`."""
     files = _list_files(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
@@ -271,7 +271,7 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
 
 
 def _read_rescale(path: Path, header: FileDataset) -> tuple[float, float]:
-    """Return slope and intercept of the rescaling to HU. Raises CT-012, CT-020."""
+    """Return the slope and intercept for rescaling to HU. Raises CT-012, CT-020."""
     slope = read_numbers(path, header, "RescaleSlope", 1)[0]
     intercept = read_numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
@@ -308,7 +308,7 @@ def _read_image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
 
 @dataclass(frozen=True, repr=False)  # keeps it out of logs
 class PatientIdentity:
-    """Patient data of a series, verbatim; attributes that it lacks are empty."""
+    """Patient data of a series, verbatim; missing attributes are empty."""
 
     name: str
     identifier: str
@@ -330,7 +330,7 @@ class PatientIdentity:
 
 
 def read_patient_identifier(directory: Path) -> str:
-    """Return the first patient ID in the slices of `directory`, or an empty string. Raises CT-001, CT-005."""
+    """Return the first patient ID found in the slices of `directory`, else ''. Raises CT-001, CT-005."""
     identifiers = (
         read_attribute_text(path, header, "PatientID")
         for path, header in iterate_images(directory, ("PatientID",))
@@ -339,7 +339,7 @@ def read_patient_identifier(directory: Path) -> str:
 
 
 def read_identity(directory: Path) -> PatientIdentity:
-    """Read the patient identity from the first slice; reading the series checks that all slices agree.
+    """Read the patient identity from the first slice; `read_series` checks that all slices agree.
 
     Raises CT-001, CT-002, CT-005, CT-012.
     """

@@ -1,4 +1,4 @@
-"""Order and geometry of a series from its slice positions; only straight, evenly spaced stacks are accepted.
+"""Slice order and geometry from slice positions; only straight, evenly spaced stacks are accepted.
 
 Slice thickness and instance numbers never determine the geometry (DICOM PS3.3 C.7.6.2.1.1). Only numbers can
 tell that slices are missing at an end: positions cannot.
@@ -72,7 +72,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
 
 
 def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """List the limits of localization accuracy, one sentence each; empty for a good protocol."""
+    """List factors that may limit localization accuracy, one sentence each; empty for a good protocol."""
     sentences = []
     spacing_mm = float(geometry.spacing_mm[0])
     thickness_mm = max((one.thickness_mm or 0.0 for one in slices), default=0.0)
@@ -124,7 +124,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
 
 
 def _warn_unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
-    """Yield warnings about orientations of mirrored or reordered series; sound series may have them too."""
+    """Warn of orientations typical of mirrored or reordered series, although sound series may share them."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
     elif normal[2] < 0.0:

@@ -1,1 +1,1 @@
-"""Estimators of a sphere's centre: edge points along rays, and a blurred ball with or without streaks."""
+"""Sphere centre estimators: edge points along rays, and a blurred ball with or without streaks."""

@@ -63,7 +63,7 @@ START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
 
 
 def polynomial(places: Array, degrees: Iterable[int]) -> Array:
-    """Return all products (n, m) of the coordinates of `places` (n, 3) of the given degrees."""
+    """Return all monomials (n, m) of the given degrees in the coordinates of `places` (n, 3)."""
     chosen = [one for degree in degrees for one in combinations_with_replacement(range(3), degree)]
     columns = np.empty((len(places), len(chosen)))
     for number, axes in enumerate(chosen):
@@ -74,7 +74,7 @@ def polynomial(places: Array, degrees: Iterable[int]) -> Array:
 
 
 def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[Array, Array]:
-    """Return intensities (n,) HU at points (n, 3) grid mm and their derivatives (n, 8 + m) by the parameters.
+    """Return intensities (n,) HU at points (n, 3) grid mm, and their parameter derivatives (n, 8 + m).
 
     `background` (n, m) are the polynomial's terms at the points. The derivatives neglect that the blur varies
     with the direction from the centre and shifts the edge: both effects are small, and fits converge without
@@ -107,7 +107,7 @@ def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[A
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Deviation of a body's surface from a ball along each unit direction n: n' terms n, in mm.
+    """Deviation of a surface from a ball along unit direction n: n' terms n, in mm.
 
     `terms_mm` (3, 3) along slice, row and column; `deviation_mm` is the standard deviation of a term.
     """
@@ -117,7 +117,7 @@ class Stretch:
 
     @classmethod
     def from_last_terms(cls, found: Array, covariance: Array) -> Self:
-        """Extract the stretch from the parameters of a stretched ball and their covariance."""
+        """Extract the stretch from a stretched ball's parameters and their covariance."""
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
         return cls(stretch_matrix(found[-TERMS:]), float(np.sqrt(variance)))
 
@@ -128,26 +128,26 @@ class Stretch:
 
 
 def add_stretch_derivatives(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
-    """Append the derivatives by the five stretch terms to a ball's derivatives (n, m): (n, m + 5)."""
+    """Append derivatives by the five stretch terms to a ball's derivatives (n, m), giving (n, m + 5)."""
     directions = points_mm - unknowns[:3]
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
     return np.column_stack((derivatives, derivatives[:, RADIUS, None] * stretch_terms(directions)))
 
 
 def stretch_terms(directions: Array) -> Array:
-    """Return the five terms (n, 5) of a stretch along unit directions (n, 3)."""
+    """Return the five stretch terms (n, 5) along unit directions (n, 3)."""
     x, y, z = directions.T
     return np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
 
 
 def stretch_matrix(terms: Array) -> Array:
-    """Return the symmetric, traceless matrix (3, 3) of five stretch terms."""
+    """Build the symmetric, traceless matrix (3, 3) from five stretch terms."""
     a, b, c, d, e = terms.tolist()
     return np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
-    """Fit `values` (n,) by damped Gauss-Newton with Cauchy weights; return None without convergence.
+    """Fit `values` (n,) by damped Gauss-Newton with Cauchy weights; return None if it does not converge.
 
     The first three parameters are a position in mm; `limits` keeps all of them in range.
     """
@@ -197,22 +197,22 @@ def flat_weights(residuals: Array, noise: float) -> Array:
 
 
 def cauchy_growth(weights: Array) -> float:
-    """Return the mean derivative of w·r by r for Cauchy weights, relative to the mean weight."""
+    """Return the mean derivative of w·r with respect to r for Cauchy weights, relative to the mean weight."""
     return _growth(2.0 * weights**2 - weights, weights)
 
 
 def flat_growth(weights: Array) -> float:
-    """Return the mean derivative of w·r by r for flat weights, relative to the mean weight."""
+    """Return the mean derivative of w·r with respect to r for flat weights, relative to the mean weight."""
     return _growth(4.0 * weights**2 - 3.0 * weights, weights)
 
 
 def _growth(by_residual: Array, weights: Array) -> float:
-    """Return the mean derivative (n,) of w·r by r, at least a minimum, relative to the mean weight."""
+    """Average the derivatives (n,) of w·r, subject to a minimum, and divide by the mean weight."""
     return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
 
 
 def products(one: Array, other: Array) -> Array:
-    """Compute `one`ᵀ `other` for (n, k) and (n, m), in blocks of rows."""
+    """Compute `one`ᵀ `other` for (n, k) and (n, m) arrays in blocks of rows."""
     total = np.zeros((one.shape[1], other.shape[1]))
     for row in range(0, len(one), BLOCK):
         total += one[row : row + BLOCK].T @ other[row : row + BLOCK]
@@ -240,7 +240,7 @@ class BallVoxels:
     def of(
         cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
     ) -> Self:
-        """Select the usable voxels of a region around a ball of about this radius."""
+        """Collect a region's usable voxels around a ball of about this radius."""
         voxel_index = np.argwhere(usable)
         points_mm = (voxel_index + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
@@ -251,7 +251,7 @@ class BallVoxels:
         )
 
     def fit_robustly(self, ball: Array) -> Array | None:
-        """Fit all parameters from those of the ball; return None if the fit does not converge nearby.
+        """Fit all parameters, starting from the ball's; return None without convergence near the start.
 
         A linear background comes first, since it converges from farther away, then the full polynomial.
         """
@@ -277,7 +277,7 @@ class BallVoxels:
         return settled
 
     def without_outliers(self, unknowns: Array) -> BallVoxels:
-        """Return the voxels without outliers, such as the ball's post and its blur."""
+        """Drop outlying voxels, such as those of the ball's post and its blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         outlying = np.abs(residuals) > OUTLIER * scale(residuals)
@@ -302,7 +302,7 @@ class BallVoxels:
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
     def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
-        """Estimate the stretch of a fitted ball from the voxels (n,) that are clear of other objects."""
+        """Estimate a fitted ball's stretch from the voxels (n,) marked as clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
         derivatives = add_stretch_derivatives(places, unknowns, derivatives)
@@ -324,7 +324,7 @@ class BallVoxels:
         return derivatives, weights * residuals, weights
 
     def growth(self, weights: Array) -> float:
-        """Return the mean derivative of the weighted residual by the residual, over the mean weight."""
+        """Return the mean derivative of w·r with respect to r, relative to the mean weight."""
         return (cauchy_growth if self.covered else flat_growth)(weights)
 
 
@@ -356,7 +356,7 @@ def select_ball_voxels(
 def guess_ball(
     region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
 ) -> Array:
-    """Return start values for the eight parameters of a ball from its surface."""
+    """Return start values for a ball's eight parameters, derived from its surface."""
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
     return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
@@ -369,7 +369,7 @@ def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
 
 
 def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the `considered` voxels (n, 3), relative to the centre, that lie along one of these directions."""
+    """Mark the `considered` voxels, offset (n, 3) from the centre, that lie in one of these directions."""
     found = np.zeros(len(considered), dtype=bool)
     if len(directions) == 0:
         return found

@@ -1,4 +1,4 @@
-"""Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
+"""Second sphere centre estimator: a blurred ball fitted directly to the voxels.
 
 The parameters are the centre, both intensities, both blurs, the radius and the background. Voxels near metal
 are excluded. A robust fit, insensitive to post and skin, finds voxels foreign to the ball; a fit with a
@@ -86,7 +86,7 @@ def fit_rough_ball(
     *,
     hidden_directions: Array | None = None,
 ) -> RoughBall | None:
-    """Fit from a centre within about 0.3 mm; return None with too few usable voxels or without convergence.
+    """Fit a ball from a centre accurate to 0.3 mm; return None if the fit fails or has too few voxels.
 
     In `hidden_directions` (n, 3) from the centre, the surface borders on something other than the outside;
     voxels near and beyond the surface there are excluded.
@@ -111,7 +111,7 @@ class RoughBall:
 
     @property
     def contrast_hu(self) -> float:
-        """Contrast between ball and surroundings."""
+        """Contrast between the ball and its surroundings."""
         return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
 
     @property
@@ -120,7 +120,7 @@ class RoughBall:
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_directions: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """Refine the fit; return None without a solution nearby or if streaks exceed `most_streaks`.
+        """Refine the fit; return None if it fails or if streaks exceed `most_streaks`.
 
         `most_streaks` is relative to the contrast.
 
@@ -157,7 +157,7 @@ class WhitenedBall:
 
 
 def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
-    """Refine a robust fit; return None without a solution nearby or if the bend exceeds `most_streak_hu`."""
+    """Refine a robust fit; return None if it fails or if the bend exceeds `most_streak_hu`."""
     derivatives, pull, weights = voxels.evaluate(start)
     derivatives *= weights[:, None]
     smooth = np.ones(len(start), dtype=bool)
@@ -197,7 +197,7 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
 
 @dataclass(frozen=True)
 class StreakPrior:
-    """Typical variance of the background terms one radius from the centre, HU².
+    """Typical variance of the background terms at one radius from the centre, HU².
 
     The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
     larger by `uncertainty_hu2`, the standard error of the estimate.
@@ -209,7 +209,7 @@ class StreakPrior:
 
     @classmethod
     def from_bends(cls, found: Array, covariance: Array) -> Self:
-        """Estimate the variance from bend terms (k,) found with a noise `covariance`.
+        """Estimate the variance from bend terms (k,) that have this noise `covariance`.
 
         The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
         scatters by √(2 k).
@@ -218,17 +218,17 @@ class StreakPrior:
         return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
 
     def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
-        """Add the variance of slopes (3,), noise included: three terms can be 0 by chance."""
+        """Add the variance of the slopes (3,), including noise, since three terms can be 0 by chance."""
         square, trace = _mahalanobis_square(found, covariance)
         return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
 
     @property
     def streak_hu(self) -> float:
-        """Typical bend term one radius from the centre."""
+        """Typical bend term at one radius from the centre."""
         return float(np.sqrt(self.bent_hu2))
 
     def stiffness(self, unknowns: int) -> Array:
-        """Return the shrinkage of each parameter towards 0: inverse variance in HU⁻²."""
+        """Return the shrinkage of each parameter towards 0, as inverse variance in HU⁻²."""
         shrinkage = np.zeros(unknowns)
         shrinkage[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
         if self.slope_hu2 is not None:
@@ -236,7 +236,7 @@ class StreakPrior:
         return shrinkage
 
     def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
-        """Return the remaining effect (3, 3) of streaks on the centre, by shrunk and by unmodelled terms.
+        """Return the centre's covariance (3, 3) due to streaks, through shrunk and unmodelled terms.
 
         `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
         the centre to each voxel; `places` (n, 3) are in radii from the centre.

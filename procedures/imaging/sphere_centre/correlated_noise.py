@@ -39,7 +39,7 @@ MOST_MOVED_MM = 0.5  # the previous fit cannot have been off by more
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels at `index` of a grid zero-padded to shape `padded`, which leaves room for lags up to a limit.
+    """Voxels at `index` of a grid zero-padded to shape `padded`, with room for lags up to a limit.
 
     Converts values at the voxels to spectra and back, zero elsewhere. Spectra are half spectra; `share` is
     the contribution of each coefficient to a sum over the grid.
@@ -52,7 +52,7 @@ class VoxelGrid:
 
     @classmethod
     def from_indices(cls, voxel_index: NDArray[np.int64], largest_lag_mm: float, spacing_mm: Array) -> Self:
-        """Build a padded grid from voxel indices (n, 3) with this spacing."""
+        """Build a padded grid with this spacing from voxel indices (n, 3)."""
         index = tuple((voxel_index - voxel_index.min(axis=0)).T)
         lags = np.ceil(largest_lag_mm / spacing_mm).astype(int)
         padded = tuple(
@@ -79,7 +79,7 @@ class VoxelGrid:
         return products(_parts(one).T, _parts(other * (filtered * self.share)).T)
 
     def measure_absorbed_power(self, spectra: Spectrum) -> Array:
-        """Return the power that unit white noise has in the space spanned by spectra (k, ...)."""
+        """Return the spectral power of unit white noise projected onto the span of spectra (k, ...)."""
         values, vectors = np.linalg.eigh(self.products(spectra, spectra))
         kept = values > SAME_SPACE * values[-1]
         modes = (vectors[:, kept] / np.sqrt(values[kept])).T @ _parts(spectra)
@@ -87,7 +87,7 @@ class VoxelGrid:
         return np.asarray((power[0::2] + power[1::2]).reshape(spectra.shape[1:]))
 
     def squared_lags_mm2(self) -> Array:
-        """Return the squared length of each lag over the grid."""
+        """Return the squared length of each lag on the grid."""
         squared = np.zeros(self.padded)
         for axis, (count, step_mm) in enumerate(zip(self.padded, self.spacing_mm, strict=True)):
             lag_mm = np.minimum(np.arange(count), count - np.arange(count)) * step_mm
@@ -96,12 +96,12 @@ class VoxelGrid:
 
 
 def _parts(spectra: Spectrum) -> Array:
-    """Return alternating real and imaginary parts (k, 2 n)."""
+    """Interleave real and imaginary parts, (k, 2 n)."""
     return np.ascontiguousarray(spectra.reshape(len(spectra), -1)).view(np.float64)
 
 
 def _multiplicity(shape: tuple[int, ...]) -> Array:
-    """Return how many coefficients of the full spectrum each coefficient of the half spectrum represents."""
+    """Count how many full-spectrum coefficients each half-spectrum coefficient represents."""
     counts = np.full(shape[2] // 2 + 1, 2.0)
     counts[0] = 1.0
     if shape[2] % 2 == 0:
@@ -137,7 +137,7 @@ class CorrelatedNoise:
         return cls(grid, power)
 
     def with_white_noise(self, power_hu2: float) -> CorrelatedNoise:
-        """Return the noise with white noise of this power added."""
+        """Add white noise of this power."""
         return replace(self, power=self.power + power_hu2)
 
     @property
@@ -147,14 +147,14 @@ class CorrelatedNoise:
 
 
 def _symmetrize(correlation: Array) -> Array:
-    """Average over both directions along each axis, since scan noise has no handedness."""
+    """Average over both directions of each axis, since scan noise has no handedness."""
     for axis in range(3):
         correlation = 0.5 * (correlation + np.roll(np.flip(correlation, axis), 1, axis))
     return correlation
 
 
 def _taper(grid: VoxelGrid) -> Array:
-    """Return the weights of the lags: 1 up to half the window, then falling to 0."""
+    """Return lag weights: 1 up to half the window, then falling to 0."""
     past_half = np.clip(2.0 * np.sqrt(grid.squared_lags_mm2()) / WINDOW_MM - 1.0, 0.0, 1.0)
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * past_half)))
 
@@ -199,7 +199,7 @@ class WhitenedStep:
         )
 
     def with_stiffness(self, stiffness: Array) -> WhitenedStep:
-        """Return the equations with parameters shrunk towards 0."""
+        """Shrink the parameters towards 0 with this stiffness (m,)."""
         return replace(self, stiffness=stiffness)
 
     @cached_property
@@ -218,7 +218,7 @@ class WhitenedStep:
         return np.asarray(self.instruments @ self.answer[:3].T)
 
     def settle(self, unknowns: Array, pull: Pull) -> Array | None:
-        """Solve the equations near given parameters; return None if the solution is not nearby."""
+        """Solve the equations near given parameters; return None if the solution is too far away."""
         settled = unknowns
         for _ in range(STEPS):
             sums = self.instruments.T @ pull(settled)

@@ -1,4 +1,4 @@
-"""First estimator of a sphere's centre: crossings of rays from the centre with its edge.
+"""First sphere centre estimator: a sphere fitted to edge points along rays from the centre.
 
 Rays are cast in many directions. On each, the edge is where the intensity falls through the midpoint between
 polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that a
@@ -68,7 +68,7 @@ class RadialEdge:
 
 @cache
 def ray_directions() -> Array:
-    """Return the unit directions (RAYS, 3) of the rays, nearly uniform on a golden-angle spiral."""
+    """Return unit ray directions (RAYS, 3), nearly uniform on a golden-angle spiral."""
     number = np.arange(RAYS) + 0.5
     height = 1.0 - 2.0 * number / RAYS
     angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))
@@ -79,14 +79,14 @@ def ray_directions() -> Array:
 
 
 def is_polymer(edge: RadialEdge) -> bool:
-    """Whether the intensity inside is that of a polymer without streaks."""
+    """Whether the intensity inside is that of a polymer free of streaks."""
     return POLYMER_HU[0] < edge.inside_hu < POLYMER_HU[1]
 
 
 def fit_radial_edge(
     region: Region, start_mm: Array, nominal_radius_mm: float, *, refine: bool = False
 ) -> RadialEdge | None:
-    """Fit from a rough centre (within a third of the radius); return None without such a surface.
+    """Fit an edge from a centre accurate to a third of the radius; return None if none is found.
 
     With `refine` the start is already good, and the volume is interpolated smoothly.
     """
@@ -173,7 +173,7 @@ def _measure_covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> flo
 
 
 def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
-    """Return the midpoint level of each ray, a constant plus the slope that streaks add across the sphere."""
+    """Fit each ray's midpoint level: a constant plus the slope that streaks add across the sphere."""
     design = np.column_stack([np.ones(len(directions)), directions])
     solution, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solution)

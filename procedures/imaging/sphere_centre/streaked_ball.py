@@ -1,4 +1,4 @@
-"""Fit of a ball under strong streaks, together with a random streak field in each slice.
+"""Ball fit under strong streaks, jointly with a random streak field in each slice.
 
 Two things defeat other fits of a ball under streaks. A band across it bends more than a polynomial can
 follow; here each slice has its own field, whose size is estimated from the image (empirical Bayes). And dark
@@ -71,7 +71,7 @@ MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its l
 
 @dataclass(frozen=True, eq=False)
 class StreakedBall:
-    """Fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
+    """Fitted ball. Centre and covariance in grid mm; `cleaned` is the region with streaks removed."""
 
     centre_mm: Array
     covariance_mm2: Array
@@ -83,7 +83,7 @@ class StreakedBall:
 
 
 def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
-    """Fit from a sphere of edge points; return None with too few usable voxels or without convergence nearby.
+    """Fit a ball, starting from an edge sphere; return None if the fit fails or has too few voxels.
 
     Directions in which the edge is not on that sphere are excluded.
     """
@@ -203,7 +203,7 @@ class Waves:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModes:
-    """Noise patterns (k, m) over k voxels of a slice, whose indices among all voxels are `rows` (k,)."""
+    """Noise patterns (k, m) over k voxels of a slice, indexed among all voxels by `rows` (k,)."""
 
     rows: NDArray[np.intp]
     patterns: Array
@@ -217,7 +217,7 @@ def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SliceField:
-    """Streak field over the voxels of a fit: the voxels of each slice, and the wave values (n, m) at them.
+    """Streak field over a fit's voxels: the voxels of each slice, and the wave values (n, m) there.
 
     The variance of a coefficient is that of the slice's field.
     """
@@ -248,7 +248,7 @@ class SliceField:
         )
 
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
-        """Return combinations of noise-band waves that are orthonormal over a slice's clear voxels (n,)."""
+        """Combine noise-band waves into modes that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for one, waves in zip(self.slices, self.noise_terms, strict=True):
             seen = clear[one]
@@ -290,7 +290,7 @@ def _is_evident(
     streaks_hu: Array,
     noise_hu: float,
 ) -> bool:
-    """Whether the streaks explain the residual image away from the edge, inside and outside the ball.
+    """Whether the streaks explain the residual image inside and outside the ball, away from its edge.
 
     A surface that is not where a ball's would be merely looks like a streak.
     """
@@ -304,7 +304,7 @@ def _is_evident(
 
 
 def _floor_hu(region: Region) -> float | None:
-    """Return the lowest value that the scanner stores if values were clipped; else None."""
+    """Return the lowest stored value if the scanner clipped values there, or None if it did not."""
     known = region.values[np.isfinite(region.values)]
     lowest = float(known.min())
     return lowest if float((known == lowest).mean()) > FLOOR_SHARE else None
@@ -313,7 +313,7 @@ def _floor_hu(region: Region) -> float | None:
 def _impute_censored(
     values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
-    """Return values and weights (n,) that make least squares a censored regression (Fisher scoring)."""
+    """Return values and weights (n,) that turn least squares into censored regression (Fisher scoring)."""
     working, known = values.copy(), np.ones(len(values))
     if floor_hu is None or not censored.any():
         return working, known
@@ -380,7 +380,7 @@ def _solve(
 
 
 def _remove_streaks(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
-    """Subtract the streaks; voxels at the scanner's floor become surroundings."""
+    """Subtract the streaks; set voxels at the scanner's floor to the level of the surroundings."""
     values = region.values - streaks
     if floor_hu is not None:
         values[region.values <= floor_hu] = outside_hu
