@@ -204,7 +204,7 @@ def solve_joints(
     missing: Callable[[Array, Array], Array],
     shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    """Solve for joints at which `missing` (mm) vanishes and the tool is oriented as planned.
+    """Solve for joints and tool places with zero `missing` (mm) and the tool oriented as planned.
 
     An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
     each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so
