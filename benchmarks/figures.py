@@ -1,4 +1,4 @@
-"""Figures of a measurement, each with a baseline from the same run, and contests with alternating rounds."""
+"""Benchmark figures with baselines from the same run, and contests in alternating rounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Self
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured number. `ratio` is its value over the baseline's, both from the same rounds.
+    """A measured value. `ratio` compares it with the baseline measured in the same rounds.
 
     `goal` states the goal in words; `met` is None without a goal.
     """
@@ -54,7 +54,7 @@ class Figure:
 def compare_samples(
     what: str, unit: str, samples: Mapping[str, Sequence[float]], baseline: str, *, scale: float = 1.0
 ) -> list[Figure]:
-    """Return the medians of the contestants' samples, and the median of the per-round ratios.
+    """Return each contestant's median, and the median of its per-round ratios to the baseline.
 
     A machine that stalls does so for every contestant in the round: ratios within a round preserve what
     medians over the run lose.

@@ -1,4 +1,4 @@
-"""History of all benchmark figures by date, with the change of each since the previous result.
+"""History of all benchmark figures, with the change of each since its previous result.
 
     make bench-history
     make bench-history ONLY="robot-link"
@@ -42,7 +42,7 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Point:
-    """A figure in one result. `more_is_better` is None where a change is neither gain nor loss."""
+    """A figure from one benchmark result. `more_is_better` is None if changes are neutral."""
 
     date: str
     commit: str
@@ -53,7 +53,7 @@ class Point:
     more_is_better: bool | None
 
     def change_since(self, earlier: Point) -> float | None:
-        """Return the relative change, of the ratio if both have one; None between machines, or from zero."""
+        """Return the relative change, preferring ratios; None across machines or from a value of zero."""
         if self.ratio is not None and earlier.ratio is not None:
             return self.ratio / earlier.ratio - 1.0 if earlier.ratio else None
         if self.machine != earlier.machine or not earlier.value:
@@ -68,7 +68,7 @@ class Point:
 
 
 def append_result(content: Mapping[str, Any], path: Path) -> None:
-    """Append the figures of a benchmark run, described by `run`."""
+    """Append the results of a benchmark run to the history file."""
     machine = content["machine"]
     record = {
         "date": content["date"],
@@ -81,7 +81,7 @@ def append_result(content: Mapping[str, Any], path: Path) -> None:
 
 
 def _shorten(figure: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the compared fields without empty ones, rounded to as many digits as a person reads."""
+    """Return only the non-empty fields needed for comparison, with numbers rounded to four digits."""
     short = {name: figure[name] for name in ("what", "who", "value", "unit", "ratio", "baseline", "met")}
     better = figure["more_is_better"]
     short["more_is_better"] = MORE_IS_BETTER.get(figure["unit"]) if better is None else better
@@ -93,7 +93,7 @@ def _shorten(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_history(path: Path) -> dict[Key, list[Point]]:
-    """Return the points of each figure by date; empty before the first result."""
+    """Return the data points of each figure in date order, or an empty mapping before the first result."""
     points: dict[Key, list[Point]] = defaultdict(list)
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     for record in sorted(map(json.loads, lines), key=lambda one: str(one["date"])):

@@ -1,4 +1,4 @@
-"""Isolated execution of a measurement: in its own session, terminated with all its child processes.
+"""Isolated execution of a measurement in its own session, ending with all its child processes.
 
 What a measurement starts may have sessions of its own, and foreign programs do not end with their parent. So
 this process adopts the orphans among its descendants, as init would, and ends them too.
@@ -26,7 +26,7 @@ _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 
 
 def run_alone(line: Sequence[str], limit_s: float, *, linger_s: float = LINGER_S) -> str:
-    """Run a command to its end and return its output. No process that it started survives this call.
+    """Run a command to completion and return its output. No process it started outlives this call.
 
     Raises RuntimeError when it fails, takes longer than the limit, or left a process running. Ends all
     descendants of this process: it must have no other children.
@@ -74,7 +74,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _end_descendants(linger_s: float) -> list[str]:
-    """Wait for the descendants and kill those that stay. Return the command lines of the latter."""
+    """Wait for all descendants, kill any that remain, and return their command lines."""
     stayed = _await_descendants(linger_s)
     lines = [_command_line(one) for one in stayed]
     for number in (signal.SIGTERM, signal.SIGKILL):
@@ -86,7 +86,7 @@ def _end_descendants(linger_s: float) -> list[str]:
 
 
 def _await_descendants(limit_s: float) -> list[psutil.Process]:
-    """Reap ended descendants until none is left or the limit has passed. Return those left."""
+    """Reap descendants until all have ended or the limit has passed. Return those still running."""
     deadline_s = time.monotonic() + limit_s
     while True:
         with contextlib.suppress(ChildProcessError):

@@ -1,4 +1,4 @@
-"""Whole case on the small scene, by command line: wall time against theatre time. Also the demo."""
+"""Wall time of a complete mini case and of the demo, run from the command line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMMAND, THEATRE = "ronna-procedure run", "ronna-sim theatre, start to READY"
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure the mini case, and the demo (the default case) except at the smallest size."""
+    """Measure the mini case and, except at the smallest size, the demo (the default case)."""
     wall_s: list[float] = []
     theatre_s: list[float] = []
     cpu_s: list[float] = []
@@ -84,6 +84,6 @@ def _run_case(folder: str, scene: str, limit_s: float) -> dict[str, float]:
 
 
 def _children_cpu_s() -> float:
-    """Return the total CPU seconds of all descendants that have ended and been waited for."""
+    """Return the total CPU seconds of all descendants reaped so far."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

@@ -1,4 +1,4 @@
-"""Map of cart places compared with the path check, at random places and turns of the cart.
+"""Map of cart positions compared with the path check, at random positions and orientations.
 
 The path check may refuse no place that the map calls reachable. Of all places it may pass at most 5 % that
 the map does not allow. Scene and records are those of a simulated theatre, the head its ellipsoid.
@@ -38,7 +38,7 @@ PLACES, WITHIN_MM = 1000, 240.0
 
 @dataclass(frozen=True)
 class Agreement:
-    """Counts of random places: allowed by the map, allowed but refused by the check, and lost by the map."""
+    """Counts of random places: allowed by the map, of these refused by the check, and missed by the map."""
 
     turn_deg: float
     places: int
@@ -86,13 +86,13 @@ def agreement(
 
 
 def path_check_passes(case: CartCase, move: CartMove) -> bool:
-    """Return whether the path check passes at a place, without knowledge of other places."""
+    """Return whether the path check passes at a place, independently of the map."""
     setting = case.setting_at(move)
     return choose_free_angles(setting, case.trajectories, case.fiducials_mm, case.sight).check.passed
 
 
 def main(turns_deg: Sequence[float] = TURNS_DEG) -> None:
-    """Print one row per turn, dividing the places among the turns."""
+    """Print one row per cart orientation, splitting the random places evenly among them."""
     print("turned deg\tplaces\tallowed\trefused by the path check\tlost by the map\tmap s")
     case = cart_case("default")
     for index, turn_deg in enumerate(turns_deg):

@@ -1,4 +1,4 @@
-"""Cost of journal, events and recorders: the mini case with and without them in alternation.
+"""Cost of journal, events and recorders: the mini case alternately with and without them.
 
 CPU share is reported as well as wall time: on a busy computer it is the more reliable.
 """

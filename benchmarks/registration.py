@@ -1,4 +1,4 @@
-"""Pairing at 12 x 12 points against a plain random search, and the rigid fit against SciPy's."""
+"""Pairing of 12 x 12 points against a plain random search, and our rigid fit against SciPy's."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _measure_pairing(cases: int) -> list[Figure]:
 
 
 def _search_randomly(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
-    """Pair by the naive method: fit random triples to random triples, keep the largest consensus."""
+    """Pair naively: fit random triples to random triples and keep the largest consensus."""
     tree = cKDTree(physical)
     best: set[tuple[int, int]] = set()
     for _ in range(SEARCH_TRIES):
@@ -134,7 +134,7 @@ def _measure_fit(cases: int) -> list[Figure]:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs per cell by number of markers, for three markers as the plan requires, and for the fit."""
+    """Run counts: per cell by number of markers, for three plan-conforming markers, and for the fit."""
 
     five_to_eight: int = 200
     four: int = 1000  # a share of 1 in 2,000 needs many
@@ -158,7 +158,7 @@ SIDES_APART_PERCENT = 0.1
 
 
 def _measure_goals(runs: Runs) -> list[Figure]:
-    """Measure correspondence over the thesis' protocol, then the fit's formulas."""
+    """Measure correspondence by the thesis' protocol, then the fit's error formulas."""
     return [
         *_measure_pairing_goals(runs),
         *_measure_sides_apart(runs.sides_apart),
@@ -197,7 +197,7 @@ def _measure_pairing_goals(runs: Runs) -> list[Figure]:
 
 
 def _measure_sides_apart(count: int) -> list[Figure]:
-    """Measure the share without a unique answer for three markers with the required side differences."""
+    """Measure how often three markers with the required side differences get no correct answer."""
     figures = []
     for noise in NoiseReading:
         random = np.random.default_rng(SEED)
@@ -227,7 +227,7 @@ def _share_figure(what: str, method: Method, outcome: str, total: dict[str, floa
 
 
 def _measure_exact_fits(cases: int) -> list[Figure]:
-    """Measure the largest rotation error on exact data."""
+    """Measure the largest rotation error of fits to error-free data."""
     random = np.random.default_rng(SEED)
     worst = 0.0
     for _ in range(cases):

@@ -102,7 +102,7 @@ def bench(
 
 
 def _run_measurement(name: str, smallest: bool) -> list[Figure]:
-    """Run one measurement in its own process; raises RuntimeError with the end of its output."""
+    """Run one measurement in its own process; raises RuntimeError quoting the end of its error output."""
     line = [sys.executable, "-P", __file__, "--in-process", name, *(["--smallest"] if smallest else [])]
     output = run_alone(line, LONGER_LIMITS_S.get(name, LIMIT_S))
     return [Figure(**figure) for figure in json.loads(output)]
@@ -133,7 +133,7 @@ def _print_results(figures_of: dict[str, list[Figure]], failures: dict[str, str]
 
 
 def _format_value(value: float) -> str:
-    """Format with four digits, using an exponent only where a person would."""
+    """Format a value with about four digits, avoiding exponents below ten million."""
     return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
 

@@ -26,7 +26,7 @@ BLOCK_S = 0.12
 
 @dataclass(frozen=True)
 class Stand:
-    """A client, its requests and its unit. In an unpaced world, every request gets a new frame.
+    """A client with its requests and tracker unit. In an unpaced world, every request gets a new frame.
 
     Without a scene the unit is one that knows a single answer.
     """
@@ -47,7 +47,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Rates:
-    """Samples by stand, one per round. `unit_cpu_s` is summed over all rounds."""
+    """Measured rates by stand, one sample per round. `unit_cpu_s` is CPU time per reading over all rounds."""
 
     per_second: dict[str, list[float]]
     client_cpu_s: dict[str, list[float]]
@@ -55,7 +55,7 @@ class Rates:
 
 
 def measure_rates(stands: Mapping[str, Stand], rounds: int) -> Rates:
-    """Measure readings per second of each stand, and CPU time per reading on either side."""
+    """Measure each stand's readings per second, and the CPU time per reading of client and unit."""
     with ExitStack() as stack:
         readers: dict[str, Reader] = {}
         pids: dict[str, int] = {}
@@ -95,7 +95,7 @@ MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0,
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure readings per second at each client's full speed, then the unit's replies per second."""
+    """Measure each client's maximum reading rate, then the unit's maximum reply rate."""
     rounds = 1 if smallest else ROUNDS
     with tempfile.TemporaryDirectory() as folder:
         roms = _write_definitions(Path(folder))
@@ -108,7 +108,7 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 
 def _compare_clients(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
-    """Compare the clients with one tool and a unit that follows the host's clock."""
+    """Compare the clients reading one tool from a unit paced by the host clock."""
     bench = load_scene("bench")
     stands = {name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()}
     rates = measure_rates(stands, rounds)
@@ -119,7 +119,7 @@ def _compare_clients(line: str, roms: Sequence[Path], rounds: int) -> list[Figur
 
 
 def _compare_with_peers(line: str, rates: Rates) -> list[Figure]:
-    """Compare all clients with ndicapi, and our driver with each peer that sets it a goal."""
+    """Compare all clients with ndicapi, and our driver with each peer for which it has a goal."""
     rows = compare_samples("", "1/s", rates.per_second, NDICAPI)
     others = [row for row in rows if row.who != OURS]
     ours = []
@@ -130,7 +130,7 @@ def _compare_with_peers(line: str, rates: Rates) -> list[Figure]:
 
 
 def _measure_unit(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
-    """Measure the unit's replies to ndicapi with repeated frames, like a real unit's, and with new ones.
+    """Measure the unit's reply rate to ndicapi, both with repeated frames and with new ones.
 
     Compared with the minimum for a unit written in Python: one that knows a single answer.
     """
@@ -164,7 +164,7 @@ def _measure_unit(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
 
 
 def _label_unit_figure(figure: Figure, what: str) -> Figure:
-    """Name the load as part of the measured quantity, not of the client."""
+    """Move the load from the client's name into the name of the measured quantity."""
     if figure.who == CANNED:
         return replace(figure, what=what)
     return replace(figure, what=f"{what}, {figure.who}", who=UNIT)

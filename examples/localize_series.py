@@ -1,4 +1,4 @@
-"""Find the marker spheres of a CT series and print their centres.
+"""Locate the marker spheres in a CT series and print their centres.
 
     python examples/localize_series.py SERIES_DIR
 

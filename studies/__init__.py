@@ -1,1 +1,1 @@
-"""Monte-Carlo studies compared with the thesis' figures, split into independently seeded units."""
+"""Monte-Carlo studies, split into independently seeded units and compared with the thesis' figures."""

@@ -1,4 +1,4 @@
-"""Application error by depth (RONNA G3, Svaco et al. 2017): superficial and deep targets of a phantom.
+"""Application error by depth (RONNA G3, Svaco et al. 2017), at superficial and deep phantom targets.
 
 The paper's protocol is known from its summary only. Here: the phantom of the strategies study with targets
 anywhere in the head, the thesis' OCS beside ours, set S of the arm's errors.
@@ -35,7 +35,7 @@ QUARTILES = (25.0, 75.0)
 
 @dataclass(frozen=True)
 class ApplicationErrorStudy:
-    """`arms` random arms, each at all positions."""
+    """Application error study with `arms` random arms, each at all positions."""
 
     arms: int = 200
     seed: int = 0
@@ -45,14 +45,14 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """List the conditions: every depth, marker type and position."""
+        """List the units for every depth, marker type and position."""
         conditions = [
             f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES
         ]
         return [unit for condition in conditions for unit in blocks(condition, self.arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return the length of every error in mm, keyed `strategy|spheres|arm|target`."""
+        """Return all error lengths in mm, keyed `strategy|spheres|arm|target`."""
         depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
         drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
@@ -62,7 +62,7 @@ class ApplicationErrorStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate our figures next to the paper's."""
+    """Tabulate our figures next to those of the paper."""
     rows: list[dict[str, Cell]] = []
     for (depth, markers, strategy, count), errors in _collect_errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
@@ -104,7 +104,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
-    """Collect the errors (arms, n) in mm, arm by arm."""
+    """Collect the errors of each series, (arms, n) in mm."""
     found: dict[Series, dict[int, list[float]]] = {}
     for condition, content in sums.items():
         depth, markers, _ = condition.split("|")

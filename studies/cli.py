@@ -30,7 +30,7 @@ app = typer.Typer(
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Seed, workers and output folder of a study."""
+    """Common options of a study: seed, workers and output folder."""
 
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
     workers: Annotated[int | None, typer.Option(min=1, help="Processes on this computer [one per core].")] = (
@@ -153,7 +153,7 @@ def correspondence(
 
 
 def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
-    """Run the clinical protocol. The readings are taken first and stored in the study's folder."""
+    """Run the clinical protocol on readings stored in the study's folder, taking them if missing."""
     from studies.correspondence import clinical
 
     folder = study_options.out or Path("campaigns") / clinical.ClinicalStudy.name

@@ -1,4 +1,4 @@
-"""Errors of the studies."""
+"""Errors raised by the studies."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import ConfigurationError, ConnectError, DataError
 
 
 class OtherStudy(ConfigurationError):
-    """The folder holds a study with different settings, or results of other code."""
+    """The folder contains a study with different settings, or results of different code."""
 
     code = "STU-001"
     action = "Choose another --out, or use settings and code of the study in this folder."
 
 
 class LedgerUnreadable(DataError):
-    """The file of finished units cannot be read."""
+    """The ledger of finished units cannot be read."""
 
     code = "STU-002"
     action = (
@@ -22,14 +22,14 @@ class LedgerUnreadable(DataError):
 
 
 class SchedulerUnreachable(ConnectError):
-    """No Dask scheduler at this address."""
+    """No Dask scheduler can be reached at this address."""
 
     code = "STU-003"
     action = "Start one with `dask scheduler`, or omit --scheduler to use this computer's cores."
 
 
 class ExtraMissing(ConfigurationError):
-    """An optional package required by this option is not installed."""
+    """An optional package needed for this option is not installed."""
 
     code = "STU-004"
     action = "Install it with: pip install 'ronna-hw[dask]'."
@@ -43,28 +43,28 @@ class UnitFailed(DataError):
 
 
 class PhantomFailed(DataError):
-    """`ronna-sim phantom` did not write a scan for the study."""
+    """`ronna-sim phantom` failed to write a scan for the study."""
 
     code = "STU-006"
     action = "Run `ronna-sim phantom` with these arguments to see the reason."
 
 
 class NotForJudging(ConfigurationError):
-    """A family meant for tuning was named for evaluating the localizer."""
+    """A phantom family reserved for tuning was selected for evaluating the localizer."""
 
     code = "STU-007"
     action = "Remove it from the evaluation families, or state its purpose in the phantom."
 
 
 class TrackerNotSimulated(DataError):
-    """The simulated tracker did not read the frame for the study."""
+    """The simulated tracker failed to read the frame for the study."""
 
     code = "STU-008"
     action = "Run `ronna-sim polaris` and `ronna-sim scene` alone to see the reason."
 
 
 class PoseNotSolved(DataError):
-    """A random arm does not converge to a planned pose: the pose is singular or out of reach."""
+    """A random arm does not converge to a planned pose, which may be singular or out of reach."""
 
     code = "STU-009"
     action = "Use another --seed and report this one: the study plans its poses clear of singularities."
@@ -78,14 +78,14 @@ class NoRunToTime(ConfigurationError):
 
 
 class PhantomOutOfReach(DataError):
-    """The phantom is out of the arm's reach at one of its positions."""
+    """The arm cannot reach the phantom at one of its positions."""
 
     code = "STU-010"
     action = "The positions are fixed: report the strategy and the trajectory."
 
 
 class MethodRefused(ConfigurationError):
-    """A user method cannot be used: not found, of another kind, or with another signature."""
+    """A user method cannot be used: it is missing, of a different kind, or has the wrong signature."""
 
     code = "STU-012"
     action = "docs/how-to/research/own-methods.md shows one of each kind."
@@ -99,14 +99,14 @@ class MethodFailed(DataError):
 
 
 class MethodAnswerWrong(DataError):
-    """A user method returned something that is not a result of its kind."""
+    """A user method returned an invalid result for its kind."""
 
     code = "STU-014"
     action = "Correct what it returns; docs/how-to/research/own-methods.md shows one of each kind."
 
 
 class WorldNotRun(DataError):
-    """The case of a random world did not begin, so there is nothing to judge."""
+    """The case of a random world did not start, so there is nothing to judge."""
 
     code = "STU-015"
     action = "Repeat this world with --only to see the reason."

@@ -1,4 +1,4 @@
-"""Random heads with fiducials, and readings of them, by the thesis' protocol (5.3.1).
+"""Random heads with fiducials, and readings of them, following the thesis' protocol (5.3.1).
 
 The thesis used eight adhesive markers on each of three patients, with unpublished coordinates. Here they are
 on the upper side of three ellipsoids of different sizes, the same in every run. A reading displaces the
@@ -30,14 +30,14 @@ PHYSICAL_SIGMA_MM = 0.56
 
 
 class NoiseReading(StrEnum):
-    """Two possible meanings of a standard deviation in the thesis, which does not say which it uses."""
+    """Two interpretations of the thesis' standard deviations, which it does not define."""
 
     PER_AXIS = "per axis"
     NORM = "norm"
 
 
 def sites_mm(patient: int) -> Array:
-    """Return the eight sites (8, 3) of a patient."""
+    """Return a patient's eight fiducial sites (8, 3)."""
     random = np.random.default_rng([SITES_SEED, patient])
     sites: list[Array] = []
     while len(sites) < SITES:
@@ -50,7 +50,7 @@ def sites_mm(patient: int) -> Array:
 
 
 def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -> Array:
-    """Draw uniform points (count, 3) in a ball about the origin."""
+    """Draw points (count, 3) uniformly from a ball about the origin."""
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction * radius_mm * random.uniform(size=(count, 1)) ** (1.0 / 3.0))
@@ -68,12 +68,12 @@ def draw_noise(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Return the standard deviation per axis. A Gaussian length is spread over three axes."""
+    """Convert a standard deviation to one per axis."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
 def variance_from_thesis_mm2(noise: NoiseReading) -> float:
-    """Return the variance per axis of both point sets together, from the errors stated in the thesis."""
+    """Return the combined per-axis variance of both point sets, from the errors stated in the thesis."""
     return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
 
 
@@ -83,7 +83,7 @@ def draw_pose(random: np.random.Generator) -> RigidTransform:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Points of both sides (runs, n, 3) in mm, corresponding indices (runs, k, 2), and true rotations."""
+    """Points of both sets (runs, n, 3) in mm, corresponding indices (runs, k, 2), and true rotations."""
 
     image_mm: Array
     physical_mm: Array
@@ -103,7 +103,7 @@ def draw_readings(
     random: np.random.Generator,
     displaced_mm: float = DISPLACED_MM,
 ) -> Readings:
-    """Draw `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
+    """Draw `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers in both sets."""
     sites = len(sites_mm)
     displaced = sites_mm + uniform_in_ball(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
     chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
@@ -123,7 +123,7 @@ def draw_readings(
 def _shuffle_with_outliers(
     points: Array, outliers: int, random: np.random.Generator
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Return points and outliers about their centre in random order, and the permutation."""
+    """Add outliers around the points' centre, shuffle, and return the points with the permutation."""
     runs, count, _ = points.shape
     strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
     everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)

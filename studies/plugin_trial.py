@@ -1,4 +1,4 @@
-"""Trial of a user method on a small problem, so that a faulty method fails before the campaign starts."""
+"""Trial of a user method on a small problem, to catch errors before a campaign starts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ NAMES = {
 
 
 def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> PluginMethod:
-    """Try a method in a separate process, so that a crash is reported and affects nothing else.
+    """Try a method in a separate process, so that a crash is contained and reported.
 
     `tell` is called if it does not respond.
     """
@@ -63,7 +63,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
 
 
 def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """Return the method named by `text` after two equal answers to a problem. Raises STU-012 to STU-014."""
+    """Load the method named by `text` and require two equal answers to a trial. Raises STU-012 to STU-014."""
     method = find_plugin(kind, text)
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:
@@ -79,7 +79,7 @@ def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
 def select_methods(
     names: Sequence[str], tell: Tell = lambda text: None
 ) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
-    """Return known and user methods; all known methods if none is named. Raises STU-012 to STU-014.
+    """Return the built-in and user methods selected by `names`, or all built-in ones if it is empty.
 
     `tell` is called with the name of a user method that does not respond.
     """
@@ -119,7 +119,7 @@ def _try_registration(method: PluginMethod) -> object:
 
 
 def _require_direction(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
-    """Raise STU-014 for an answer that fits these error-free points only in the reverse direction.
+    """Raise STU-014 if only the inverse of the answer, or a conversion from metres, fits the points.
 
     One that fits in neither direction is a bad method, which the campaign measures.
     """
@@ -155,7 +155,7 @@ def _try_localizer(method: PluginMethod) -> object:
 
 
 def _try_strategy(method: PluginMethod) -> object:
-    """Plan for the free markers of the accuracy studies, in the first position."""
+    """Plan postures for the free markers of the accuracy studies at the first position."""
     strategy = PluginStrategy.of(method)
     planned = plan_postures(strategy, draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS), phantom_pose(1))
     return planned.localizations.joints_rad.tolist()

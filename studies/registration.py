@@ -1,4 +1,4 @@
-"""Test of the error formulas of rigid registration: FRE against FLE, TRE against eq. 39, gate, weighting.
+"""Test of the error formulas for rigid registration: FRE against FLE, TRE against eq. 39, gate, weighting.
 
 Head markers, a target 10 mm below their centre, and an FLE of 0.3 mm as in the reference
 experiment. Isotropic errors are split evenly between both spaces, as between two scans; the others
@@ -41,7 +41,7 @@ PLAIN, WEIGHTED, OWN = "tre", "weighted", "own "
 
 @dataclass(frozen=True)
 class RegistrationStudy:
-    """`runs` for each number of fiducials and each kind of error."""
+    """Registration study with `runs` per number of fiducials and kind of error."""
 
     runs: int
     seed: int = 0
@@ -53,12 +53,12 @@ class RegistrationStudy:
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """List the conditions in the order kind of error, fiducials."""
+        """List the units in the order kind of error, fiducials."""
         conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
         return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return sums of squares (mm2) and counts over the runs."""
+        """Return sums of squares (mm2), fourth powers (mm4) and counts over the runs."""
         kind, count = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -102,13 +102,13 @@ def _register_once(
 
 
 def _sum_target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
-    """Return the sums of squares (mm2) and fourth powers (mm4) of the target error."""
+    """Return the target error squared (mm2) and to the fourth power (mm4), keyed for summing."""
     square = float(np.sum((fitted.apply(target) - right) ** 2))
     return {f"{who}2": square, f"{who}4": square**2}
 
 
 def _draw_noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
-    """Draw an error (n, 3) from each covariance (n, 3, 3), which may be zero."""
+    """Draw noise (n, 3) from the covariances (n, 3, 3), which may all be zero."""
     if not covariance_mm2.any():
         return np.zeros(covariance_mm2.shape[:2])
     normal = random.normal(size=covariance_mm2.shape[:2])
@@ -116,7 +116,7 @@ def _draw_noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
 
 
 def _draw_covariances(count: int, kind: str, random: np.random.Generator) -> Array:
-    """Draw covariances (n, 3, 3) in the physical frame, mm2. The 3-D rms of a normal fiducial is FLE.
+    """Draw covariances (n, 3, 3) in the physical frame, mm2. FLE is the 3-D rms of a normal fiducial.
 
     Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
     """
@@ -131,7 +131,7 @@ def _draw_covariances(count: int, kind: str, random: np.random.Generator) -> Arr
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate formulas against simulation, and the gain from weighting."""
+    """Tabulate the formulas against simulation, and the gain from weighting."""
     formulas: list[dict[str, Cell]] = []
     gains: list[dict[str, Cell]] = []
     for condition, total in sums.items():

@@ -17,7 +17,7 @@ FIDUCIALS_OF_TABLE_3 = 4
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its rows, and the summary figure printed below them."""
+    """A table column: its rows, and the summary figure printed below them."""
 
     rows_mm: tuple[float, ...]
     printed_mm: float
@@ -25,7 +25,7 @@ class Column:
 
 @dataclass(frozen=True)
 class StrategyRow:
-    """Mean error of a strategy in each trajectory, and the printed overall figure."""
+    """A strategy's mean error for each trajectory, with the printed overall figures."""
 
     trajectories_mm: tuple[float, ...]
     mean_mm: float

@@ -1,4 +1,4 @@
-"""Mean times of phases and steps over several runs, next to the thesis' times."""
+"""Mean times of phases and steps over several runs, compared with the thesis' times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from studies.errors import NoRunToTime
 
 
 def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
-    """Tabulate the mean times of run folders, and CT localization next to the thesis.
+    """Tabulate the mean times of several runs, and the CT localization times next to the thesis'.
 
     Raises the errors of an unreadable journal.
     """

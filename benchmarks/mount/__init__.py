@@ -1,1 +1,1 @@
-"""Calibrations of reference frame and tool tip, from simulated looks."""
+"""Reference frame and tool tip calibration from simulated looks."""

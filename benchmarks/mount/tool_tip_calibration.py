@@ -1,4 +1,4 @@
-"""Calibration of the guide tip relative to the stereo head, over random arms, heads and stands, in process.
+"""Guide tip calibration relative to the stereo head, over random arms, heads and stands, in process.
 
 `relative to the head's measurement`: against the position of a ball at the true tip, as seen by the head with
 its record. The guide is seated as at the stand: each mounting adds the changer's own repeatability. A case
@@ -54,7 +54,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclass
 class TipCell(FrameCell):
-    """A scene with a stand, whose ball the head sees with the noise of a real outline."""
+    """A scene with a stand, whose ball the head sees with realistic outline noise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -66,7 +66,7 @@ class TipCell(FrameCell):
         self.head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
 
     def readings(self, count: int, validation: int, tilt_rad: float = TILT_RAD) -> TipLooks:
-        """Return views and readings like those taken by the calibration steps."""
+        """Return looks and readings as the calibration steps would take them."""
         ball = np.round(self.scene.stand.ball_mm)
         reference = tool_orientation(DOWN, ball, 0.0)
         total = count + validation
@@ -95,11 +95,11 @@ class TipCell(FrameCell):
 
     @property
     def true_tip_mm(self) -> Array:
-        """True tip of the seated guide in the true tool frame, after a reading."""
+        """True tip position of the seated guide in the true tool frame, after a reading."""
         return np.asarray((inverse(self._room.robot_from_tool()) @ TrueGuide(self._room).tip_frame())[:3, 3])
 
     def seen_mm(self, in_tool_mm: Array, noise_px: float = 0.0) -> Array:
-        """Map a ball from the true tool frame to where the head sees it according to its record."""
+        """Return where the head, using its record, sees a ball given in the true tool frame."""
         eye = TrueHead(self.scene, outline_px=noise_px)
         pixels = [
             eye._outline(
@@ -177,7 +177,7 @@ def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
-    """Return errors against the head's measurement and the true tool centre, and the stated error, mm."""
+    """Return the errors relative to the head and to the true tool centre, and the stated error, in mm."""
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(READINGS, VALIDATION))
     true = cell.true_tip_mm

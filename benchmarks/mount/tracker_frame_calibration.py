@@ -1,4 +1,4 @@
-"""Calibration of the reference frame on the mount, over random arms and trackers, in process.
+"""Calibration of the tracked reference frame on the mount, over random arms and trackers, in process.
 
 Two references. `as on this arm` is the result of an error-free tracker with the same arm and record:
 the error of the procedure itself. `as designed` is the position on the flange in the scene; it differs
@@ -58,7 +58,7 @@ SPARE = 1.5
 
 @dataclass
 class FrameCell:
-    """Arm and tracker of a scene. With `exact`, the tracker measures without error."""
+    """The arm and tracker of a scene. With `exact`, the tracker is error-free."""
 
     scene: Scene
     calibrations: Calibrations
@@ -66,7 +66,7 @@ class FrameCell:
 
     @classmethod
     def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> Self:
-        """Build from the default scene of a seed, with or without a calibrated arm."""
+        """Build the cell from the default scene of a seed, with or without a calibrated arm."""
         scene = draw_scene("default", seed=seed)
         if calibrated:
             error = scene.calibration_error.model_copy(update={"arm": ArmResidual()})
@@ -194,7 +194,7 @@ def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
-    """Return errors against this arm's exact calibration and the true frame (mm, deg), and the stated one."""
+    """Return the errors (mm, deg) relative to an exact calibration and to the truth, and the stated error."""
     cell = FrameCell.of(seed, calibrated=calibrated)
     result = calibrate_frame(cell.looks(LOOKS, VALIDATION))
     found = result.fit.flange_from_marker
@@ -205,6 +205,6 @@ def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, f
 
 
 def pose_difference(one: Array, other: Array) -> tuple[float, float]:
-    """Return the difference between two poses, in mm and degrees."""
+    """Return the distance (mm) and angle (deg) between two poses."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))

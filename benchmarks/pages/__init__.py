@@ -1,1 +1,1 @@
-"""Cost of the browser pages."""
+"""Performance of the browser pages."""

@@ -1,4 +1,4 @@
-"""Cost to a case of a console with an open page: step times, turnaround of the robot link.
+"""Effect of an open console page on a case: step times and robot link turnaround.
 
 The mini case in real time, with and without: in lock-step a telegram waits for us and has no turnaround.
 """
@@ -25,7 +25,7 @@ MOST_TIMES_LONGER, MOST_TIMES_SLOWER = 1.05, 1.2
 
 
 def measure(speed: str = "1") -> list[Figure]:
-    """Measure the cost. Without Chromium there is no viewer, and no figures are returned."""
+    """Measure the effect of the console. Returns no figures if Chromium is missing."""
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as place:
@@ -75,7 +75,7 @@ def _read_figures(run: Path) -> dict[str, float]:
 
 
 def _sum_steps_s(journal: list[dict[str, Any]]) -> float:
-    """Return the total host time from the intent of each step to its result, s."""
+    """Return the total host time between the intent and the result of each step, in seconds."""
     total_s, began = 0.0, None
     for line in journal:
         if line["entry"] == "intent":

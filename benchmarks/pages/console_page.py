@@ -1,4 +1,4 @@
-"""Cost of the console's page and latency of events on it, against a bare page of the same library.
+"""CPU cost and event latency of the console page, against a bare page built with the same library.
 
 The engine is a script; its events are numbered by the microsecond in which they were sent, so that the page
 itself can measure its delay. Without Chromium only the server is measured, without pages. Then a case in real
@@ -51,7 +51,7 @@ new MutationObserver(() => {
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure CPU share of the server and delay of an event, by number of open pages."""
+    """Measure server CPU share and event delay by number of open pages."""
     tabs_open, duration_s = (SMALLEST_TABS, SMALLEST_S) if smallest else (TABS, MEASURED_S)
     figures = []
     with tempfile.TemporaryDirectory() as place:

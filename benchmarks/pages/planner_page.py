@@ -1,4 +1,4 @@
-"""Response times of the planner page: a scroll, a drag, and the head after opening.
+"""Response times of the planner page: scrolling, dragging, and first display of the head.
 
 A CT of 512 x 512 x 200 voxels in headless Chromium with software rendering; times are by the page's own
 clock, from a person's event to its visible effect. For comparison with the head: how long a bare page of the
@@ -51,7 +51,7 @@ new MutationObserver(() => {
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure the response times. The smallest size uses the smaller CT of the mini scene."""
+    """Measure the response times. The smallest size uses the mini scene, which has a smaller CT."""
     if MISSING:
         return []
     scrolls, drags, drags_with_arm = SMALLEST if smallest else (SCROLLS, DRAGS, DRAGS_WITH_ARM)
@@ -111,7 +111,7 @@ def _measure_scroll_ms(page: Any, steps: int) -> float:
 
 
 def _arm_options(place: Path, scene_name: str) -> list[str]:
-    """Return the options for the scene's arm, with the head at its true place."""
+    """Return the command-line options for the scene's arm, with the head at its true position."""
     scene = draw_scene(scene_name, seed=3)
     write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), place / "theatre.toml")
     head = scene.head.robot_from_ct

@@ -1,1 +1,1 @@
-"""Peers for comparison, which run as scripts in child processes."""
+"""Peers for comparison, run as scripts in child processes."""

@@ -1,4 +1,4 @@
-"""Aravis receiving two free-running cameras, in the distribution's Python, which alone has its bindings.
+"""Aravis client for two free-running cameras, run by the system Python, the only one with its bindings.
 
     /usr/bin/python3 aravis_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
 

@@ -1,4 +1,4 @@
-"""A mini case over real protocols, with journal, events and recorders (`kept`) or without them (`bare`).
+"""A mini case over the real protocols, with (`kept`) or without (`bare`) journal, events and recorders.
 
     python -P bare_case.py kept|bare SPEED SEED FOLDER
 
@@ -28,7 +28,7 @@ from ronna_hw.theatre import Theatre
 
 
 class _NullObject:
-    """Object that accepts any use and does nothing."""
+    """Object that accepts any call and does nothing."""
 
     def __init__(self, *_given: object) -> None: ...
 
@@ -37,7 +37,7 @@ class _NullObject:
 
 
 def keep_nothing() -> None:
-    """Disable everything that records a run's history, for the rest of the process.
+    """Disable all recording of run history for the rest of the process.
 
     A name that no longer exists is an error: otherwise the bare case would do more work than claimed.
     """
@@ -63,7 +63,7 @@ class _NullTape(_NullObject):
 
 
 def main(kept: str, speed: str, seed: str, folder: str) -> None:
-    """Run the case to its end and report its cost."""
+    """Run the case to completion and report its cost."""
     if kept == "bare":
         keep_nothing()
     request = RunRequest(

@@ -1,4 +1,4 @@
-"""A bare page of the console's page library: one element that shows a number at 20 Hz.
+"""A bare page built with the console's page library: one element showing a number at 20 Hz.
 
 Its argument is the number of the listening socket that it inherits.
 """

@@ -1,4 +1,4 @@
-"""A tracker unit with one fixed answer, to measure only the cost of the line, the kernel and Python.
+"""A tracker unit with one canned reply, to isolate the cost of the line, the kernel and Python.
 
 Argument: serial-pty, or a TCP endpoint to listen on. Every command gets the BX reply of one visible tool.
 """
@@ -23,7 +23,7 @@ REPLY = bytes.fromhex(
 
 
 def main() -> None:
-    """Answer until this process is terminated."""
+    """Answer commands until terminated."""
     end_with_parent(lambda: os._exit(0))
     if sys.argv[1] == "serial-pty":
         near, far = os.openpty()

@@ -1,4 +1,4 @@
-"""CPU load that decodes a camera image repeatedly, as fast as one processor allows."""
+"""Load generator that decodes a camera image repeatedly to keep one processor busy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIZE_PX = (1088, 2048)
 
 
 def main() -> None:
-    """Decode until this process is terminated."""
+    """Decode images until terminated."""
     import cv2
     import numpy as np
 

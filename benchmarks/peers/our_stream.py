@@ -1,4 +1,4 @@
-"""Our driver's client receiving two free-running cameras, in a separate process like Aravis'.
+"""Our driver's client for two free-running cameras, in a separate process like the Aravis client.
 
     python our_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
 
@@ -17,7 +17,7 @@ from tests.support.devices.camera_stream import stream_pairs  # noqa: E402
 
 
 def main(job: dict[str, object]) -> None:
-    """Receive the frames and report the result."""
+    """Receive the frames and print the results."""
     outcome = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
     summary = {
         "seconds": outcome.seconds,

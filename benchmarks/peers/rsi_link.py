@@ -1,4 +1,4 @@
-"""The driver's real-time process with its session open.
+"""The driver's real-time process with an open session.
 
 Arguments: rest, or move to be always in motion; busy for a main thread that is never idle; unrehearsed for a
 link that never rehearses its reply.
@@ -29,7 +29,7 @@ SWING_RAD = 0.6
 
 
 def main() -> None:
-    """Serve until this process is terminated. The real-time process exits when its parent is gone."""
+    """Serve until terminated. The real-time process exits along with its parent."""
     end_with_parent(lambda: os._exit(0))
     endpoint = own_udp_endpoint()
     options = KukaOptions.model_validate({"silence_limit_s": PATIENCE_S, "heartbeat_limit_s": PATIENCE_S})

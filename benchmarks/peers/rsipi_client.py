@@ -1,4 +1,4 @@
-"""RSIPI, the Python client from PyPI, with the Ethernet file of our own context."""
+"""RSIPI, the Python client from PyPI, configured with our own RSI Ethernet file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST_LIFE_S = 600.0
 
 
 def main() -> None:
-    """Serve until this process is terminated. Argument: the Ethernet file."""
+    """Serve until terminated. The argument is the path of the Ethernet file."""
     from RSIPI import RSIAPI  # type: ignore[import-untyped]
 
     end_with_parent(lambda: os._exit(0))

@@ -1,4 +1,4 @@
-"""Tracker clients on one unit: our driver, bare ndicapi, and scikit-surgerynditracker.
+"""Tracker clients for the same unit: our driver, bare ndicapi, and scikit-surgerynditracker.
 
 Each maker loads tools, starts tracking and returns a function that takes one reading; it raises RuntimeError
 if the unit returns none. The stack closes everything that it opens.
@@ -27,7 +27,7 @@ PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi converts binary replies to text 
 
 
 def driver(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """Return a reader of whole frames with our driver."""
+    """Return a reader that reads whole frames with our driver."""
     tools = [{"name": rom.stem, "rom": str(rom)} for rom in roms]
     config = DeviceConfig(driver="ndi_polaris", endpoint=endpoint, options={"tools": tools, "reply": "BX"})
     tracker = PolarisTracker("tracker", config, open_clock("host:"))
@@ -45,7 +45,7 @@ def driver(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """Return a reader with bare ndicapi: one request, and the pose of the first tool."""
+    """Return a reader using bare ndicapi: one request, then the pose of the first tool."""
     device, handles = _ndicapi_tracking(stack, endpoint, roms)
     import ndicapy  # type: ignore[import-not-found]
 
@@ -59,7 +59,7 @@ def ndicapi(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi_replies(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """Return a reader of raw replies with all tools and strays, checked once before counting."""
+    """Return a reader for raw replies with all tools and strays, checking one reply beforehand."""
     device, handles = _ndicapi_tracking(stack, endpoint, roms)
     import ndicapy
 
@@ -74,7 +74,7 @@ def ndicapi_replies(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Re
 
 
 def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """Return a reader with scikit-surgerynditracker's own call, without strays."""
+    """Return a reader using scikit-surgerynditracker's own `get_frame`, without strays."""
     import ndicapy
     from sksurgerynditracker import nditracker  # type: ignore[import-untyped]
 
@@ -105,7 +105,7 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi_bare(stack: ExitStack, endpoint: str, _roms: Sequence[Path]) -> Reader:
-    """Return a reader for a unit that answers everything with one fixed reply."""
+    """Return a reader for a unit that always sends the same canned reply."""
     device = _open_device(stack, endpoint)
     import ndicapy
 

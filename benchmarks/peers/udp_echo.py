@@ -1,4 +1,4 @@
-"""A bare UDP echo, to measure only the cost of the socket calls, the kernel and Python."""
+"""A bare UDP echo server, to isolate the cost of the socket calls, the kernel and Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LONGEST = 65535
 
 
 def main() -> None:
-    """Send back every datagram."""
+    """Echo every datagram to its sender."""
     end_with_parent(lambda: os._exit(0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))

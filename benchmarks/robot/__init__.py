@@ -1,1 +1,1 @@
-"""Robot link and its set-points."""
+"""Robot link and set-point generation."""

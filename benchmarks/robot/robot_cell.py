@@ -1,4 +1,4 @@
-"""A simulated controller in its own world with the arm driver connected, and bare UDP for comparison."""
+"""A simulated controller in its own world, connected to the arm driver; and a bare UDP client."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ SILENCE_LIMIT_S = 5.0  # lock-step waits up to 2 s for a reply
 
 
 def peer(name: str, *arguments: str) -> ChildProcess:
-    """Start a peer and wait until it is ready. Its READY line states the port."""
+    """Start a peer process and wait for its READY line."""
     return ChildProcess(name, [sys.executable, "-P", str(PEERS / f"{name}.py"), *arguments])
 
 
 class RobotCell:
-    """`ronna-sim kuka` in lock-step, and an active arm."""
+    """`ronna-sim kuka` in lock-step with an active arm driver."""
 
     def __init__(self) -> None:
         self._ending = ExitStack()
@@ -82,7 +82,7 @@ def bare_telegram() -> bytes:
 
 
 class ControllerProbe:
-    """A client of a controller's `udp://` endpoint on this machine."""
+    """Stand-in for a controller, connected to a `udp://` endpoint on this machine."""
 
     def __init__(self, endpoint: str) -> None:
         self._link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -97,12 +97,12 @@ class ControllerProbe:
         self.moved_deg = 0.0  # travel of A1 so far: shows that a moving client really moves
 
     def exchange(self, telegram: bytes) -> bytes:
-        """Send a telegram and wait for any reply; raises TimeoutError."""
+        """Send a telegram and return the next reply; raises TimeoutError."""
         self._link.send(telegram)
         return self._link.recv(LONGEST)
 
     def block(self, count: int, pace_s: float) -> list[float]:
-        """Return turnarounds in seconds of `count` telegrams, `pace_s` apart on an absolute schedule."""
+        """Send `count` telegrams `pace_s` apart on an absolute schedule. Return the turnarounds in s."""
         found: list[float] = []
         due_s = time.perf_counter()
         for _ in range(count):
@@ -123,7 +123,7 @@ class ControllerProbe:
         return found
 
     def share(self, share: float) -> float:
-        """Return the turnaround in seconds below which a fraction `share` (0..1) of the telegrams stays."""
+        """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
         return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
 
     def close(self) -> None:

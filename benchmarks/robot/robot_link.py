@@ -1,4 +1,4 @@
-"""Robot link against bare exchanges and peers, with the machine's other processor idle and busy.
+"""Robot link against bare exchanges and peers, with the machine's other processor idle or busy.
 
 Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record;
 and of whole moves, including planning, during which there are no telegrams. Turnaround: telegram sent to
@@ -39,7 +39,7 @@ UNREHEARSED = "driver moving, without rehearsal"
 
 @dataclass(frozen=True)
 class Size:
-    """Rounds of lock-step moves, and of telegram blocks at 1 ms and 4 ms, without and under load."""
+    """Numbers of rounds: lock-step moves, and telegram blocks at 1 ms and 4 ms, without and with CPU load."""
 
     lock_step: int = 20
     fast: int = 40
@@ -119,7 +119,7 @@ def _measure_lock_step(measure: str, rounds: int) -> list[Figure]:
 
 
 def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
-    """Return cycles with a changed set-point per second of host time; 0 if there are none."""
+    """Return the rate of cycles with a changed set-point, per second of host time; 0 without any."""
     gaps_ns = [
         later.received_ns - earlier.received_ns
         for earlier, later in pairwise(cycles)
@@ -131,7 +131,7 @@ def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
 def _measure_turnaround(
     measure: str, pace_s: float, rounds: int, telegrams: int, contestants: tuple[str, ...]
 ) -> list[Figure]:
-    """Measure blocks of telegrams to each contestant and to an echo, alternately."""
+    """Alternate blocks of telegrams between the contestants and an echo server."""
     arguments = {
         ECHO: ("udp_echo",),
         LINK_AT_REST: ("rsi_link", "rest"),
@@ -173,7 +173,7 @@ def _measure_turnaround(
 
 
 def _compare_with_echo(measure: str, pace_s: float, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
-    """Yield median and tail over all telegrams, missed cycles and lost replies of each contestant."""
+    """Yield each contestant's median and tail over all telegrams, missed cycles and lost replies."""
     echo = probes[ECHO]
     echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
     for who, probe in probes.items():
@@ -194,7 +194,7 @@ def _compare_with_echo(measure: str, pace_s: float, probes: dict[str, Controller
 
 
 def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
-    """Add the distribution to the JSON output. Its far tail is due to the machine."""
+    """Add the turnaround quantiles to the JSON output."""
     tail = {
         "median_us": probe.share(0.5) * 1e6,
         "p90_us": probe.share(0.9) * 1e6,

@@ -1,4 +1,4 @@
-"""Cost of one set-point, prepared and checked for continuing and stopping, against a bare generator step.
+"""Cost of one set-point, including the check of continuing and stopping, against a bare generator step.
 
 Monitored: with a head, clamp, table and spheres around, the guide on the flange and the speed zone active.
 """
@@ -59,7 +59,7 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 
 def _surroundings(flange: Pose) -> Surroundings:
-    """Return a head a hand's breadth below the needle, with the theatre file's default surroundings."""
+    """Return the default surroundings, with a head a hand's breadth below the needle."""
     cell = CollisionConfig()
     tip = flange.apply(TOOL_MM)
     head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)

@@ -1,4 +1,4 @@
-"""Two versions of the localizer on the same volumes: this one, and that of another checkout.
+"""Two localizer versions on the same volumes: this one, and that of another checkout.
 
 Volumes are painted by this version; the other one reads them from disk, in a process of its own. One table
 counts the objects of each kind that are listed among the markers, the other compares what became of markers.
@@ -61,7 +61,7 @@ for line in sys.stdin:
 
 @dataclass
 class Outcome:
-    """Result of a version: markers by family and protocol, and false markers by kind."""
+    """Results of one localizer version: markers by family and protocol, and false markers by kind."""
 
     counts: dict[str, Count] = field(default_factory=dict)
     errors_mm: dict[str, list[float]] = field(default_factory=dict)  # of each marker; infinite if missed
@@ -111,7 +111,7 @@ class OtherLocalizer:
 
 @contextmanager
 def other_localizer(checkout: Path) -> Iterator[OtherLocalizer]:
-    """Open the localizer of another checkout, run by this interpreter."""
+    """Start the localizer of another checkout in a child process with this interpreter."""
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Spheres in phantom scans: cost compared with bare reading; error compared with the thesis and the bound.
+"""Spheres in phantom scans: CPU cost against bare reading, and error against the thesis and the bound.
 
 The scans come from `ronna-sim phantom`, from families that the localizer was not tuned on, 512 x 512 x 200
 voxels in the good protocol. The bound is that of a homogeneous ball in white noise, without the effect of
@@ -45,7 +45,7 @@ BOX_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True)
 class BallScan:
-    """A ball in air as scanned by the phantom; lengths in mm, intensities in HU."""
+    """A scan of a ball in air by the phantom; lengths in mm, intensities in HU."""
 
     pixel_mm: float
     slice_mm: float
@@ -55,12 +55,12 @@ class BallScan:
 
     @property
     def spacing_mm(self) -> Array:
-        """Voxel spacing along slices, rows, columns."""
+        """Voxel spacing between slices, rows and columns."""
         return np.array([self.slice_mm, self.pixel_mm, self.pixel_mm])
 
 
 def least_errors_mm(scan: BallScan) -> tuple[float, float]:
-    """Return the least 3-D rms errors: with equally weighted voxels, and with known noise spectrum."""
+    """Return the minimum 3-D rms errors with equal voxel weights, and with a known noise spectrum."""
     derivatives = np.array([np.fft.fftn(one).ravel() for one in _derivatives(scan)])
     derivatives /= sqrt(derivatives.shape[1])
     power = _noise_power(scan).ravel()
@@ -100,7 +100,7 @@ def _derivatives(scan: BallScan) -> list[Array]:
 
 
 def _cover(places: list[Array], unknowns: Array) -> Array:
-    """Return the fraction of each voxel covered by the ball; parameters (6,): centre, radius, both blurs."""
+    """Return the fraction of each voxel inside a ball with parameters (6,): centre, radius, both blurs."""
     z, y, x = np.meshgrid(*places, indexing="ij", sparse=True)
     dz, dy, dx = z - unknowns[0], y - unknowns[1], x - unknowns[2]
     distance = np.sqrt(dz**2 + dy**2 + dx**2)
@@ -112,7 +112,7 @@ def _cover(places: list[Array], unknowns: Array) -> Array:
 
 
 def _noise_power(scan: BallScan) -> Array:
-    """Return the noise power of the phantom, HU² per voxel: white, smoothed by three taps along two axes."""
+    """Return the phantom's noise power in HU² per voxel: white noise smoothed by three taps in plane."""
     side = exp(-0.5 * (scan.pixel_mm / PLANE_SIGMA_MM) ** 2)
     gains = [
         (1.0 + 2.0 * side * np.cos(2.0 * np.pi * np.fft.fftfreq(count))) ** 2 / (1.0 + 2.0 * side**2)
@@ -142,7 +142,7 @@ GOAL_CHI2 = (0.7, 1.4)  # of the error over its stated covariance, per degree of
 
 @dataclass(frozen=True)
 class Case:
-    """A family and a protocol, with goals for the 3-D error: rms and 95th percentile."""
+    """A phantom family and protocol, with goals for the 3-D error: rms and 95th percentile."""
 
     family: str
     protocol: str
@@ -154,7 +154,7 @@ class Case:
 
     @property
     def bare(self) -> bool:
-        """Whether the bound applies to these spheres. The thesis' methods then add nothing."""
+        """Whether the error bound applies to these spheres; the thesis' methods are then skipped."""
         return self.family == "bare"
 
     @property
@@ -185,7 +185,7 @@ class Scan:
 
 @dataclass
 class Spheres:
-    """A method's results on the spheres of some scans: errors (mm), and squares over the covariance."""
+    """One method's results on the spheres of some scans: errors in mm, and squared normalized errors."""
 
     errors_mm: list[float] = field(default_factory=list)
     chi2: list[float] = field(default_factory=list)
@@ -216,7 +216,7 @@ class Spheres:
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure bare reading, checked reading, and localization by every method, for each scan in turn."""
+    """Measure bare reading, checked reading, and localization by every method on each scan."""
     figures: list[Figure] = []
     ours: dict[Case, Spheres] = {}
     for case in SMALLEST if smallest else CASES:

@@ -1,4 +1,4 @@
-"""Look-alikes of spheres: round ends of rods, beads, domes, hollow balls next to markers in phantom scans.
+"""Objects that resemble spheres (rod ends, beads, domes, hollow balls) among markers in phantom scans.
 
 Scans are painted in memory. The localizer gets no hints: missed markers and false ones
 count, as does the separation of their odds. Families without look-alikes are painted whole, the others in
@@ -38,7 +38,7 @@ ORIGIN_DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A volume and its truth: marker centres (n, 3) in LPS mm, and the positions of each object.
+    """A volume with its ground truth: marker centres (n, 3) in LPS mm, and the positions of each object.
 
     Markers that the field of view cuts count neither as missed nor as false.
     """
@@ -97,7 +97,7 @@ class Count:
 
 
 def paint(scan: Scan, margins_mm: Point = MARGINS_MM) -> Painted:
-    """Paint a scan of a family, within the box around its markers and objects."""
+    """Paint a scan, cropped to the box around its markers and objects."""
     places = np.array(scan.anatomy.places)
     grid = _crop_grid(scan.grid, places.min(axis=0) - margins_mm, places.max(axis=0) + margins_mm)
     slices = Planes(replace(scan, grid=grid))
@@ -132,7 +132,7 @@ def judge(painted: Painted, count: Count) -> None:
 
 
 def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Yield scans of one family, from the volumes that fall to this protocol when all take turns."""
+    """Yield the family's scans for a protocol, assigning volumes to the protocols in rotation."""
     protocols = list(PROTOCOLS)
     for number in range(protocols.index(protocol), volumes, len(protocols)):
         yield family_scan(family, protocol, seed=seed + number)

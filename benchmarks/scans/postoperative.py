@@ -1,4 +1,4 @@
-"""Postoperative check against the truth of phantoms: errors of entry, tip and axis.
+"""Postoperative check against phantom ground truth: entry, tip and axis errors.
 
 Each phantom is a head of the default scene with another seed: a different pose in the second scan, different
 noise, and a rod off its plan by up to 2 mm and 3 degrees, with its streaks. Run from the repository root:
@@ -86,7 +86,7 @@ def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instr
 
 
 def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
-    """Return distances (mm) between tips (axes for a hole) and at the entry, and the angle (deg)."""
+    """Return tip error (for a hole, axis error at the target) and entry error in mm, and angle in deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
     entry_offset_mm = np.subtract(found.entry_mm, tip)
     at_entry = float(np.linalg.norm(entry_offset_mm - (entry_offset_mm @ outwards) * outwards))

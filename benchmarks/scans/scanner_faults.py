@@ -1,4 +1,4 @@
-"""Cost of the faults of real scanners: each option of `ronna-sim phantom`, on the same markers.
+"""Effect of real scanner faults: each fault option of `ronna-sim phantom`, on the same markers.
 
 Errors are those of the centres directly, and after a rigid fit to the truth, as in a
 registration; a refused scan has none. Scans without motion and with the slices where the headers
@@ -42,7 +42,7 @@ DATA = Path(__file__).parents[2] / "docs" / "reference" / "scanner-faults.toml"
 
 @dataclass(frozen=True)
 class Case:
-    """A fault, described and as options. `slice_mm` is a slice spacing other than the protocol's."""
+    """A fault: its description and options. `slice_mm` overrides the protocol's slice spacing."""
 
     words: str
     faults: ScannerFaults = NO_FAULTS
@@ -98,7 +98,7 @@ class Cost:
     said: list[str] = field(default_factory=list)  # refusals and warnings
 
     def add(self, painted: Painted) -> None:
-        """Localize without the expected count."""
+        """Localize the markers of a scan, without an expected count, and add the results."""
         self.volumes += 1
         try:
             said = check_motion(painted.volume.voxels, painted.volume.geometry)
@@ -192,7 +192,7 @@ def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
 
 @dataclass
 class Quiet:
-    """Largest values in scans without motion and with slices where the scanner states."""
+    """Largest values measured in scans without motion or displaced slices."""
 
     volumes: int = 0
     measured: int = 0  # volumes with enough markers for their shape to tell
@@ -204,7 +204,7 @@ class Quiet:
     told: list[str] = field(default_factory=list)
 
     def add(self, painted: Painted) -> None:
-        """Include a scan."""
+        """Measure a scan and update the largest values."""
         volume = painted.volume
         self.volumes += 1
         found_jumps = estimate_jumps(volume.voxels, volume.geometry)
@@ -241,7 +241,7 @@ class Quiet:
 
 
 def quiet(volumes: int, seed: int) -> Quiet:
-    """Measure volumes of each family and protocol, with a new kernel each and every other with overlap."""
+    """Measure volumes of every family and protocol, cycling through the kernels and slice overlaps."""
     found = Quiet()
     kernels = list(KERNELS)
     for family in FAMILIES:

@@ -1,1 +1,1 @@
-"""Stereo head: sphere centres, images, calibration, frame rate."""
+"""Stereo head: sphere centres, images, calibration and frame rate."""

@@ -1,4 +1,4 @@
-"""Views of a ball by a true stereo head, generated independently of the measuring code.
+"""Looks at a ball by a true stereo head, simulated independently of the measuring code.
 
 The outline of a ball is the section of its tangent cone by the image plane. With the unit direction u to the
 ball's centre and its angular radius a the cone is (x . u)^2 = cos^2 a; centre and axes follow from it.
@@ -44,7 +44,7 @@ JOINTS = (0.0, -1.3, 1.7, 0.0, 1.1, 3.1)
 
 @dataclass(frozen=True)
 class TrueHead:
-    """Truth of a scene, with noise of arm (mm per axis) and outline (px).
+    """Ground truth of a scene, with noise of the arm (mm per axis) and of the outline (px).
 
     The arm has no error other than that noise, unless `with_arm`: then it is the scene's own, with joint
     angles within its reach.
@@ -62,14 +62,14 @@ class TrueHead:
         return calibration.stereo_head
 
     def with_twisted_camera(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
-        """Rotate one camera of a head in its mount about the camera's own axes."""
+        """Return a copy with one camera rotated in its mount about its own axes."""
         camera: CameraTruth = getattr(self.scene, side)
         turned = matrix_from(np.zeros(3), rotation_from_vector(turn_rad)) @ matrix_of(camera.camera_from_tool)
         changed = camera.model_copy(update={"camera_from_tool": pose_of(turned)})
         return replace(self, scene=self.scene.model_copy(update={side: changed}))
 
     def observe(self, look: PlannedLook, ball_mm: ArrayLike, generator: np.random.Generator) -> Observation:
-        """Observe once, with the arm at its erroneous response to the requested tool pose.
+        """Simulate an observation from the pose that the arm really reaches for a planned look.
 
         Raises the errors of the inverse kinematics for a pose out of reach, if there is an arm.
         """
@@ -94,7 +94,7 @@ class TrueHead:
         )
 
     def _with_its_arm(self, nominal: np.ndarray) -> tuple[JointVector, np.ndarray]:
-        """Return the joint angles of a nominal flange pose, and the resulting flange pose of the true arm."""
+        """Return the joint angles for a nominal flange pose, and the true flange pose they produce."""
         truth = self.scene.arm
         model, home = kr6_r900(truth.variant), [math.radians(angle) for angle in truth.home_deg]
         near = (home[0], home[1], home[2], home[3], home[4], home[5])
@@ -124,7 +124,7 @@ class TrueHead:
         )
 
     def tool_centre_error_mm(self, record: StereoHeadCalibration) -> float:
-        """Return a record's position error on the flange, for a ball truly at the tool centre."""
+        """Return a record's error for a ball at the true tool centre, in the flange frame."""
         pixels = []
         for camera in (self.scene.left, self.scene.right):
             x, y, z = matrix_of(camera.camera_from_tool)[:3, 3]
@@ -144,7 +144,7 @@ def true_head(
 
 
 def observation_set(head: TrueHead, observations: Iterable[Observation]) -> ObservationSet:
-    """Build the observations as `calibrate` stores them."""
+    """Build an observation set as stored by `calibrate`."""
     return ObservationSet(
         created=datetime(2026, 11, 20, 9, 0, tzinfo=UTC),
         serials=(head.scene.left.serial, head.scene.right.serial),
@@ -155,5 +155,5 @@ def observation_set(head: TrueHead, observations: Iterable[Observation]) -> Obse
 
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
-    """Return the orientations of the self-check if all are reachable."""
+    """Return the looks of the self-check, assuming that all are reachable."""
     return tuple(self_check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))

@@ -1,4 +1,4 @@
-"""Centre errors on rendered pairs: centred, defocused, off axis, occluded and stained, half hidden.
+"""Centre errors on rendered pairs: centred, defocused, off-axis, occluded and stained, half hidden.
 
 Each row counts the accepted measurements, and the true errors of their points.
 """
@@ -66,7 +66,7 @@ class Tally:
 
     @property
     def chi_square(self) -> float:
-        """Mean squared error in units of the stated covariance, per degree of freedom."""
+        """Mean squared error normalized by the stated covariance, per degree of freedom."""
         return float(np.mean(self.squared_sigmas)) / 3.0
 
     @property
@@ -78,7 +78,7 @@ class Tally:
 
 
 def hough(picture: GreyPicture, radius_px: float) -> Array:
-    """Measure with `cv2.HoughCircles`, given the true radius to 15 %."""
+    """Locate the centre with `cv2.HoughCircles`, given the true radius to within 15 %."""
     circles = cv2.HoughCircles(
         cv2.GaussianBlur(picture, (5, 5), 0),
         cv2.HOUGH_GRADIENT,
@@ -95,7 +95,7 @@ def hough(picture: GreyPicture, radius_px: float) -> Array:
 
 
 def centroid(picture: GreyPicture, _radius_px: float) -> Array:
-    """Measure by Otsu's threshold and the centroid of the largest bright area."""
+    """Locate the centre by Otsu's threshold and the centroid of the largest bright area."""
     _, mask = cv2.threshold(picture, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     _, _, statistics, centres = cv2.connectedComponentsWithStats(mask)
     largest = 1 + int(np.argmax(statistics[1:, cv2.CC_STAT_AREA]))
@@ -103,7 +103,7 @@ def centroid(picture: GreyPicture, _radius_px: float) -> Array:
 
 
 def contour_ellipse(picture: GreyPicture, _radius_px: float) -> Array:
-    """Measure by Otsu's threshold, the longest contour, and `cv2.fitEllipseDirect`."""
+    """Locate the centre by Otsu's threshold, the longest contour, and `cv2.fitEllipseDirect`."""
     _, mask = cv2.threshold(picture, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     (x, y), _, _ = cv2.fitEllipseDirect(max(contours, key=len))
@@ -119,7 +119,7 @@ def triangulate_linearly(cameras: tuple[Camera, Camera], centres_px: tuple[Array
 
 
 def least_error_px(sphere: SphereImage, bright_grey: float, dark_grey: float, gain: float) -> float:
-    """Return the Cramér-Rao bound of the centre along one axis, px, for shot, read and rounding noise.
+    """Return the Cramér-Rao bound on one centre coordinate (px) for shot, read and rounding noise.
 
     sigma_x = (sigma / C) sqrt(2 sqrt(pi) s / (pi R)) for a disc of contrast C and radius R behind a blur of
     standard deviation s, noise sigma per pixel; grain, post and unknown grey levels are ignored.
@@ -140,7 +140,7 @@ OTHERS: dict[str, Callable[[GreyPicture, float], Array]] = {
 
 
 def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0) -> Tally:
-    """Measure `count` pairs of a case, the first `others` of them also with the alternatives."""
+    """Measure `count` pairs of a case, and the first `others` of them with the alternatives too."""
     calibration = studio.calibration()
     cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
@@ -184,7 +184,7 @@ def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
 def _bound_mm(
     outlines: tuple[SphereImage, SphereImage], cameras: tuple[Camera, Camera], place_mm: Array
 ) -> float:
-    """Return the least possible 3-D rms error in mm, with each centre coordinate at its bound."""
+    """Return the lower bound on the 3-D rms error in mm, with each image coordinate at its bound."""
     gain = GAIN_RAW / UNITY_GAIN_RAW
     scale = EXPOSURE_US * 255.0 / 11900.0 * gain
     bright, dark = LIMB * FILM_ELECTRONS_PER_US * scale, BACKGROUND_ELECTRONS_PER_US * scale
@@ -214,7 +214,7 @@ NOTHING_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 
 @dataclass
 class Verdicts:
-    """Number of pairs by result: the sphere's centre, the second sphere's, another point, or none."""
+    """Numbers of pairs by measured point: the sphere's centre, the second sphere's, another, or none."""
 
     right: int = 0
     second: int = 0

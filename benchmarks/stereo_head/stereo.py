@@ -1,4 +1,4 @@
-"""Spheres in rendered images: cost and error of our measurement against common simple methods."""
+"""Spheres in rendered images: cost and error of our measurement against simple standard methods."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POINT_UM = 20.0
 
 @dataclass(frozen=True)
 class Size:
-    """Number of image pairs, and of starts of the servo loop."""
+    """Numbers of image pairs, and of servo starts."""
 
     frames: int = 14
     servo_pairs: int = 20

@@ -1,4 +1,4 @@
-"""Stereo head calibration from views of one ball, and its self-check, over random heads and arms.
+"""Stereo head calibration from looks at one ball, and its self-check, over random heads and arms.
 
 The views come from the scenes' truth as numbers, without images. `plain adjustment` is the same bundle
 adjustment with every error of the arm treated as random, the usual approach.
@@ -39,7 +39,7 @@ FALSE_ALARMS_PERCENT = 2.0
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure the tool centre with an ideal and with an uncalibrated arm, and the self-check."""
+    """Measure the tool centre error with an ideal and an uncalibrated arm, and the self-check."""
     if smallest:
         return [*_measure_tool_centre(heads=1, arms=1), *_measure_check(checks=1)]
     return [*_measure_tool_centre(HEADS, ARMS), *_measure_check(CHECKS)]
@@ -68,7 +68,7 @@ def _measure_tool_centre(heads: int, arms: int) -> list[Figure]:
 
 
 def _calibrate(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
-    """Return outline error (px), tool centre error (actual, stated), and that of the plain adjustment (mm).
+    """Return outline error (px), actual and stated tool centre error, and the plain adjustment's (mm).
 
     The latter is None if it does not converge, or was not needed.
     """
@@ -107,7 +107,7 @@ def _measure_check(checks: int) -> list[Figure]:
 
 
 def _twist_camera(head: TrueHead, seed: int) -> TrueHead:
-    """Rotate a camera about a random axis perpendicular to its line of sight."""
+    """Rotate one camera about a random axis perpendicular to its line of sight."""
     angle = 2.0 * np.pi * seed / CHECKS
     turn = (TWIST_RAD * float(np.cos(angle)), TWIST_RAD * float(np.sin(angle)), 0.0)
     return head.with_twisted_camera(("left", "right")[seed % 2], turn)

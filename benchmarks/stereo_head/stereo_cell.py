@@ -1,4 +1,4 @@
-"""Arm and stereo head of a simulated cell in one process: true kinematics, rendered images, no network.
+"""In-process simulated arm and stereo head: true kinematics and rendered images, without a network.
 
 The two devices implement the interfaces used by the procedure's step. A campaign thus runs the step's own
 loop thousands of times at the cost of drawing and measuring the images.
@@ -67,7 +67,7 @@ SIX_ZEROS = (0.0,) * 6
 
 
 def with_ideal_arm(scene: Scene) -> Scene:
-    """Return the scene with the nominal arm. The repeatability error remains, 0.015 mm per axis."""
+    """Return the scene with a nominal arm, except for its repeatability error of 0.015 mm per axis."""
     exact = {
         "links": (NO_LINK_ERROR,) * 6,
         "joint_offset_rad": SIX_ZEROS,
@@ -86,7 +86,7 @@ def without_arm_errors(scene: Scene) -> Scene:
 
 @dataclass
 class CellArm:
-    """Arm whose motions all arrive immediately, on the gear flanks given by their directions."""
+    """Arm that completes every motion at once, with gear flanks set by the direction of travel."""
 
     state = Lifecycle.ACTIVE
 
@@ -123,7 +123,7 @@ class CellArm:
 
 
 class CellStereo:
-    """Stereo head that draws a pair on request."""
+    """Stereo head that renders an image pair on request."""
 
     def __init__(self, world: World) -> None:
         self._cameras = [
@@ -165,7 +165,7 @@ class CellStereo:
 
 @dataclass(frozen=True)
 class Start:
-    """A sphere, and the true position of the tool centre point before the servo."""
+    """A sphere, and the commanded tool pose from which the servo starts."""
 
     fiducial: int
     expected: Transform
@@ -173,7 +173,7 @@ class Start:
 
 
 class StereoCell:
-    """Cell of a scene, with a stereo head calibrated as in `calibration`."""
+    """Simulated cell of a scene, using the given stereo head calibration."""
 
     def __init__(self, scene: Scene, calibration: StereoHeadCalibration, folder: Path) -> None:
         self.scene = scene
@@ -191,7 +191,7 @@ class StereoCell:
         )
 
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
-        """Draw a sphere, a side to see it from, and a true tool position `away_mm` from it.
+        """Draw a sphere, a viewing direction, and a true tool position `away_mm` from the sphere.
 
         A servo begins where the path check found both lines of sight clear, so only such sides are drawn.
         Without `in_sight` only refused sides are drawn: another sphere is in the way.
@@ -219,7 +219,7 @@ class StereoCell:
         return centring.centre_on(start.fiducial, start.expected, start.near_rad)
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
-        """Centre on a sphere with measurements equal to the truth, without images."""
+        """Centre on a sphere using error-free measurements instead of images."""
 
         def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
@@ -239,7 +239,7 @@ class StereoCell:
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
 
     def rest_error_mm(self, joints_rad: JointVector, motion: int) -> Array:
-        """Return the repeatability error (3,) of a motion."""
+        """Return the repeatability error (3,) of a motion at its end."""
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
@@ -258,7 +258,7 @@ class StereoCell:
 def _build_workcell(
     arm: CellArm, stereo: CellStereo, calibration: StereoHeadCalibration, folder: Path
 ) -> Workcell:
-    """Return the procedure's workcell with these devices and its journal in the folder."""
+    """Build the procedure's workcell from these devices, with its journal in the folder."""
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
     file = parse_theatre({"theatre": "stereo cell"})  # its devices are passed in, without endpoints
     theatre = SimpleNamespace(
@@ -293,7 +293,7 @@ PLACES_SEED = 7
 
 @dataclass
 class ServoTally:
-    """Outcomes of the starts. `beyond_mm` is the recorded point's error without the repeatability error."""
+    """Servo results by start. `beyond_mm` are the point errors without the repeatability error."""
 
     starts: int = 0
     steps: list[int] = field(default_factory=list)
@@ -336,7 +336,7 @@ def servo_campaign(
 
 
 def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
-    """Return a cell with perfectly calibrated cameras, on a mount that is assumed to be nominal."""
+    """Return a cell with perfectly calibrated cameras on a mount assumed to be nominal."""
     perfect = Studio(scene).calibration()
     nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
     return StereoCell(scene, nominal, folder)

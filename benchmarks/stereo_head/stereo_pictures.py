@@ -1,4 +1,4 @@
-"""Rendered pairs of one sphere with complete ground truth, for evaluating the measurement.
+"""Rendered stereo pairs of a sphere with complete ground truth, for evaluating the measurement.
 
 The images are the simulated cameras' own, with post, grain, shading, blur and noise. The calibration is the
 truth, so only the measurement's own error remains.
@@ -42,7 +42,7 @@ GLARES = 2
 
 @dataclass(frozen=True)
 class Case:
-    """How to draw the pairs of one table row.
+    """Rendering parameters for the pairs of one table row.
 
     `reach_mm` per axis around the tool centre point; `tilt` of the post against the tool axis, largest
     slope; `rim_lost` smallest and largest share of the rim hidden by an occluder, separately for each
@@ -65,7 +65,7 @@ class Case:
 
 @dataclass(frozen=True)
 class View:
-    """A camera's image of a sphere. `true_centre_px` and `offset_px` are in full-sensor pixels."""
+    """One camera's image of a sphere. `true_centre_px` and `offset_px` are full-sensor coordinates."""
 
     picture: Picture
     offset_px: tuple[int, int]
@@ -76,7 +76,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pair:
-    """A sphere seen by both cameras, and its true position in the tool frame."""
+    """A sphere seen by both cameras, with its true position in the tool frame."""
 
     left: View
     right: View
@@ -93,7 +93,7 @@ class Studio:
     scene: Scene = field(default_factory=lambda: draw_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
-        """Yield the pairs of a case one by one, since full frames of all would use too much memory."""
+        """Yield the pairs of a case one at a time to limit memory use."""
         generator = np.random.default_rng(seed)
         cameras = (self.scene.left, self.scene.right)
         optics = [Optics(camera, self.scene.seed) for camera in cameras]
@@ -117,7 +117,7 @@ class Studio:
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
-        """Return the calibration from a laboratory without errors."""
+        """Return an error-free calibration."""
         now = datetime.now(UTC)
         identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         left, right = (
@@ -176,7 +176,7 @@ class Studio:
 
 
 def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
-    """Return centre and mean radius, px, of the ellipse through the projected points of the outline."""
+    """Return the centre and mean radius (px) of the ellipse fitted to the projected outline."""
     outline = lens.project(sphere.outline_mm())
     middle = outline.mean(axis=0)
     x, y = (outline - middle).T
@@ -214,7 +214,7 @@ def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number:
 
 
 def _area_around(lens: Lens, sphere: Sphere, size_px: tuple[int, int], sensor_px: tuple[int, int]) -> Area:
-    """Return the area of the given size around the image of a sphere's centre, inside the sensor."""
+    """Return an area of the given size around a sphere's image, shifted to fit on the sensor."""
     middle = lens.project(sphere.centre_mm[None])[0]
     x, y = (
         int(np.clip(round(at - size / 2), 0, whole - size))

@@ -1,4 +1,4 @@
-"""Both cameras full-frame, free-running at 50 frames/s: our receiver and Aravis on the same simulator.
+"""Two full-frame cameras free-running at 50 frames/s: our receiver against Aravis, on the same simulator.
 
 Packets of 8 kB, of which 0.2 % are dropped and repaired. CPU is that of the client alone; ours is that of the
 receiver process and of the driver, which copies every frame out of the shared memory. If run as superuser,
@@ -45,7 +45,7 @@ Sums = dict[str, float]
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure alternately, 3,000 pairs in total per client. Takes about five minutes as superuser."""
+    """Measure the clients alternately, 3,000 pairs each. Takes about five minutes as superuser."""
     rounds, pairs = (1, 20) if smallest else (ROUNDS, PAIRS_PER_ROUND)
     measured: dict[str, list[Sums]] = {}
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
@@ -59,7 +59,7 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 
 def _list_clients() -> dict[str, list[str]]:
-    """Return the command lines by client. Aravis is included only if installed."""
+    """Return the command line of each client, including Aravis only if it is installed."""
     clients = {OURS: [sys.executable, str(PEERS / "our_stream.py")]}
     if _has_aravis():
         clients[ARAVIS] = [SYSTEM_PYTHON, str(PEERS / "aravis_stream.py")]
@@ -69,7 +69,7 @@ def _list_clients() -> dict[str, list[str]]:
 
 
 def _has_aravis() -> bool:
-    """Return whether the bindings are installed, even broken ones, which would be a failure."""
+    """Return whether the Python bindings are installed; broken ones count, so that they fail later."""
     look = "import importlib.util as u, sys; sys.exit(u.find_spec('gi') is None)"
     if not Path(SYSTEM_PYTHON).exists():
         return False
@@ -77,7 +77,7 @@ def _has_aravis() -> bool:
 
 
 def _run_round(line: list[str]) -> Sums:
-    """Return a client's report on one round, with the kernel's drops; raises if the client failed."""
+    """Run a client for one round and return its report, adding the kernel's packet drops."""
     dropped = _count_kernel_drops()
     ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)
     if ended.returncode:
@@ -87,7 +87,7 @@ def _run_round(line: list[str]) -> Sums:
 
 
 def _count_kernel_drops() -> int:
-    """Return the number of datagrams that found their socket full on this machine since boot."""
+    """Return the number of UDP datagrams dropped since boot because a socket buffer was full."""
     names, values = (
         line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line.startswith("Udp:")
     )

@@ -1,1 +1,1 @@
-"""Target error of each localization strategy, simulated on many random arms at a phantom."""
+"""Simulated target errors of each localization strategy, over many random arms at a phantom."""

@@ -39,7 +39,7 @@ ATTEMPTS = 100_000
 
 
 class Markers(StrEnum):
-    """Marker types for registering the phantom."""
+    """Types of registration markers on the phantom."""
 
     FREE = "free"
     FRAME = "xframe"
@@ -47,7 +47,7 @@ class Markers(StrEnum):
 
 @dataclass(frozen=True)
 class Tilts:
-    """Range of tilts from the vertical, and of azimuths from the x axis."""
+    """Ranges of tilt from the vertical, and of azimuth from the x axis."""
 
     tilts_deg: tuple[float, float]
     sides_deg: tuple[float, float]
@@ -59,19 +59,19 @@ ALIKE = Tilts((25.0, 30.0), (-30.0, 30.0))
 
 @dataclass(frozen=True)
 class Phantom:
-    """Spheres (n, 3) in the order in which they are added, and the trajectories."""
+    """Sphere centres (n, 3) in the order of use, and trajectories."""
 
     spheres_mm: Array
     trajectories: tuple[Trajectory, ...]
 
 
 def counts_of(markers: Markers) -> tuple[int, ...]:
-    """Return the numbers of spheres that a registration may use. The frame has only four spheres."""
+    """Return the sphere counts available for a registration. The frame has only four spheres."""
     return (3, 4, 5) if markers is Markers.FREE else (3, 4)
 
 
 def spheres_mm(markers: Markers) -> Array:
-    """Return the centres of the spheres in the phantom frame, mm."""
+    """Return the sphere centres in the phantom frame, mm."""
     if markers is Markers.FREE:
         around = AROUND_RAD * np.arange(FREE_SPHERES)
         level, up = math.cos(ABOVE_RAD), np.full(FREE_SPHERES, math.sin(ABOVE_RAD))
@@ -91,7 +91,7 @@ def draw_phantom(
     inner_share: float = INNER_SHARE,
     tilts: Tilts = USUAL_TILTS,
 ) -> Phantom:
-    """Return the phantom with targets in a range of depths below the skin. It is drawn only once.
+    """Draw the phantom from a fixed seed, with targets in a range of depths below the skin.
 
     `inner_share` of the head's half axes bounds their positions.
     """
@@ -117,7 +117,7 @@ def draw_phantom(
 
 
 def phantom_pose(number: int) -> Transform:
-    """Return the pose of the phantom, ROBOT <- CT, in position `number`."""
+    """Return the phantom's pose, ROBOT <- CT, at position `number`."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM
     turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3) * PLACE_TURN_RAD)

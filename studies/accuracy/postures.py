@@ -1,4 +1,4 @@
-"""Joint angles of the nominal arm at every sphere and target, for one position of the phantom.
+"""Nominal arm postures at every sphere and target, for one phantom position.
 
 Joint ranges, reach and wrist singularity are checked as in a case; collisions and line of sight are not.
 """
@@ -34,7 +34,7 @@ TOOL = Transform(Frame.FLANGE, Frame.TOOL, RigidTransform.from_components(TOOL_M
 
 @dataclass(frozen=True)
 class Postures:
-    """Postures of a strategy. `localizations` are `sets` times all spheres: a set per target, or one only."""
+    """Planned postures for a strategy, with one localization set per target or a single shared one."""
 
     sets: int
     localizations: PlannedPoses  # sets * n
@@ -43,14 +43,14 @@ class Postures:
     target_arrival: Array  # (t, 6)
 
     def set_of(self, target: int) -> int:
-        """Return the number of the localization set that serves a target."""
+        """Return the index of the localization set used for a target."""
         return target if self.sets > 1 else 0
 
 
 def plan_postures(
     strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
 ) -> Postures:
-    """Plan all poses of a strategy; raises STU-010 if one is out of the arm's reach."""
+    """Plan all poses of a strategy; raises STU-010 if the arm cannot reach one."""
     arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
     is_per_trajectory = strategy.localizes_per_trajectory
@@ -85,7 +85,7 @@ def plan_postures(
 
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
-    """Return joints (p, 6) at poses approached along the tool axis, and the backlash side of each joint."""
+    """Return the joints (p, 6) for approaches along the tool axis, and each joint's backlash side."""
     joints = [arm.guide_joints(pose) for pose in poses]
     signs = [
         arrival_signs(ARM, pose, joint_vector, TOOL) for pose, joint_vector in zip(poses, joints, strict=True)
@@ -102,7 +102,7 @@ def _best_turn(
     *,
     with_target: bool,
 ) -> Trajectory:
-    """Return the trajectory with the best free angle at which everything is in reach."""
+    """Return the trajectory turned to the best free angle with all poses in reach."""
     for turn in strategy.turns_rad(along, phantom.spheres_mm, robot_from_ct, arm):
         turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
         try:
@@ -120,7 +120,7 @@ def _best_turn(
 def _nearest_turn(
     trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
 ) -> Trajectory:
-    """Return the trajectory with the free angle nearest to the wanted one at which the target is in reach."""
+    """Return the trajectory turned to the reachable free angle nearest the desired one."""
     for turn in OUTWARDS_RAD:
         turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
         try:

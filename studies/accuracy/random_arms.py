@@ -31,7 +31,7 @@ STEPS = 10
 
 
 class Source(StrEnum):
-    """A source of target error."""
+    """Source of target error."""
 
     TOOL = "tool frame"
     LINKS = "links and joint offsets"
@@ -58,12 +58,12 @@ class RandomArms:
 
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
-        """Draw the arms with these numbers."""
+        """Draw the arms with the given numbers."""
         return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
     def of(cls, drawn: list[tuple[ArmTruth, Array]]) -> Self:
-        """Build from true arms, each with its tool error (3,) mm."""
+        """Build from true arms, each paired with its tool error (3,) in mm."""
         truths = [truth for truth, _ in drawn]
         links = [truth.links for truth in truths]
         turns = np.array([[link.rotation_rad for link in arm] for arm in links])
@@ -84,7 +84,7 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """Keep the errors from one source only. CT and servo errors are not the arm's."""
+        """Return the arms with errors from one source only."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -118,7 +118,7 @@ class RandomArms:
         return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
     def _displace_point(self, link: int, point: Components) -> Components:
-        """Return a point beyond a link's end, displaced by the link's error, in the frame before the link."""
+        """Apply a link's error to a point given beyond the link's end."""
         return translate(
             multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
@@ -139,7 +139,7 @@ class RandomArms:
 
 
 def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
-    """Draw the true arm with this number, and its tool error (3,) in mm."""
+    """Draw a true arm by number, and its tool error (3,) in mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)
@@ -175,7 +175,7 @@ class PlannedPoses:
 def centre_on_spheres(
     arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
 ) -> tuple[Array, Array]:
-    """Return joints (a, p, 6) for the true tool on spheres (p, 3), and the believed positions (a, p, 3).
+    """Return joints (a, p, 6) with the true tool at spheres (p, 3), and the believed positions (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
@@ -188,7 +188,7 @@ def centre_on_spheres(
 
 
 def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
-    """Return joints (a, p, 6) that bring the nominal tool to positions (a, p, 3), oriented as planned."""
+    """Return joints (a, p, 6) with the nominal tool at positions (a, p, 3), oriented as planned."""
     joints, _ = solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
@@ -204,7 +204,7 @@ def solve_joints(
     missing: Callable[[Array, Array], Array],
     shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    """Solve for joints with zero `missing` (mm) and the tool oriented as planned. Also return its places.
+    """Solve for joints and tool places with zero `missing` (mm) and the tool oriented as planned.
 
     An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
     each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so
@@ -227,7 +227,7 @@ def solve_joints(
 
 
 def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Array, Array]:
-    """Return tool points (..., 3) in mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
+    """Return the nominal arm's tool points (..., 3) in mm and orientations robot <- flange (..., 3, 3).
 
     `joints_rad` is (..., n), `tool_mm` (3,) in the flange frame.
     """
@@ -245,7 +245,7 @@ def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Arr
 
 
 def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Components:
-    """Rotate points about a joint axis by Rodrigues' formula. All arrays have the same shape."""
+    """Rotate points about a joint axis by Rodrigues' formula. All arrays must have the same shape."""
     (x, y, z), (ax, ay, az) = point, joint.axis
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     along = (ax * x + ay * y + az * z) * (1.0 - cosine)
@@ -257,7 +257,7 @@ def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Com
 
 
 def multiply(matrix: Array, point: Components) -> Components:
-    """Multiply points by matrices (..., 3, 3), whose leading axes broadcast against the points'."""
+    """Multiply points by matrices (..., 3, 3), broadcasting over the leading axes."""
     x, y, z = point
     first, second, third = (
         matrix[..., row, 0] * x + matrix[..., row, 1] * y + matrix[..., row, 2] * z for row in range(3)

@@ -1,4 +1,4 @@
-"""One position of the phantom: strategies run on random arms, in scenarios of calibration and CT.
+"""Strategies run on random arms at one phantom position, in scenarios of calibration and CT.
 
 A trial localizes, registers and goes to the target. Every random number belongs to the seed, the markers, the
 arm and the position, so an error does not depend on which arms are run together. The CT of an arm's phantom
@@ -53,7 +53,7 @@ CT_KEY, LOOKS_KEY = 7, 8  # of the random numbers
 
 @dataclass(frozen=True)
 class Chance:
-    """Random draws for `a` arms, other than the arms themselves, with unit standard deviation per axis."""
+    """Random errors not inherent to the `a` arms, with unit standard deviation per axis."""
 
     ct: Array  # (a, n, 3)
     servo: Array  # (a, s, n, 3) of every localization
@@ -72,7 +72,7 @@ class Chance:
         *,
         scan_again: bool = False,
     ) -> Self:
-        """Draw for the arms with these numbers at a position. `shape` is (targets, spheres).
+        """Draw for the numbered arms at a position. `shape` is (targets, spheres).
 
         Strategies share the draws, so they are compared on equal terms. `scan_again` scans the
         CT at every position.
@@ -98,13 +98,13 @@ class Chance:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of the errors outside the arm, 3-D rms in mm."""
+    """Magnitudes of the errors outside the arm, as 3-D rms in mm."""
 
     ct_mm: float = CT_FLE_MM
     servo_mm: float = SERVO_MM
 
     def only(self, source: Source) -> Sizes:
-        """Keep one error source only."""
+        """Return the sizes with all but one error source set to zero."""
         return Sizes(
             self.ct_mm if source is Source.CT else 0.0, self.servo_mm if source is Source.REST else 0.0
         )
@@ -112,7 +112,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario: the calibrated parts of the arm, and the CT error (3-D rms).
+    """A scenario: which parts of the arm are calibrated, and the CT error (3-D rms).
 
     The levels are those assumed for a calibrated arm; harmonics and sag are those of set S, and so is
     backlash unless it is `known`. Without control of the approach, the side of a joint is never known.
@@ -125,7 +125,7 @@ class Scenario:
     ct_mm: float = CT_FLE_MM
 
     def remaining_errors(self, strategy: str) -> ErrorSizes:
-        """Return the errors of the arm that remain in this scenario."""
+        """Return the arm errors remaining in this scenario."""
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
@@ -138,7 +138,7 @@ class Scenario:
         return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
 
     def scale(self, arms: RandomArms, strategy: str) -> RandomArms:
-        """Scale the arms' errors down to what remains for a strategy after calibration."""
+        """Scale the arms' errors down to those remaining for a strategy after calibration."""
         arms = replace(arms, backlash_rad=arms.backlash_rad * self._remaining_backlash(strategy))
         if self.tool:
             arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
@@ -170,7 +170,7 @@ SCENARIOS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Error vectors (arms, targets, sphere counts, 3) in mm, and a prediction per target and sphere count."""
+    """Error vectors (arms, targets, sphere counts, 3) in mm, and predictions by sphere count and target."""
 
     errors_mm: Array
     predictions: list[list[TargetPrediction]]
@@ -178,7 +178,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Scene:
-    """A phantom with its markers in position `number`. Registrations use `counts` spheres."""
+    """A phantom with its markers at position `number`. Registrations use `counts` spheres."""
 
     seed: int
     markers: Markers
@@ -192,7 +192,7 @@ class Scene:
     def of(
         cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
     ) -> Self:
-        """Build with every sphere count that the markers allow, and user strategies in addition to ours."""
+        """Build a scene with all sphere counts possible for the markers. `own` are user strategies."""
         return cls(seed, markers, number, phantom, phantom_pose(number), counts_of(markers), own)
 
     @property
@@ -200,7 +200,7 @@ class Scene:
         return len(self.phantom.trajectories)
 
     def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
-        """Return a strategy's poses in this position, for arms with these errors. Raises STU-010."""
+        """Plan a strategy's poses at this position, for arms with these errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or find_strategy(strategy)
         return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)
@@ -208,7 +208,7 @@ class Scene:
     def predictions(
         self, planned: Postures, sizes: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
-        """Predict the errors by sphere count, then by target, for an unweighted fit."""
+        """Predict target errors of an unweighted fit, by sphere count and target."""
         return [
             [self._predict_target(planned, number, count, sizes, ct_mm) for number in range(self.targets)]
             for count in self.counts
@@ -232,7 +232,7 @@ class Scene:
         return predict_target_error(spheres[:count], target_mm, sources)
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
-        """Return the random draws for the arms with these numbers."""
+        """Return the random draws for the numbered arms."""
         shape = self.targets, len(self.phantom.spheres_mm)
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 
@@ -262,7 +262,7 @@ class Scene:
     def _localize_spheres(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, any_side: bool
     ) -> Array:
-        """Return the believed positions of the spheres, (a, s, n, 3) mm."""
+        """Return the believed sphere positions, (a, s, n, 3) mm."""
         spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
         count, sets = len(spheres), planned.sets
         sides = np.broadcast_to(planned.arrival, (len(arms), *planned.arrival.shape))
@@ -281,7 +281,7 @@ class Scene:
         *,
         any_side: bool = False,
     ) -> dict[str, Outcome]:
-        """Run the strategies on these arms of set S, planning and predicting for the given scenario."""
+        """Run the strategies on arms of set S, with planning and prediction adapted to the scenario."""
         single = dict.fromkeys(
             (*(FROM if BEST in strategies else ()), *(one for one in strategies if one != BEST))
         )
@@ -306,7 +306,7 @@ class Scene:
         scan_again: bool = False,
         any_side: bool = False,
     ) -> Sums:
-        """Return the length of every error in mm, keyed `strategy|spheres|arm|target`."""
+        """Return all error lengths in mm, keyed `strategy|spheres|arm|target`."""
         drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms, scan_again=scan_again)
         found: Sums = {}
         outcomes = self.outcomes(strategies, drawn, chance, scenario, any_side=any_side)

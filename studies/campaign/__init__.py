@@ -1,1 +1,1 @@
-"""Common parts of all study campaigns: units of work, workers, ledger, tables and plots."""
+"""Shared infrastructure of the studies: units of work, workers, ledger, tables and plots."""

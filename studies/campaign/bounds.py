@@ -1,4 +1,4 @@
-"""95 % confidence bounds of counts and means, so that tables state their own uncertainty."""
+"""95 % confidence bounds on counts and means, to state uncertainty in the tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Bounded:
-    """An estimate and its bounds. `low` is None for a zero count, `high` for a full count."""
+    """An estimate with bounds. `low` is None for a count of zero, `high` for a full count."""
 
     value: float
     low: float | None
@@ -26,7 +26,7 @@ class Bounded:
 
     @property
     def text(self) -> str:
-        """Bounds as text, such as `0.9 to 1.6`, `at most 0.3` or `at least 99.7`; empty if unknown."""
+        """Text such as `0.9 to 1.6`, `at most 0.3` or `at least 99.7`; empty without bounds."""
         if self.low is None:
             return "" if self.high is None else f"at most {self.high:.2g}"
         if self.high is None:
@@ -35,17 +35,17 @@ class Bounded:
 
 
 def column(of: str) -> str:
-    """Return the heading for the bounds of another column."""
+    """Return the heading of the column with another column's bounds."""
     return f"{of}, {CAPTION}"
 
 
 def cells(name: str, estimate: Bounded, of: str = "") -> dict[str, float | str]:
-    """Return the table cells of an estimate and its bounds. `of` is the column name without its unit."""
+    """Return the table cells for an estimate and its bounds. `of` is the column name without its unit."""
     return {name: estimate.value, column(of or name.rpartition(" ")[0] or name): estimate.text}
 
 
 def percent(count: float, of: float) -> Bounded:
-    """Return the share of independent runs in per cent; 0 without bounds if there are no runs."""
+    """Return the percentage of independent runs; 0 without bounds if there were no runs."""
     number, runs = round(count), round(of)
     if not runs:
         return Bounded(0.0, None, None)
@@ -61,7 +61,7 @@ def percent(count: float, of: float) -> Bounded:
 
 
 def number(count: float) -> Bounded:
-    """Return the mean of a Poisson distribution given one observed count, with exact (Garwood) bounds."""
+    """Return the mean of a Poisson distribution from one observed count, with exact (Garwood) bounds."""
     from scipy.stats import chi2
 
     if not round(count):
@@ -71,7 +71,7 @@ def number(count: float) -> Bounded:
 
 
 def mean(values: ArrayLike) -> Bounded:
-    """Return the mean of independent values, with Student's t bounds; no bounds for a single value."""
+    """Return the mean of independent values with Student's t bounds, or without for a single value."""
     array = np.asarray(values, dtype=float)
     value = float(array.mean())
     if len(array) < 2:
@@ -83,7 +83,7 @@ def mean(values: ArrayLike) -> Bounded:
 
 
 def mean_length(values: ArrayLike) -> Bounded:
-    """Return the mean of lengths, with a lower bound of at least 0."""
+    """Return the mean of lengths, with the lower bound clipped at 0."""
     bound = mean(values)
     return bound if bound.low is None else replace(bound, low=max(0.0, bound.low))
 

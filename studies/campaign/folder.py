@@ -1,4 +1,4 @@
-"""Folder of a study: the ledger of finished units, and the published results.
+"""Study folder, containing the ledger of finished units and the published results.
 
 The ledger has one JSON line per unit; an interrupted study resumes from it.
 """
@@ -28,13 +28,13 @@ RESULTS, REPORT = "results.json", "report.md"
 
 
 def source_files(root: Path) -> list[Path]:
-    """List the modules below `root` on which results depend, in a fixed order."""
+    """List the source files that affect the results, in a fixed order."""
     return [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
 
 
 @cache
 def code() -> str:
-    """Return the program version and a hash of the sources, whose constants are in no study's settings."""
+    """Return the program version and a hash of the sources, since settings omit constants in the code."""
     root, digest = Path(studies.__file__).parents[1], hashlib.sha256()
     for file in source_files(root):
         digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
@@ -42,7 +42,7 @@ def code() -> str:
 
 
 def head_of(study: Study) -> dict[str, object]:
-    """Return the first line of a ledger, with a hash of everything that determines the results."""
+    """Return the ledger's first line, with a hash of the study's name and settings."""
     settings = study.settings()
     return {
         "study": study.name,
@@ -53,13 +53,13 @@ def head_of(study: Study) -> dict[str, object]:
 
 
 class Ledger:
-    """Ledger of a study's finished units, in a folder.
+    """Ledger of a study's finished units, stored in its folder.
 
     The first line identifies the study: results of other settings or other code are not added to.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or start the ledger; raises STU-001 for another study, STU-002 if not identified."""
+        """Open or create the ledger; raises STU-001 for a different study, STU-002 if unidentifiable."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
@@ -77,11 +77,11 @@ class Ledger:
         self._append({"unit": unit.key, "sums": sums, "sha256": _hash(unit.key, sums)})
 
     def missing(self) -> list[Unit]:
-        """Return the units still to be run, in study order."""
+        """Return the unfinished units in study order."""
         return [unit for key, unit in self._units.items() if key not in self.finished]
 
     def results(self) -> Iterator[tuple[Unit, Sums]]:
-        """Yield the finished units in study order, not in order of completion."""
+        """Yield the finished units in study order, regardless of the order of completion."""
         for key, unit in self._units.items():
             if key in self.finished:
                 yield unit, self.finished[key]
@@ -125,7 +125,7 @@ def _hash(key: str, sums: Sums) -> str:
 
 
 def _parse_finished(line: bytes) -> tuple[str, Sums] | None:
-    """Return the unit of a line and its sums; None if the line is damaged or does not match its hash."""
+    """Parse a ledger line into unit and sums, or return None if it is damaged or its hash is wrong."""
     try:
         content = parse_json(line)
         key, sums = content["unit"], content["sums"]
@@ -159,7 +159,7 @@ def publish(
     tables: Sequence[Table],
     plots: Mapping[str, bytes],
 ) -> Path:
-    """Write everything into `folder` and return the path of the report."""
+    """Write all results into `folder` and return the path of the report."""
     document = {
         "study": title,
         "settings": dict(settings),

@@ -1,4 +1,4 @@
-"""Plots of the studies as PNG bytes. Imports matplotlib only when a plot is drawn."""
+"""Study plots as PNG bytes. Matplotlib is imported only when a plot is drawn."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def curves(
     *,
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
-    """Plot named curves over a common axis with named ranges. Bounds are drawn as a band."""
+    """Plot labelled curves with their bounds as bands, over optional labelled ranges of the x axis."""
     figure, axes = _make_figure(title, x_label, y_label)
     for name, points in lines.items():
         places, values = [x for x, _ in points], _list_bounded(points)
@@ -62,7 +62,7 @@ def bars(
     logarithmic: bool = False,
     x_label: str = "",
 ) -> bytes:
-    """Plot grouped bars: group -> series -> value, with whiskers for the bounds.
+    """Plot grouped bars (group -> series -> value), with bounds as whiskers.
 
     A zero count has no bar: a downward triangle marks its upper bound.
     """
@@ -102,7 +102,7 @@ def bars(
 
 
 def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
-    """Plot a box per group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
+    """Plot a box per group: quartiles, median, mean as a cross, whiskers to 1.5 IQR, no outliers."""
     figure, axes = _make_figure(title, "", y_label, fontsize=9)
     axes.boxplot(
         [np.asarray(values) for values in groups.values()],
@@ -127,7 +127,7 @@ def _as_bounded(value: float | Bounded) -> Bounded:
 
 
 def _bounds_or_value(one: Bounded) -> tuple[float, float]:
-    """Return the bounds, with the value in place of a missing bound."""
+    """Return the bounds, substituting the value for a missing one."""
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 

@@ -21,7 +21,7 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Unit:
-    """Block `block` of the runs of a condition, whose key is readable, such as `patient 1, 4 fiducials`."""
+    """Block number `block` of the runs under one condition."""
 
     condition: str
     block: int
@@ -33,7 +33,7 @@ class Unit:
 
 
 class Study(Protocol):
-    """A picklable study, whose `run` depends on nothing but its arguments."""
+    """A picklable study, whose `run` depends only on its fields and its argument."""
 
     @property
     def name(self) -> str:
@@ -41,25 +41,25 @@ class Study(Protocol):
         ...
 
     def settings(self) -> dict[str, object]:
-        """Return everything the results depend on, as plain data."""
+        """Return everything that affects the results, as plain data."""
         ...
 
     def units(self) -> Sequence[Unit]:
-        """Return all units, in a fixed order that does not depend on the workers."""
+        """Return all units in a fixed order, independent of the workers."""
         ...
 
     def run(self, unit: Unit) -> Sums:
-        """Carry out one unit."""
+        """Run one unit and return its sums."""
         ...
 
 
 def omit_empty_own(settings: dict[str, object]) -> dict[str, object]:
-    """Return the settings without the entry for user methods if it is empty."""
+    """Return the settings, omitting the entry for user methods if it is empty."""
     return {key: value for key, value in settings.items() if key != "own" or value}
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
-    """Return the random generator of a unit, seeded by the study's seed, the condition and the block only."""
+    """Return a unit's random generator, seeded only by study seed, condition and block."""
     condition = zlib.crc32(unit.condition.encode())
     return np.random.default_rng(np.random.SeedSequence([seed, condition, unit.block]))
 
@@ -72,7 +72,7 @@ def blocks(condition: str, runs: int, block_runs: int) -> list[Unit]:
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
-    """Add up the sums of each condition, in order of the conditions."""
+    """Total the sums of each condition, preserving the order of conditions."""
     total: dict[str, Counter[str]] = {}
     for unit, sums in finished:
         total.setdefault(unit.condition, Counter()).update(sums)
@@ -90,7 +90,7 @@ class Table:
 
     @classmethod
     def of(cls, title: str, rows: Iterable[Mapping[str, Cell]], note: str = "") -> Self:
-        """Build from rows that are mappings from the same columns to their cells."""
+        """Build a table from rows that map the same columns to cells."""
         listed = list(rows)
         return cls(title, list(listed[0]) if listed else (), [tuple(row.values()) for row in listed], note)
 
@@ -102,7 +102,7 @@ class Table:
         return "\n".join([*lines, "", self.note, ""]) if self.note else "\n".join([*lines, ""])
 
     def csv(self) -> str:
-        """Return the table as CSV for a spreadsheet, with all digits."""
+        """Return the table as CSV for a spreadsheet, at full precision."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.columns)
@@ -120,7 +120,7 @@ class Table:
 
 
 def yes_or_no(met: bool) -> str:
-    """Format whether a goal was met, so that a missed goal stands out."""
+    """Format whether a goal was met, so that missed goals stand out."""
     return "yes" if met else "NO"
 
 

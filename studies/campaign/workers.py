@@ -1,4 +1,4 @@
-"""Execution of a study's units: in this process, on this computer's cores, or on a Dask cluster.
+"""Execution of study units in this process, on this computer's cores, or on a Dask cluster.
 
 A user method that does not respond is named: an endless loop looks like long work.
 """
@@ -48,7 +48,7 @@ def run_study(
     progress: Callable[[float], None] = lambda share: None,
     tell: Tell = lambda text: None,
 ) -> None:
-    """Run the missing units and record them. `workers=1` stays in this process; None uses every core.
+    """Run the missing units and record them. `workers=1` uses this process, and None all cores.
 
     User methods always run in other processes: a crash there does not end the campaign, and `tell` is called
     with the name of one that does not respond. Raises STU-003 to STU-005, for user methods STU-012 to
@@ -66,16 +66,16 @@ def run_study(
 
 
 class SilenceWatch:
-    """Monitor that reports, once, each unit that has been running for `limit_s`."""
+    """Monitor that reports, once each, the units running for longer than `limit_s`."""
 
     def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
-        """Monitor calls of the user methods `names`. Without any, report nothing."""
+        """Monitor the user methods called `names`; without any names, nothing is reported."""
         self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
         self._since: dict[str, float] = {}
         self._announced: set[str] = set()
 
     def report_silent(self, keys: Iterable[str]) -> None:
-        """Report units that have run too long. Call at least every `limit_s` with the running units."""
+        """Report overdue units. Call at least every `limit_s` with the keys of the running ones."""
         now_s = time.monotonic()
         since = {key: self._since.get(key, now_s) for key in keys}
         self._since = since
@@ -108,7 +108,7 @@ def _runner(
 
 
 def _list_plugins(study: Study) -> tuple[PluginMethod, ...]:
-    """Return the user methods in a study; empty if it accepts none."""
+    """Return a study's user methods, or an empty tuple if it does not support any."""
     return getattr(study, "own", ())
 
 
@@ -130,7 +130,7 @@ def _on_pool(
 
 
 def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
-    """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
+    """Build the error for a lost worker, listing the units that it may have been running."""
     among = f", in {' or '.join(keys)}"
     if own := _list_plugins(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
@@ -138,7 +138,7 @@ def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
 
 
 def _require_address(scheduler: str) -> None:
-    """Raise an error unless the text is an address. Dask's client would fail late and half constructed."""
+    """Reject anything but a scheduler address, for which Dask's own client would fail late."""
     try:
         parts = urlsplit(scheduler)
         whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port

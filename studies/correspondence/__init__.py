@@ -1,1 +1,1 @@
-"""Correspondence methods, compared by the thesis' protocols and ours."""
+"""Comparison of correspondence methods, by the thesis' protocols and our own."""

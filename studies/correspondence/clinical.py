@@ -1,4 +1,4 @@
-"""Clinical pairing protocol of the thesis (5.3.2): 17 localized scans of the x-shaped frame, 1,415 readings.
+"""The thesis' clinical pairing protocol (5.3.2): 17 localized scans of the x-shaped frame, 1,415 readings.
 
 The scans are those of the localization study, each with a scale error. The readings come from the simulated
 tracker over its protocol, with the frame alone in the room. The thesis' method pairs the output of our copy
@@ -80,7 +80,7 @@ LIMIT_S = 60.0  # host time, as a safeguard
 
 @dataclass(frozen=True, eq=False)
 class ClinicalStudy:
-    """Pairing of every reading (n, 4, 3), mm, with every scan; a unit per scan."""
+    """Pairing of all readings (n, 4, 3), mm, with every scan, one unit per scan."""
 
     readings_mm: Array
     seed: int = 0
@@ -100,7 +100,7 @@ class ClinicalStudy:
         return [Unit(scan.condition, 0, len(self.readings_mm)) for scan in SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Return the outcomes of our method, and of the thesis' method for each e."""
+        """Count the outcomes of our method, and of the thesis' method for each e."""
         (drawn,) = (scan for scan in SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -141,7 +141,7 @@ class ClinicalStudy:
         return sums
 
     def _shuffle_readings(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
-        """Return the readings with their spheres in random order, and the correct pairs."""
+        """Shuffle the spheres of each reading, and return the readings with their correct pairs."""
         many, spheres = self.readings_mm.shape[:2]
         order = random.permuted(np.tile(np.arange(spheres), (many, 1)), axis=1)
         seen = np.take_along_axis(self.readings_mm, order[:, :, None], axis=1)
@@ -149,7 +149,7 @@ class ClinicalStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate the values of e at which the thesis' method pairs every reading, and our success."""
+    """Tabulate the values of e with which the thesis' method pairs every reading, and our success."""
     rows: list[dict[str, Cell]] = []
     for kind, (low, high) in THESIS_RANGES_MM.items():
         against = success_against_tolerance(sums, kind)
@@ -197,7 +197,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple[float, float]]:
-    """Return, by e in mm, the share of readings that the validated thesis method pairs in a kind of scan."""
+    """Return the validated thesis method's success rate by e (mm), for one kind of scan."""
     found = [(e, *_success_share(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
     return [(e, share) for e, runs, share in found if runs]
 
@@ -215,7 +215,7 @@ def _success_share(sums: Mapping[str, Sums], kind: str, method: Method, toleranc
 def load_or_take_readings(
     folder: Path, count: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
-    """Return the readings stored in a study's folder. Takes them first if there are none.
+    """Return the readings stored in the study's folder, taking them first if necessary.
 
     Raises STU-001, STU-002, STU-008.
     """
@@ -236,7 +236,7 @@ def load_or_take_readings(
 
 
 def take_readings(count: int, seed: int, progress: Callable[[float], None] = lambda share: None) -> Array:
-    """Take `count` readings (n, 4, 3) in the tracker's frame, mm, spheres in frame order. Raises STU-008."""
+    """Take `count` readings (n, 4, 3) in the tracker frame, mm, spheres in frame order. Raises STU-008."""
     random = np.random.default_rng([seed, count])
     readings: list[Array] = []
     shares = np.diff(np.linspace(0, count, min(ORIENTATIONS, count) + 1).astype(int))
@@ -252,7 +252,7 @@ def take_readings(count: int, seed: int, progress: Callable[[float], None] = lam
 def _take_whole_reading(
     read_frame_at: Callable[[Array], Array], frame_mm: Array, random: np.random.Generator
 ) -> Array:
-    """Take a reading with all four spheres, skipping positions that do not show them, as a person would."""
+    """Take a reading of all four spheres, trying random positions until all are visible."""
     for _ in range(ATTEMPTS):
         place_mm = _draw_place(random)
         seen_mm = read_frame_at(place_mm)
@@ -264,7 +264,7 @@ def _take_whole_reading(
 
 
 def _draw_place(random: np.random.Generator) -> Array:
-    """Draw a position uniformly in the volume, whose cross-section grows with the square of the distance."""
+    """Draw a position uniformly distributed over the pyramidal measurement volume."""
     near, far = DEPTH_MM
     depth = random.uniform(near**3, far**3) ** (1.0 / 3.0)
     across = random.uniform(-1.0, 1.0, 2) * (HALF_WIDTH * depth - MARGIN_MM)
@@ -272,7 +272,7 @@ def _draw_place(random: np.random.Generator) -> Array:
 
 
 def _draw_orientation(random: np.random.Generator) -> Rotation:
-    """Draw an orientation facing the tracker, turned about the frame's normal and tilted."""
+    """Draw an orientation facing the tracker, rotated about the frame's normal and tilted."""
     turn = Rotation.from_rotvec([0.0, 0.0, random.uniform(0.0, 2.0 * np.pi)])
     about = random.uniform(0.0, 2.0 * np.pi)
     tilt = random.uniform(0.0, LARGEST_TILT_RAD) * np.array([np.cos(about), np.sin(about), 0.0])
@@ -281,7 +281,7 @@ def _draw_orientation(random: np.random.Generator) -> Rotation:
 
 @contextmanager
 def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
-    """Open a unit and its driver. Yield a function that reads the spheres at a position (3,) of the frame."""
+    """Start a tracker unit and its driver. Yield a function that reads the frame at a position (3,)."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
         scene.write_text(json.dumps(_bench_scene(orientation, seed)), encoding="utf-8")
@@ -306,7 +306,7 @@ def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], A
 
 
 def _bench_scene(orientation: Rotation, seed: int) -> dict[str, Any]:
-    """Return a bench scene with only the frame, at the origin. Robot and tracker frame coincide."""
+    """Return a bench scene containing only the frame, with coincident robot and tracker frames."""
     words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
     done = run_command("ronna-sim scene", words, LIMIT_S)
     if done.returncode != 0:

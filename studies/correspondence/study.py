@@ -1,4 +1,4 @@
-"""Correspondence protocol of the thesis: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
+"""The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
 
 Each method solves every run on the same points. A run is successful if exactly the true pairs are returned.
 It is false with a wrong pair, partial if the pairs are right but incomplete, and otherwise lost. The thesis
@@ -56,7 +56,7 @@ USUAL_TOLERANCES_MM = (1.5, 2.5)
 
 
 class Method(StrEnum):
-    """Our method; ours with prior knowledge from the plan; the thesis' method, as found and validated."""
+    """Our method, alone or with prior knowledge from the plan; the thesis' method, raw or validated."""
 
     CLIQUE = "clique"
     PRIOR = "clique + orientation"
@@ -71,7 +71,7 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` per patient and condition. The thesis' methods use each e in `tolerances_mm`.
+    """Correspondence study with `runs` per condition, and every e in `tolerances_mm` for the thesis' methods.
 
     The thesis' validation refuses `refused_share` of the correct pairings.
     """
@@ -90,7 +90,7 @@ class CorrespondenceStudy:
         return omit_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
-        """List the conditions in the order noise model, patient, fiducials, outliers."""
+        """List the units in the order noise model, patient, fiducials, outliers."""
         return [
             unit
             for reading in self.readings
@@ -101,7 +101,7 @@ class CorrespondenceStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Return the outcome counts of every method, keyed `method|e|outcome`."""
+        """Count the outcomes of every method, keyed `method|e|outcome`."""
         reading, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         seen = draw_readings(sites_mm(patient), count, outliers, reading, unit.runs, random)
@@ -131,7 +131,7 @@ class CorrespondenceStudy:
     def _count_thesis_outcomes(
         self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
     ) -> Counter[str]:
-        """Count the outcomes of the thesis' pairing for every e, as found and after its validation."""
+        """Count the outcomes of the thesis' pairing for every e, before and after its validation."""
         sums: Counter[str] = Counter()
         for tolerance_mm in self.tolerances_mm:
             found = match_many_by_similarity(
@@ -173,7 +173,7 @@ def condition_key(reading: NoiseReading, patient: int, fiducials: int, outliers:
 
 
 def condition_of(key: str) -> tuple[NoiseReading, int, int, int]:
-    """Parse a condition from its text."""
+    """Parse a condition key."""
     reading, patient, fiducials, outliers = key.split("|")
     return NoiseReading(reading), int(patient), int(fiducials), int(outliers)
 
@@ -198,7 +198,7 @@ def pair_points(
     expected: int | None = None,
     prior: Prior | None = None,
 ) -> Match:
-    """Pair by our method, given the errors stated in the thesis."""
+    """Pair by our method, assuming the errors stated in the thesis."""
     return match(
         image_mm,
         physical_mm,
@@ -210,7 +210,7 @@ def pair_points(
 
 
 def _satisfies_prior(plain: Match, prior: Array) -> bool:
-    """Return whether a prior (3, 3) leaves the solution unchanged, so that no second search is needed.
+    """Return whether the solution complies with a prior (3, 3), so that a second search is unnecessary.
 
     A prior only removes hypotheses. The best of all remains the best unless it is removed itself.
     """

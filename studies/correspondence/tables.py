@@ -1,4 +1,4 @@
-"""Outcome tables of the correspondence study in the thesis' terms, next to the thesis' figures."""
+"""Outcome tables of the correspondence study, in the thesis' terms and next to its figures."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ class Series:
 
     @property
     def tolerance_mm(self) -> float | None:
-        """Parameter e of the method, mm."""
+        """The method's parameter e in mm, or None for our methods."""
         return float(self.tolerance) if self.tolerance else None
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Shares of the runs in per cent: in total, and as a range over the numbers of outliers.
+    """Percentages of the runs: overall, and as a range over the numbers of outliers.
 
     `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
     """
@@ -90,16 +90,16 @@ class Shares:
 
     @property
     def lost(self) -> float:
-        """Share of runs without any answer."""
+        """Percentage of runs without any answer."""
         return self.unsuccessful - self.part
 
     def bound_share(self, share: float) -> Bounded:
-        """Return a share of the runs in per cent, with its bounds."""
+        """Add confidence bounds to a percentage of the runs."""
         return percent(share / 100.0 * self.runs, self.runs)
 
 
 def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
-    """Return the outcome shares of each series, pooled over patients."""
+    """Return the outcome percentages of each series, pooled over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
     for condition, content in sums.items():
         noise, _, fiducials, outliers = condition_of(condition)
@@ -157,7 +157,7 @@ def _format_range(ends: Range) -> str:
 
 
 def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
-    """Tabulate counts pooled over 5 to 8 fiducials, because single cells are too small to judge."""
+    """Tabulate counts pooled over 5 to 8 fiducials, since single cells are too small to judge."""
     rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
@@ -225,7 +225,7 @@ def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
 def _format_tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
-    """Format the values of e at which all members hold, joining neighbouring values to ranges."""
+    """Format the values of e at which all members satisfy `holds`, merging neighbours into ranges."""
     good = [all(holds(series, one) for series, one in members if float(series.tolerance) == e) for e in tried]
     spans: list[list[float]] = []
     for number, (e, one) in enumerate(zip(tried, good, strict=True)):
@@ -249,7 +249,7 @@ def _is_false_within(series: Series, one: Shares) -> bool:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot the success of the thesis' validated method against its parameter e, one plot per noise model."""
+    """Plot the success rate of the thesis' validated method against e, one plot per noise model."""
     found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
@@ -267,7 +267,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot runs without success by fiducials and method, one plot per noise model."""
+    """Plot unsuccessful and false runs by fiducials and method, one plot per noise model."""
     found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):

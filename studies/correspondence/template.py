@@ -1,4 +1,4 @@
-"""Comparison of three and four template-implanted markers with five to eight markers placed freely.
+"""Comparison of three or four markers implanted by template with five to eight placed freely.
 
 The thesis' protocol (5.3.1) on its three heads, except for the sites. They are not random and displaced by up
 to 10 mm, but from the template that `ronna-plan template` makes for each head, each sphere slightly off.
@@ -56,7 +56,7 @@ PLAIN, COUNTED, TEMPLATE, ORIENTED = "distances", "+ planned count", "template",
 
 @dataclass(frozen=True)
 class TemplateStudy:
-    """`runs` for each noise model, head, number of markers and number of outliers."""
+    """Template study with `runs` per noise model, head, number of markers and number of outliers."""
 
     runs: int
     seed: int = 0
@@ -67,7 +67,7 @@ class TemplateStudy:
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
-        """List the conditions in the order noise model, patient, markers, outliers."""
+        """List the units in the order noise model, patient, markers, outliers."""
         return [
             unit
             for noise in NoiseReading
@@ -78,7 +78,7 @@ class TemplateStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Return the outcome counts of every method, keyed `method|outcome`."""
+        """Count the outcomes of every method, keyed `method|outcome`."""
         noise, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
@@ -96,7 +96,7 @@ class TemplateStudy:
 
 @cache
 def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
-    """Return the template's spheres (count, 3) on a head of the study."""
+    """Return the template's sphere positions (count, 3) on one of the study's heads."""
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=HALF_AXES_MM[patient])
     return np.array(propose_template(head, count, margin_mm).centres_mm)
 

@@ -28,7 +28,7 @@ BOX_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True, eq=False)
 class PhantomScan:
-    """A volume and its spheres: centres (n, 3) in LPS mm, and whether each is fully in the field of view.
+    """A volume with its sphere centres (n, 3) in LPS mm, and whether each is fully in the field of view.
 
     `objects` that are no markers but resemble them are beside these.
     """
@@ -61,7 +61,7 @@ def phantom_scan(
 def scan_phantom(
     folder: Path, family: str, protocol: str, seed: int, fiducials: str = "free", markers: int | None = None
 ) -> tuple[Path, dict[str, Any]]:
-    """Write a scan into the folder: series and truth. Raises STU-006."""
+    """Generate a scan in the folder and return its series path and ground truth. Raises STU-006."""
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
     arguments += [] if markers is None else ["--markers", str(markers)]
     words = command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments)
@@ -73,7 +73,7 @@ def scan_phantom(
 
 
 def bound_mm(truth: dict[str, Any]) -> float:
-    """Return the Cramér-Rao bound, 3-D rms, for a homogeneous ball in white noise.
+    """Return the Cramér-Rao bound (3-D rms) for a homogeneous ball in white noise.
 
     sigma_x = (sigma / C) sqrt(v 2 sqrt(pi) s 3 / (4 pi R^2)) per axis, for noise sigma, contrast C, voxel
     volume v, isotropic blur s and radius R.

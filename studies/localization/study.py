@@ -1,4 +1,4 @@
-"""Sphere localization in phantom CTs: ours and the thesis' two methods, on families not used for tuning.
+"""Sphere localization in phantom CTs by our method and the thesis' two, on families not used for tuning.
 
 Also the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
 its known coordinates and to each other, and FLE is computed from FRE. Human picks are simulated with the FLE
@@ -67,7 +67,7 @@ AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 @dataclass(frozen=True)
 class LocalizationStudy:
-    """Number of volumes per family and protocol, and of five-scan sets of the frame."""
+    """Localization study by number of volumes per family and protocol, and of five-scan frame sets."""
 
     volumes: int
     sets: int = 1
@@ -87,7 +87,7 @@ class LocalizationStudy:
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
+        """Return counts and sums of squares (mm2) for one volume or one set of frame scans."""
         family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
@@ -107,7 +107,7 @@ class LocalizationStudy:
 
 
 def localize_by(method: Method, volume: Volume) -> Localization | None:
-    """Localize by a built-in method. Return None without a plausible number of markers."""
+    """Localize by a built-in method, or return None if the marker count is implausible."""
     try:
         if method is Method.OURS:
             return localize(volume)
@@ -126,7 +126,7 @@ def _count_localization(method: Method, scan: PhantomScan) -> dict[str, float]:
 def _count_outcomes(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
-    """Count hits, misses and errors in a volume. Covariances are judged only if there are markers.
+    """Count hits, misses and errors in a volume. Covariances are judged only if `markers` are given.
 
     Spheres cut by the field of view count neither as missed nor as false.
     """
@@ -162,7 +162,7 @@ def _count_outcomes(
 
 
 def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
-    """Localize five scans of the frame. Return the FRE to its coordinates and of the ten pairs, by method."""
+    """Localize five scans of the frame. Return each method's FREs to the frame and between scans."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
@@ -187,7 +187,7 @@ def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocaliz
 
 
 def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
-    """Return squared FREs (mm2) of all scans (4, 3), to the frame's coordinates and to each other."""
+    """Sum the squared FREs (mm2) of all scans (4, 3), to the frame's coordinates and to each other."""
     frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
     for who, scans in points.items():
@@ -209,7 +209,7 @@ def _refine_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
 
 
 def _match_in_order(found_mm: Array, centres_mm: Array) -> Array | None:
-    """Return the found points in the order of the true points; None unless they match one to one."""
+    """Reorder the found points like the true ones, or return None unless they match one to one."""
     if len(found_mm) == 0:
         return None
     distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)

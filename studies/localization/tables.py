@@ -36,7 +36,7 @@ FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
 def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """Return all tables of the study. The goals come last, if evaluation families were scanned."""
+    """Return all tables of the study, ending with the goals if evaluation families were scanned."""
     held = goals(sums)
     return [*tables(sums), held] if held is not None else tables(sums)
 
@@ -45,7 +45,7 @@ Condition = tuple[str, str]  # family and protocol
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate the pooled results, the results by family, and the thesis' tables 2 and 3."""
+    """Tabulate pooled results, results by family, and the errors of the thesis' tables 2 and 3."""
     scans, frames = _split_scans(sums)
     of_frames = [_tabulate_fle(frames)] if frames else []
     if not scans:
@@ -78,7 +78,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot the rms error per family and method, one plot per protocol."""
+    """Plot the rms error by family and method for each protocol, and the frame's FLE."""
     pictures = {}
     scans, frames = _split_scans(sums)
     for protocol in _list_protocols(scans):
@@ -100,7 +100,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def goals(sums: Mapping[str, Sums]) -> Table | None:
-    """Compare ours with the goals, on families not used for tuning; None without such families."""
+    """Compare our results with the goals, or return None if no evaluation families were scanned."""
     scans = {
         condition: total for condition, total in _split_scans(sums)[0].items() if condition[0] in JUDGING
     }
@@ -128,7 +128,7 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
 
 
 def _split_scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
-    """Return the sums of the scans by condition, and the sums of all sets of the frame."""
+    """Separate the sums of volumes, by condition, from the sums of all frame sets."""
     scans: dict[Condition, Sums] = {}
     frames: Counter[str] = Counter()
     for condition, content in sums.items():
@@ -160,7 +160,7 @@ def _pool_scans(
 
 
 def _make_fle_bars(total: Sums) -> dict[str, dict[str, float]]:
-    """Return our figures and the thesis' side by side; empty where the thesis has none."""
+    """Return our FLE figures next to the thesis', omitting any missing ones."""
     groups: dict[str, dict[str, float]] = {}
     for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _tabulate_fle(total).rows:
         named = {
@@ -211,14 +211,14 @@ def _rms_um(total: Sums, method: str) -> bounds.Bounded:
 
 
 def methods_of(total: Sums) -> list[str]:
-    """Return the built-in methods in order, then the user methods."""
+    """Return the built-in methods in fixed order, followed by the user methods."""
     there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
     known = [method.value for method in AUTOMATIC if method in there]
     return [*known, *(one for one in there if one not in known)]
 
 
 def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
-    """Return the upper edge of the histogram bin at which the share is reached."""
+    """Return the upper edge of the histogram bin in which the share is reached, in µm."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
     reached = 0.0
@@ -240,7 +240,7 @@ def _describe_cut_spheres(total: Sums) -> str:
 
 
 def _tabulate_fle(total: Sums) -> Table:
-    """Tabulate FLE from FRE: by eq. 36 against the frame's coordinates, by eq. 38 between scans."""
+    """Tabulate FLE derived from FRE: by eq. 36 to the frame's coordinates, by eq. 38 between scans."""
     rows: list[dict[str, Cell]] = []
     people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
     known = [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]
@@ -294,7 +294,7 @@ def _judge_accuracy(total: Sums, protocol: str, streaked: bool, found: float) ->
 
 
 def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell]]:
-    """Judge a single family and protocol, since pooling would hide a bad one behind a good one."""
+    """Judge a single family and protocol, since pooling could mask a bad one."""
     found = sum_of_method(total, Method.OURS, "found")
     if not found:
         return []
@@ -309,7 +309,7 @@ def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell
 
 
 def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
-    """Judge the stated covariances of a family over all protocols, since one has too few spheres."""
+    """Judge a family's stated covariances over all protocols, since one has too few spheres."""
     found = sum_of_method(total, Method.OURS, "found")
     if not found:
         return []

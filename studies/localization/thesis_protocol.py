@@ -1,4 +1,4 @@
-"""Localization protocol of the thesis: 12 patient and 8 phantom scans, 116 spheres, one frame in each.
+"""The thesis' localization protocol: 12 patient and 8 phantom scans, 116 spheres, one frame in each.
 
 Phantoms stand in for both. The number of spheres implies that some scans contain more than the frame's four;
 their distribution is our choice, and the frame is the close one. Every scan has its own scale error, as with
@@ -48,7 +48,7 @@ SCALE_ERRORS = (0.0, 1.0 / 500.0, 1.0 / 250.0, LARGEST_SCALE_ERROR)
 
 @dataclass(frozen=True)
 class ThesisScan:
-    """A scan of a patient or phantom: its number, phantom family and number of spheres."""
+    """A patient or phantom scan: its number, phantom family and number of spheres."""
 
     kind: str
     number: int
@@ -70,20 +70,20 @@ THESIS_SCANS: tuple[ThesisScan, ...] = (
 
 
 def draw_scale(random: np.random.Generator, count: int, largest: float = LARGEST_SCALE_ERROR) -> Array:
-    """Draw factors (count, 3) by which scans are too large along left, posterior and superior."""
+    """Draw scanner scale factors (count, 3) along left, posterior and superior."""
     plane, feed = random.uniform(-largest, largest, (2, count))
     return np.asarray(1.0 + np.column_stack([plane, plane, feed]))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizedScan:
-    """Result of a method in a scan: centres (n, 3) in LPS mm, and CPU time."""
+    """One method's result for a scan: centres (n, 3) in LPS mm, and CPU time."""
 
     centres_mm: Array
     cpu_s: float
 
     def frame_mm(self, scale: Array) -> Array | None:
-        """Return the frame's spheres (4, 3) in order, in a scan of this scale; None if none is accepted."""
+        """Return the frame's spheres (4, 3) in order after scaling, or None if no layout matches."""
         seen_mm = self.centres_mm * scale
         try:
             return np.asarray(seen_mm[find_layout(FRAME_MM, seen_mm).order])
@@ -104,7 +104,7 @@ def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
 
 @dataclass(frozen=True)
 class ThesisLocalizationStudy:
-    """One unit per scan. Only the CPU times differ from run to run."""
+    """Localization study by the thesis' protocol. Only the CPU times differ from run to run."""
 
     seed: int = 0
     name: str = "localization-thesis"
@@ -124,7 +124,7 @@ class ThesisLocalizationStudy:
         return [Unit(scan.condition, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Return counts, CPU seconds, and the frame coordinates found by each method, mm."""
+        """Return each method's counts, CPU seconds, and frame coordinates in mm."""
         (drawn,) = (scan for scan in THESIS_SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -146,7 +146,7 @@ class ThesisLocalizationStudy:
 
 
 def points_as_sums(who: str, points_mm: Array) -> Sums:
-    """Encode coordinates (4, 3) as entries of the only unit of a condition."""
+    """Encode coordinates (4, 3) as sums, for conditions with a single unit."""
     return {
         f"{who}|{row} {axis}": float(value)
         for row, point in enumerate(points_mm)
@@ -155,7 +155,7 @@ def points_as_sums(who: str, points_mm: Array) -> Sums:
 
 
 def points_of(sums: Sums, who: str) -> Array | None:
-    """Decode the coordinates (4, 3); None if the frame was not found."""
+    """Decode the coordinates (4, 3), or return None if the frame was not found."""
     keys = [[f"{who}|{row} {axis}" for axis in AXES] for row in range(len(FRAME_MM))]
     if keys[0][0] not in sums:
         return None
@@ -200,7 +200,7 @@ def _tabulate_detection(sums: Mapping[str, Sums]) -> Table:
 
 
 def fle_mm(scans: Sequence[Array], scales: Array) -> tuple[float, float, float]:
-    """Compute the FLE in mm of scans (4, 3), axes scaled by `scales` (d, s, 3), as means over the draws.
+    """Compute FLE and FRE in mm from scans (4, 3) with axes scaled by `scales` (d, s, 3).
 
     FLE by eq. 36 against the frame's coordinates, averaged over the scans; the underlying FRE, likewise; FLE
     by eq. 37 and 38 between all pairs of scans.
@@ -223,7 +223,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
 
 
 def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
-    """Return the frame in every phantom scan where the method found it."""
+    """Return the frame coordinates of every phantom scan in which the method found the frame."""
     every = (
         points_of(content, method.value)
         for condition, content in sums.items()

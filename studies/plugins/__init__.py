@@ -1,1 +1,1 @@
-"""User methods in the studies: looked up by name, checked, and run next to ours on the same data."""
+"""User methods for the studies: found by name, checked, and run next to ours on the same data."""

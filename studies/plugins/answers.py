@@ -1,4 +1,4 @@
-"""Wrappers that call user methods and check every answer against the requirements of its kind.
+"""Wrappers that call user methods and check that every answer is valid for its kind.
 
 Arguments cannot be modified, and errors are reported with their line. Strategies are in `strategy`.
 """
@@ -33,7 +33,7 @@ ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm ov
 
 @dataclass(frozen=True)
 class CheckedPlugin:
-    """A named user method in this process. `result` and `form` describe the required answer."""
+    """A named user method loaded in this process. `result` and `form` describe the required answer."""
 
     name: str
     function: Callable[..., Any]
@@ -70,7 +70,7 @@ class PluginPairing(CheckedPlugin):
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> Pairs | None:
-        """Return pairs (k, 2); None without a unique answer."""
+        """Return the pairs (k, 2), or None without a unique answer."""
         answer = call_plugin(
             self.name,
             self.function,
@@ -160,7 +160,7 @@ def call_plugin(
     passed: tuple[type[Exception], ...] = (),
     **named: object,
 ) -> Any:
-    """Return the answer to these arguments; raises STU-013 for any error of the method except `passed`.
+    """Call a user method with these arguments; raises STU-013 for any error except those `passed`.
 
     The global generators are seeded before each call, so that a unit's result does not depend on its worker.
     Prints of the method go to standard error: standard output is for results.
@@ -189,7 +189,7 @@ def _read_only(value: object) -> object:
 
 
 def _locate_error(function: Callable[..., Any], error: BaseException) -> str:
-    """Return the last traceback line in the method's own file; otherwise the very last line."""
+    """Return the last traceback line in the method's own file, or else the very last line."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
     last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])

@@ -1,4 +1,4 @@
-"""Four kinds of user methods: how each is called, and what it must return.
+"""The four kinds of user methods, with their call signatures and required results.
 
 A function (for a strategy a class) is named as `module:function`, or by an entry point in the group of its
 kind, as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
@@ -30,13 +30,13 @@ class MethodKind(StrEnum):
 
     @property
     def group(self) -> str:
-        """Entry point group of the kind."""
+        """Name of the entry point group for this kind."""
         plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
         return f"ronna_hw.{plural}"
 
 
 class Localizer(Protocol):
-    """Localizer of spheres in a CT."""
+    """Locates spheres in a CT."""
 
     def __call__(self, volume: Volume) -> ArrayLike:
         """Return centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
@@ -44,12 +44,12 @@ class Localizer(Protocol):
 
 
 class Pairing(Protocol):
-    """Pairing of the points of two sets, in any order, with outliers in both."""
+    """Pairs the points of two unordered sets, both with outliers."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> ArrayLike | None:
-        """Return indices (k, 2) of pairs image, physical; None without a unique answer.
+        """Return index pairs (k, 2) (image, physical), or None without a unique answer.
 
         `image_mm` is (n, 3), `physical_mm` (m, 3); a sigma is one standard deviation per axis.
         """
@@ -57,12 +57,12 @@ class Pairing(Protocol):
 
 
 class PairedRegistration(Protocol):
-    """Rigid fit of paired points."""
+    """Fits a rigid transform to paired points."""
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array
     ) -> RigidTransform | ArrayLike:
-        """Return the transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
+        """Return the transform physical <- image, as a SciPy RigidTransform or a matrix (4, 4).
 
         Points are (n, 3), with the same marker in the same row; `covariance_mm2` (n, 3, 3) is the error of
         each pair in the physical frame.
@@ -71,7 +71,7 @@ class PairedRegistration(Protocol):
 
 
 class StrategyFactory(Protocol):
-    """Factory of a localization strategy, called without arguments: usually its class."""
+    """Creates a localization strategy. Called without arguments; usually the strategy class itself."""
 
     def __call__(self) -> Strategy:
         """Return an object with the members of `procedures.strategies.strategy.Strategy`."""

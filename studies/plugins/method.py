@@ -1,4 +1,4 @@
-"""References to user methods, small enough to send to workers, which run the same version or refuse.
+"""References to user methods, small enough to send to workers, which refuse to run another version.
 
 The version is the hash of the method's module and of the modules of its folder or package that it imports.
 """
@@ -31,7 +31,7 @@ _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this proce
 
 @dataclass(frozen=True)
 class PluginMethod:
-    """`module:function` of one kind, its name in tables, and the hash of its files (see `hash_of`)."""
+    """A `module:function` reference with its kind, its name in tables, and a hash of its files."""
 
     kind: MethodKind
     name: str
@@ -52,7 +52,7 @@ class PluginMethod:
 
     @property
     def source(self) -> Path | None:
-        """File to send to remote workers; None if the method is installed or part of a package."""
+        """File to send to remote workers, or None if the method is installed or part of a package."""
         module = sys.modules[self.reference.partition(":")[0]]
         if module.__file__ is None or "." in module.__name__:
             return None
@@ -61,7 +61,7 @@ class PluginMethod:
 
 
 def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
-    """Return the method named by `text`: an entry point of its kind, or `module:function`. Raises STU-012.
+    """Find a method by entry point name, or as `module:function`. Raises STU-012.
 
     Modules are searched as Python does, and last in the current folder.
     """
@@ -75,12 +75,12 @@ def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
 
 
 def list_installed_plugins() -> tuple[str, ...]:
-    """Return names of all installed user methods, of every kind."""
+    """Return the names of all installed user methods of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
 def signature_of(kind: MethodKind) -> str:
-    """Return the call signature of a kind, as displayed in messages."""
+    """Return the call signature required of a kind, as shown in messages."""
     return str(inspect.Signature([one.replace(annotation=one.empty) for one in _required_parameters(kind)]))
 
 
@@ -90,7 +90,7 @@ def is_in_site_packages(file: Path) -> bool:
 
 
 def local_modules(module: ModuleType) -> Mapping[str, Path]:
-    """Return the file of each imported module by name, from import statements. Executes nothing.
+    """Map imported module names to their files, by following import statements without executing any.
 
     For an installed module, those of its package count; for a file of the user's own, those of its folder and
     their packages. Anything imported by a computed name, compiled or read as data is not found.
@@ -108,7 +108,7 @@ def local_modules(module: ModuleType) -> Mapping[str, Path]:
 
 
 def hash_of(module: ModuleType) -> str:
-    """Return the SHA-256 of a module's file, or of all its files; empty for a module without a file."""
+    """Return a SHA-256 over the module's file and its local imports; empty for a module without a file."""
     files = local_modules(module)
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     if len(hashes) < 2:
@@ -119,7 +119,7 @@ def hash_of(module: ModuleType) -> str:
 
 class _LocalModuleFinder(ModuleFinder):
     def __init__(self, folder: Path, only: str | None) -> None:
-        """Search `folder`, and in it only the package `only` if given."""
+        """Limit the search to `folder`, and to the package `only` if given."""
         super().__init__(path=[str(folder)])
         self._only = only
 
@@ -175,7 +175,7 @@ def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any]
 
 
 def _require_signature(kind: MethodKind, reference: str, function: Callable[..., Any]) -> None:
-    """Raise an error unless the method accepts the arguments that it will be given."""
+    """Raise an error unless the method can be called with the arguments of its kind."""
     required = _required_parameters(kind)
     places = [one.name for one in required if one.kind is not one.KEYWORD_ONLY]
     names = {one.name: None for one in required if one.kind is one.KEYWORD_ONLY}

@@ -1,4 +1,4 @@
-"""User strategies with checked answers: axes, poses at the spheres, turns."""
+"""User strategies whose answers are checked: axes, poses at the spheres, turns."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class PluginStrategy:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL for each fiducial, tool origin at the fiducial."""
+        """Return one pose ROBOT <- TOOL per fiducial, with the tool origin at the fiducial."""
         poses = self._call("localization_poses", along, fiducials_mm, robot_from_ct, arm)
         places = robot_from_ct.apply(np.reshape(fiducials_mm, (-1, 3)))
         framed = all(
@@ -108,7 +108,7 @@ class PluginStrategy:
         return turns
 
     def _read_flag(self, flag: str) -> bool:
-        """Read a boolean property once, since it may be recomputed and differ on each access."""
+        """Read a boolean property once, since the user's class may recompute it on each access."""
         value = call_plugin(f"{self.name}.{flag}", getattr, self.user_strategy, flag)
         if not isinstance(value, bool):
             raise self._wrong_answer(flag, "True or False", f"{value!r}")

@@ -1,1 +1,1 @@
-"""Localization strategies on random and on calibrated arms, next to table 4 of the thesis."""
+"""Localization strategies on random and calibrated arms, compared with table 4 of the thesis."""

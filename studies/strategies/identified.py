@@ -1,4 +1,4 @@
-"""Localization strategies on arms identified as by `ronna-arm calibrate`, and the remaining errors.
+"""Localization strategies on arms identified as by `ronna-arm calibrate`, with the remaining errors.
 
 A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
 identified once, at the phantom's first position, and used at all positions. Identification measures the
@@ -51,7 +51,7 @@ HIGHEST = 99.0  # per cent
 
 @dataclass(frozen=True)
 class IdentifiedStudy:
-    """`arms` random arms of parameter set S, each identified first and then used at all positions."""
+    """Study of `arms` random arms of set S, each identified first and then used at all positions."""
 
     arms: int = 100
     seed: int = 0
@@ -109,7 +109,7 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate the target errors and the errors left after identification."""
+    """Tabulate the target errors, and the arm errors remaining after identification."""
     errors = _collect_errors(sums)
     arms, predictions = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
@@ -180,7 +180,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _collect_errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
-    """Collect the errors (arms, trials) in mm."""
+    """Collect the errors of each strategy and sphere count, (arms, trials) in mm."""
     found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for content in sums.values():
         for key, error_mm in content.items():
@@ -192,7 +192,7 @@ def _collect_errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[n
 
 
 def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
-    """Identify arm `number` from measurements of spheres (n, 3), mm in the robot frame.
+    """Identify arm `number` from simulated measurements of spheres (n, 3), mm in the robot frame.
 
     Raises CAL-002 to CAL-004.
     """
@@ -212,7 +212,7 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
 
 
 def _list_candidates(spheres_mm: Array) -> LookArrays:
-    """Return measurement poses that the nominal arm reaches and that have not been used yet."""
+    """Return the candidate measurement poses that the nominal arm can reach."""
     reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
     found = []
     for number, sphere in enumerate(spheres_mm):
@@ -235,13 +235,13 @@ def _list_candidates(spheres_mm: Array) -> LookArrays:
 
 @dataclass(frozen=True)
 class BelievedArm:
-    """Arm model that the controller uses."""
+    """Arm model used by the controller."""
 
     deviations: ArmDeviations
     flange_from_tool: Transform
 
     def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
-        """Return tool positions (p, 3) in mm and orientations (p, 3, 3), robot frame, at joints (p, 6)."""
+        """Return the tool positions (p, 3) in mm and orientations (p, 3, 3) at joints (p, 6), robot frame."""
         poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
         turned = poses[:, :3, :3]
         places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
@@ -256,7 +256,7 @@ def compute_identified_errors_mm(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Return error vectors (t, c, 3) in mm of one arm, like `Scene.errors_mm` for many."""
+    """Return one arm's error vectors (t, c, 3) in mm, like `Scene.errors_mm` for many arms."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])
@@ -286,7 +286,7 @@ def compute_identified_errors_mm(
 
 
 def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
-    """Return the joints (t, 6) that the controller commands to bring its tool to these places."""
+    """Return the joints (t, 6) that the controller commands for these tool positions."""
     joints, _ = solve_joints(
         planned.targets,
         lambda joints: believed.tool(joints, planned.target_arrival),

@@ -43,7 +43,7 @@ READ_AGAIN = ("nos", "thesis-ocs")  # strategies run under the other interpretat
 
 @dataclass(frozen=True)
 class StrategiesStudy:
-    """`arms` random arms, each at all positions with all strategies, the thesis' and the user's."""
+    """Study of `arms` random arms at all positions, with our strategies, the thesis' and the user's."""
 
     arms: int = 200
     seed: int = 0
@@ -59,7 +59,7 @@ class StrategiesStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """List the conditions: every part of the study, marker type and position."""
+        """List the units for every part of the study, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
         parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
         if self.own:
@@ -78,7 +78,7 @@ class StrategiesStudy:
         return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return errors in mm of single trials, or sums of errors. Each part has its own keys."""
+        """Run one part of the study. Returns single errors in mm, or sums, with keys specific to the part."""
         part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
@@ -97,7 +97,7 @@ class StrategiesStudy:
 
 
 def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Return error sums by single source, `strategy|spheres|source`, and counts, `strategy|spheres`."""
+    """Return error sums for each source alone, `strategy|spheres|source`, and counts, `strategy|spheres`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
     for strategy in ALONE:
@@ -113,7 +113,7 @@ def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Return predicted and actual errors, keyed `scenario|strategy|spheres|` and a quantity."""
+    """Return sums of predicted and actual errors, keyed `scenario|strategy|spheres|quantity`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
     for scenario in PREDICTED:
@@ -129,7 +129,7 @@ def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Return an error histogram and each arm's sum: `scenario|strategy|spheres|` bin, or `arm` number."""
+    """Return error histograms and sums by arm: `scenario|strategy|spheres|` then bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
     for one in SCENARIOS:
@@ -146,7 +146,7 @@ def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _run_reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Return trials under another interpretation of the protocol, keyed as by `Scene.trials`."""
+    """Run the trials under another interpretation of the protocol, keyed as by `Scene.trials`."""
     return scene.trials(
         arms,
         READ_AGAIN,

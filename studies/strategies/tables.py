@@ -1,4 +1,4 @@
-"""Tables and figure of the strategies study, next to table 4 of the thesis."""
+"""Tables and figure of the strategies study, compared with table 4 of the thesis."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SETTLED = "as in table 4"
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate table 4 next to ours, its rows, the sources, the gain from more spheres, the prediction."""
+    """Compare our results with table 4, and tabulate sources, sphere counts, scenarios and predictions."""
     errors = trial_errors(sums)
     if not any(_select_entries(sums, PREDICTION)):  # trials only, with user strategies
         return [_tabulate_table_4(errors), _tabulate_trajectories(errors)]
@@ -71,7 +71,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, Array]:
-    """Return the errors (arms, places, targets) in mm of all trials in one part of the study."""
+    """Return all trial errors (arms, places, targets) in mm from one part of the study."""
     found: dict[Series, dict[tuple[int, int, int], float]] = defaultdict(dict)
     for markers, number, (strategy, count, arm, target), error_mm in _select_entries(sums, part):
         found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
@@ -84,7 +84,7 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
 
 
 def compare_pairs(sums: Mapping[str, Sums]) -> Table:
-    """Tabulate differences between the arms' means, with a 95 % confidence interval and a paired test."""
+    """Tabulate paired differences of the arms' mean errors, with a 95 % confidence interval and p-value."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for _, _, (scenario, strategy, spheres, what), sum_mm in _select_entries(sums, SCENARIO):
         if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
@@ -118,7 +118,7 @@ def _test_difference(apart_mm: NDArray[np.float64]) -> list[Cell]:
 def _select_entries(
     sums: Mapping[str, Sums], wanted_part: str
 ) -> Iterator[tuple[str, str, list[str], float]]:
-    """Yield markers, position, parts of the key, and value of each sum in one part of the study."""
+    """Yield markers, position, split key and value of each sum in one part of the study."""
     for condition, content in sums.items():
         part, markers, number = condition.split("|")
         if part == wanted_part:
@@ -177,7 +177,7 @@ def _tabulate_table_4(errors: Mapping[Series, Array]) -> Table:
 
 
 def _variance_between(each: Array) -> Array:
-    """Return the variance (arms,) of the trajectory means."""
+    """Return the variance between trajectory means for each arm, (arms,)."""
     return np.asarray(each.mean(axis=1).var(axis=1, ddof=1))
 
 
@@ -220,7 +220,7 @@ def _tabulate_sources(sums: Mapping[str, Sums]) -> Table:
 
 
 def _tabulate_more_spheres(sums: Mapping[str, Sums]) -> Table:
-    """Compare the decrease of the error from 3 to 5 spheres, and the pattern of the rows, with the thesis."""
+    """Compare the error reduction from 3 to 5 spheres, and the pattern of the rows, with the thesis."""
     fewest, *_, most = counts_of(Markers.FREE)
     parts = {TRIALS: SETTLED} | {reading: reading for reading in READINGS}
     errors = {part: trial_errors(sums, part) for part in parts}
@@ -271,7 +271,7 @@ def _tabulate_more_spheres(sums: Mapping[str, Sums]) -> Table:
 
 
 def _row_correlation(few: Array, many: Array) -> float:
-    """Return the correlation between an arm's ten trajectory means, as the median over the arms."""
+    """Return the median over the arms of the correlation between their trajectory means."""
     pairs = zip(few.mean(axis=1), many.mean(axis=1), strict=True)
     return float(np.median([np.corrcoef(one, other)[0, 1] for one, other in pairs]))
 

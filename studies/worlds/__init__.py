@@ -1,1 +1,1 @@
-"""Whole cases in worlds drawn at random, with one change in each, judged by the truth."""
+"""Complete cases in randomly drawn worlds with at most one change each, judged against ground truth."""

@@ -1,4 +1,4 @@
-"""`ronna-campaign worlds`: each random world is run by commands, as a user would, and judged by the truth."""
+"""`ronna-campaign worlds`: random worlds, run by command as a user would, and judged against ground truth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LONGEST_WARNING = 100  # characters of a row
 
 @dataclass(frozen=True)
 class WorldsStudy:
-    """Worlds number 0 to `cases` - 1 of a seed, each carried out in a subfolder of `folder`."""
+    """Worlds 0 to `cases` - 1 of a seed, each run in its own subfolder of `folder`."""
 
     cases: int
     seed: int
@@ -51,11 +51,11 @@ class WorldsStudy:
         return {"cases": self.cases, "seed": self.seed, "scene": self.scene, "quiet": self.quiet}
 
     def units(self) -> Sequence[Unit]:
-        """Return one unit for each world."""
+        """Return one unit per world."""
         return [Unit(f"world {number}", 0, 1) for number in range(self.cases)]
 
     def run(self, unit: Unit) -> Sums:
-        """Carry out one world. Its folder contains more than the returned sums."""
+        """Run and judge one world. Its folder contains more than the returned sums."""
         number = int(unit.condition.split()[1])
         found = run_world(self.world(number), self.place(number))
         worst = found.worst
@@ -69,7 +69,7 @@ class WorldsStudy:
         return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
-        """Tabulate the worst cases, and the share of each verdict."""
+        """Tabulate the share of each verdict, and the worst cases."""
         judged = {int(key.split()[1]): one for key, one in sums.items()}
         return [self._tabulate_summary(judged), self._tabulate_worst(judged)]
 
@@ -112,7 +112,7 @@ class WorldsStudy:
         ]
 
     def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
-        """Describe the goals that these cases miss."""
+        """Describe the goals missed by these cases."""
         counts = _count_verdicts(sums.values())
         silent = sum(counts[one] for one in SILENT)
         missed = []
@@ -134,7 +134,7 @@ class WorldsStudy:
 
 
 def run_world(world: World, folder: Path) -> Judgement:
-    """Run the case of a world in a new folder and judge it; raises STU-015 if no run was written.
+    """Run a world's case in a new folder and judge it; raises STU-015 if no run was written.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
     """
@@ -168,7 +168,7 @@ def run_world(world: World, folder: Path) -> Judgement:
 
 
 def document(world: World, found: Judgement) -> dict[str, Any]:
-    """Return a judged world as plain data."""
+    """Return a world and its judgement as plain data."""
     return {
         "world": asdict(world),
         "verdict": found.verdict.value,
@@ -205,7 +205,7 @@ def _parse_output(output: str) -> dict[str, Any]:
 
 
 def _read_error_text(output: str) -> str:
-    """Return the code and message of the error that ended a run; empty if none did."""
+    """Return the code and message of the error that ended a run, or an empty string."""
     error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 

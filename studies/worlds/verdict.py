@@ -1,4 +1,4 @@
-"""Verdict on a case: its journal and predictions against the truth.
+"""Verdicts on cases, from the journal and the predictions compared with ground truth.
 
 A target is warned of if the journal names it since the change: in a finding, a failed or refused step, or
 voided or doubted results. An entry without a trajectory concerns the one of its step, or else all. Superseded
@@ -37,7 +37,7 @@ UNUSUAL_TOPICS = frozenset(
 
 
 class Verdict(StrEnum):
-    """Verdicts on a case, from good to bad."""
+    """Verdict on a case, from best to worst."""
 
     OK = "ok"
     WARNED = "warned"
@@ -53,7 +53,7 @@ RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 @dataclass(frozen=True)
 class Target:
-    """A target reached by an instrument: true error, predicted limit, and whether a warning was given.
+    """A target reached by an instrument: true error, predicted limit, and whether it was warned about.
 
     The limit is 0 where none was predicted.
     """
@@ -65,7 +65,7 @@ class Target:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the error to its limit."""
+        """Ratio of the error to its limit, infinite without a limit."""
         return self.error_mm / self.limit_mm if self.limit_mm > 0.0 else math.inf
 
     @property
@@ -79,7 +79,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A judged case. `said` are the warnings since the change, in order."""
+    """A judged case. `said` lists the warnings since the change, in order."""
 
     verdict: Verdict
     targets: tuple[Target, ...]
@@ -93,12 +93,12 @@ class Judgement:
 
 
 def worst_of(targets: Iterable[Target]) -> Target | None:
-    """Return the target with the worst verdict and, among several, the largest error-to-limit ratio."""
+    """Return the target with the worst verdict, choosing the largest error-to-limit ratio among equals."""
     return max(targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
 
 
 def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Return the predicted limit of each target in mm, as valid when an instrument was inserted."""
+    """Return each target's predicted limit in mm, as valid when an instrument was inserted."""
     current_limits_mm: dict[str, float] = {}
     used: dict[str, float] = {}
     for line in lines:
@@ -120,7 +120,7 @@ def judge(
     done: bool = True,
     error: str = "",
 ) -> Judgement:
-    """Judge a case by its journal. `change` is the step it began in and its time; None in a quiet case.
+    """Judge a case by its journal. `change` is the step and delay of the change, or None for quiet cases.
 
     `errors_mm` are the true errors of the targets reached, `error` is the reason of a case that is
     not `done`.
@@ -145,7 +145,7 @@ def judge(
 def _collect_warnings(
     lines: Iterable[Line], since_s: float, trajectories: Sequence[str]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Return the trajectories with a warning since a given time, and the warnings."""
+    """Return the trajectories warned about since a given time, and all warnings."""
     touched: set[str] = set()
     said = []
     step = ""
@@ -182,7 +182,7 @@ def _format_warning(line: Line) -> str:
 
 
 def _find_localization_time_s(lines: Iterable[Line]) -> float:
-    """Return the time of the last re-localization in s; infinite without one."""
+    """Return the time of the last re-localization in s, or infinity if there was none."""
     done = [
         theatre_time_s(line)
         for line in lines

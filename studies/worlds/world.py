@@ -1,4 +1,4 @@
-"""Random world: a scene, and at most one change between re-localization and the last retreat.
+"""Random worlds: a scene, and at most one change between re-localization and the last retreat.
 
 It depends only on its seed and number, so that every one can be repeated alone.
 """
@@ -23,7 +23,7 @@ SCENES = (MINI, "default")
 
 
 class ChangedObject(StrEnum):
-    """Kind of object that changes."""
+    """Kind of object affected by the change."""
 
     HEAD = "head"
     CART = "cart"
@@ -35,7 +35,7 @@ class ChangedObject(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """A lasting change, and its concealment from the tracker. `lines` form a fault script."""
+    """A lasting change, possibly with spheres hidden from the tracker. `lines` form a fault script."""
 
     what: ChangedObject
     step: str
@@ -45,12 +45,12 @@ class Change:
 
     @property
     def moment(self) -> str:
-        """Description of the moment of the change."""
+        """Step and delay at which the change happens, as text."""
         return f"{self.step} + {self.after_s:.2f} s"
 
     @property
     def script(self) -> str:
-        """Fault script of the whole case."""
+        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
@@ -62,7 +62,7 @@ class Change:
 
 @dataclass(frozen=True)
 class World:
-    """A case: its scene, and the change during it."""
+    """A case: its scene, and the change during it, if any."""
 
     number: int
     scene: str
@@ -73,7 +73,7 @@ class World:
 
     @property
     def arguments(self) -> list[str]:
-        """Options of `ronna-procedure run` for the case, without its fault script."""
+        """Command-line options of `ronna-procedure run` for the case, excluding its fault script."""
         options = ["--sim", "--scene", self.scene, "--seed", str(self.scene_seed)]
         return [*options, "--markers", str(self.markers), "--targets", str(self.targets)]
 
@@ -128,7 +128,7 @@ def _draw_change_lines(generator: np.random.Generator, what: ChangedObject) -> l
 
 
 def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
-    """Draw a vector of random length in a random direction."""
+    """Draw a vector of random direction and length."""
     normal_draw = generator.standard_normal(3)
     return [
         float(value) for value in normal_draw * (generator.uniform(0.0, most) / np.linalg.norm(normal_draw))

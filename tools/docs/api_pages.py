@@ -1,4 +1,4 @@
-"""Pages of the Python API: signatures and docstrings, taken from the modules.
+"""Python API pages, with signatures and docstrings extracted from the modules.
 
 A member without a docstring gets the docstring of its interface: drivers inherit nothing else.
 """
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Part:
-    """Names from one module. For a driver, also the interfaces whose docstrings it inherits."""
+    """Documented objects of one module. For a driver, also the interfaces whose docstrings it inherits."""
 
     module: str
     objects: Sequence[Any]
@@ -62,7 +62,7 @@ def numerics() -> str:
 
 
 def devices() -> str:
-    """Compose the page on the theatre that opens devices, their interfaces and readings, and the drivers."""
+    """Compose the page on opening a theatre, device interfaces, readings and drivers."""
     interfaces = Part(
         "ronna_hw.devices",
         [lifecycle.Device, OpticalTracker, RobotArm, robot.JointMove, robot.LineMove, StereoPair],
@@ -120,13 +120,13 @@ def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
 
 
 def _list_members(one: type) -> dict[str, Any]:
-    """Return the members of a class; for a driver, also those of its base classes."""
+    """Return the members of a class, including those of a driver's base classes."""
     bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
     return {name: member for base in bases for name, member in vars(base).items()}
 
 
 def _field_lines(one: type[DataclassInstance]) -> Iterator[str]:
-    """Yield each field with its type and any adjacent comment, mostly the unit."""
+    """Yield each field with its type and its trailing comment, usually the unit."""
     lines = inspect.getsource(one).splitlines()
     for field in fields(one):
         if field.name.startswith("_"):
@@ -138,7 +138,7 @@ def _field_lines(one: type[DataclassInstance]) -> Iterator[str]:
 
 
 def _format_signature(function: Any) -> str:
-    """Return the signature without `self` and without types, which module and docstring contain."""
+    """Format the signature without `self`, `cls` or type annotations."""
     own_signature = inspect.signature(function)
     kept = [
         one.replace(annotation=one.empty, default=_format_default(one.default))
@@ -153,7 +153,7 @@ def _format_default(value: Any) -> Any:
 
 
 class _FunctionDefault:
-    """Stand-in for a default that is a function, displayed by its docstring."""
+    """Stand-in for a function used as default value, shown as `...`."""
 
     def __repr__(self) -> str:
         return "..."

@@ -1,4 +1,4 @@
-"""Screenshots of the console for the docs, from a real case in a real browser.
+"""Console screenshots for the docs, taken during a real case in a real browser.
 
 .venv/bin/python tools/docs/console_pictures.py [FOLDER]     # docs/pictures by default; a minute
 """
@@ -31,7 +31,7 @@ WIDE, PHONE = (1280, 720), (390, 844)
 
 
 def main() -> None:
-    """Write the screenshots."""
+    """Take the screenshots and write them to files."""
     if MISSING:
         sys.exit(MISSING)
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"

@@ -1,4 +1,4 @@
-"""Generator of the tables in the reference pages, below the mark. The text above it is written by hand.
+"""Generator of the reference tables, which follow a mark below each page's hand-written text.
 
 `make docs` runs it; a test compares the committed pages with its output.
 """
@@ -53,7 +53,7 @@ MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->
 
 
 def tables() -> dict[str, str]:
-    """Return the content below the mark of each page, by file name."""
+    """Return the generated content of each page, by file name."""
     return {
         "answers.md": table(
             ("topic", "words", "on real devices"),
@@ -94,12 +94,12 @@ def tables() -> dict[str, str]:
 
 
 def with_table(page: str, content: str) -> str:
-    """Return the page with this content below the mark."""
+    """Return the page with the content below its mark replaced."""
     return page.partition(MARK)[0] + MARK + content
 
 
 def list_step_results() -> list[type[StepResult]]:
-    """List the results of all steps: those of a case in order, then those of calibrations by name."""
+    """List all step results: those of a case in order, then those of calibrations by name."""
     for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
         importlib.import_module(module.name)
     ours = [model for model in StepResult.__subclasses__() if model.__module__.startswith("procedures.")]
@@ -108,7 +108,7 @@ def list_step_results() -> list[type[StepResult]]:
 
 
 def list_errors_with_code() -> list[type[RonnaError]]:
-    """List all error classes that have a code, ordered by code."""
+    """List all error classes that have a code, sorted by code."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             # ronna_hw defines its few errors where they are raised; every other package has an errors.py.

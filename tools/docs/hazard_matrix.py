@@ -1,4 +1,4 @@
-"""Trace matrix: each hazard with its control, and the tests that would detect the loss of the control.
+"""Trace matrix of hazards, their controls, and the tests that would detect the loss of a control.
 
 Tests are parsed, not run: a `hazard` mark counts if its test is expected to pass.
 """
@@ -27,7 +27,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Hazard:
-    """A hazard in the table. `remains` is empty only if the hazard is covered."""
+    """A row of the hazard table. `remains` is empty only if the hazard is covered."""
 
     number: int
     hazard: str
@@ -56,12 +56,12 @@ class BoundTest:
 
 
 def read_hazards(path: Path = REFERENCE / "hazards.toml") -> list[Hazard]:
-    """Read the hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
+    """Read the hazards, sorted by number; raises ValueError for a wrong status or `remains` text."""
     return sorted(read_rows(path, "hazard", Hazard), key=lambda hazard: hazard.number)
 
 
 def find_bound_tests(tests: Path = TESTS) -> list[BoundTest]:
-    """Find all tests with a hazard mark, ordered by hazard, file and name."""
+    """Find all tests with a hazard mark, sorted by hazard, file and name."""
     found: list[BoundTest] = []
     for path in sorted(tests.rglob("test_*.py")):
         source = path.read_text(encoding="utf-8")
@@ -78,7 +78,7 @@ def find_bound_tests(tests: Path = TESTS) -> list[BoundTest]:
 
 
 def hazard_table() -> str:
-    """Compose the matrix, preceded by the number of hazards of each status."""
+    """Compose the matrix, preceded by the number of hazards in each status."""
     hazards, tests = read_hazards(), find_bound_tests()
     statuses = [hazard.status for hazard in hazards]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)

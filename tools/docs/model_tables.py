@@ -1,4 +1,4 @@
-"""Pydantic models as Markdown tables: a row per field with its type, default and meaning."""
+"""Pydantic models as Markdown tables, with one row per field: type, default and meaning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHOWN_DEFAULT = 24  # characters; a longer one is not for a table
 
 
 def model_tables(titles: Mapping[str, type[BaseModel]]) -> str:
-    """Tabulate models under their titles, then every model they contain, once and by name."""
+    """Tabulate the titled models, then all nested models once each, sorted by name."""
     schemas = {title: model.model_json_schema() for title, model in titles.items()}
     definitions = {name: one for schema in schemas.values() for name, one in schema.get("$defs", {}).items()}
     contained = sorted((name, one) for name, one in definitions.items() if "properties" in one)

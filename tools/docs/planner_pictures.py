@@ -1,4 +1,4 @@
-"""Screenshots of the planner for the docs, from a real plan in a real browser.
+"""Planner screenshots for the docs, taken of a real plan in a real browser.
 
 .venv/bin/python tools/docs/planner_pictures.py [FOLDER]     # docs/pictures by default; half a minute
 """
@@ -22,7 +22,7 @@ PAGES = tuple((scheme, size) for size in ((1280, 720), (390, 844)) for scheme in
 
 
 def main() -> None:
-    """Write the screenshots."""
+    """Take the screenshots and write them to files."""
     if MISSING:
         sys.exit(MISSING)
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def _draw(page: Any) -> None:
-    """Draw a structure beside the target, as a vessel would be."""
+    """Draw a structure next to the target, shaped like a vessel."""
     page.get_by_role("button", name="draw a structure").click()
     picture = page.locator("[data-plane=axial]").bounding_box()
     for number, (across, down) in enumerate(((0.36, 0.5), (0.40, 0.56), (0.41, 0.63), (0.39, 0.70))):

@@ -1,4 +1,4 @@
-"""Data files of the reference and their tables: disturbances, open questions, scanner faults, checklists."""
+"""Reference tables built from data files: disturbances, open questions, scanner faults, checklists."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RowT = TypeVar("RowT")
 
 
 def read_rows(path: Path, key: str, row: type[RowT]) -> list[RowT]:
-    """Read the `[[key]]` tables of a file as rows; raises TypeError for surplus or missing fields."""
+    """Read a file's `[[key]]` tables as rows; raises TypeError for unknown or missing fields."""
     entries = tomllib.loads(path.read_text(encoding="utf-8"))[key]
     return [
         row(**{name: tuple(value) if isinstance(value, list) else value for name, value in one.items()})
@@ -42,7 +42,7 @@ _TEST = re.compile(r"^ *def (test_\w+)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance in the table. `faults` are names of fault kinds, `tests` names of test functions."""
+    """A row of the disturbance table. `faults` are fault kinds, `tests` are test function names."""
 
     disturbance: str
     arm: str
@@ -54,12 +54,12 @@ class Disturbance:
 
 
 def read_disturbances() -> list[Disturbance]:
-    """Read the disturbances of the data file."""
+    """Read the disturbances from the data file."""
     return read_rows(REFERENCE / "link-disturbances.toml", "disturbance", Disturbance)
 
 
 def files_of_tests() -> dict[str, tuple[Path, ...]]:
-    """Return the files that define a test function, by its name."""
+    """Map each test function name to the files that define it."""
     found: dict[str, tuple[Path, ...]] = {}
     for path in sorted(TESTS.rglob("test_*.py")):
         for name in _TEST.findall(path.read_text(encoding="utf-8")):
@@ -68,7 +68,7 @@ def files_of_tests() -> dict[str, tuple[Path, ...]]:
 
 
 def disturbances() -> str:
-    """Tabulate the disturbances; raises KeyError for a test that does not exist."""
+    """Tabulate the disturbances; raises KeyError if a listed test does not exist."""
     files = files_of_tests()
     return table(
         ("disturbance", "the arm", "message", "within", "injected by `ronna-sim fault`", "tests"),
@@ -93,7 +93,7 @@ def _format_link(name: str, path: Path) -> str:
 
 @dataclass(frozen=True)
 class Question:
-    """An open question, with at least one answer."""
+    """An open question, with the settings that answer it."""
 
     subject: str
     question: str
@@ -105,7 +105,7 @@ class Question:
 
     @property
     def answers(self) -> Iterator[str]:
-        """Names of the settings for the answer, as displayed on the page."""
+        """The question's settings, formatted for the page."""
         yield from (f"`{name}`" for name in self.parameters)
         yield from (f"`{name}` of the context" for name in self.context)
         yield from (f"`arm.{name}` of the scene" for name in self.scene)
@@ -115,12 +115,12 @@ class Question:
 
 
 def read_questions() -> list[Question]:
-    """Read the questions of the data file."""
+    """Read the questions from the data file."""
     return read_rows(REFERENCE / "robot-open-questions.toml", "question", Question)
 
 
 def robot_parameters() -> str:
-    """Compose the table of questions, then that of all parameters."""
+    """Compose the table of open questions, followed by the table of all parameters."""
     questions = [(one.subject, one.question, ", ".join(one.answers)) for one in read_questions()]
     return (
         table(("", "open question", "set by"), questions)
@@ -130,7 +130,7 @@ def robot_parameters() -> str:
 
 
 def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
-    """Tabulate a simulator's parameters for unconfirmed behaviour."""
+    """Tabulate simulator parameters for unconfirmed behaviour."""
     return table(
         ("parameter", "best estimate", "meaning"),
         [(f"`{name}`", value, meaning) for name, value, meaning in rows],
@@ -138,7 +138,7 @@ def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
 
 
 def scanner_faults() -> str:
-    """State the quiet limits and tabulate the faults. A fault that refuses every scan has no figures."""
+    """Describe the limits measured without faults, then tabulate the faults."""
     data = tomllib.loads((REFERENCE / "scanner-faults.toml").read_text(encoding="utf-8"))
     quiet, rows = data["quiet"], data["fault"]
     without = (
@@ -183,7 +183,7 @@ def _format_outcome(row: dict[str, Any]) -> str:
 
 
 def checklist(generic: Suite, wire_protocol: str) -> str:
-    """Compose the checklist of a protocol, with the cases in its test suite."""
+    """Compose a protocol's checklist, with the test cases that cover each line."""
     protocol = load_protocol(wire_protocol)
     cases, lines = compose_suite(generic, protocol).cases, protocol.checklist
     assert lines is not None, f"{wire_protocol} has a checklist"

@@ -1,4 +1,4 @@
-"""Profiler of a simulated case: CPU seconds by process and step, and a flame graph of all processes.
+"""Profiler for a simulated case: CPU seconds by process and step, and a flame graph of all processes.
 
     make profile
     make profile CASE="--scene mini --seed 3"
@@ -42,7 +42,7 @@ app = typer.Typer(add_completion=False)
 
 
 class Used(NamedTuple):
-    """CPU seconds that a process used in one period."""
+    """CPU seconds used by a process during one sampling period."""
 
     at_s: float  # host time, seconds since the epoch
     role: str
@@ -74,7 +74,7 @@ def profile(
 
 
 def watch(command: Sequence[str]) -> Iterator[Used]:
-    """Run a command and yield the usage of each of its processes by period. Raises CalledProcessError."""
+    """Run a command and yield the CPU usage of its processes by period. Raises CalledProcessError."""
     before: dict[psutil.Process, float] = {}
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as running:
         program = psutil.Process(running.pid)
@@ -93,12 +93,12 @@ def watch(command: Sequence[str]) -> Iterator[Used]:
 
 
 def role_of(words: Sequence[str]) -> str:
-    """Return the name of the process with this command line. `theatre`, `kuka`, ... are the simulators."""
+    """Return the role of the process with this command line, `program` for the main one."""
     return next((role for word, role in ROLES.items() if word in words[1:6]), "program")
 
 
 def steps(journal: Path) -> list[tuple[float, str]]:
-    """Return the start of each stage of a case: host time in seconds, and name of the step or `end`."""
+    """Return the host start time (s) and name of each step, followed by `end`."""
     starts, ended_s = [], 0.0
     for line in read_journal(journal):
         at_s = datetime.fromisoformat(str(line["host_time"])).timestamp()
