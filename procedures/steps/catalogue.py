@@ -11,7 +11,7 @@ from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
 from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answers
-from procedures.steps.branches import BRANCHES
+from procedures.steps.branches import BRANCHES, HOLD
 from procedures.steps.clinical import (
     at_target,
     cart_lock,
@@ -32,7 +32,7 @@ from procedures.steps.clinical import (
     tool_change,
     tool_check,
 )
-from procedures.steps.clinical.at_target import DONE, HOLD
+from procedures.steps.clinical.at_target import DONE
 from procedures.steps.clinical.work_progress import STAGES
 
 CLINICAL_STEPS: Steps = (

@@ -20,6 +20,7 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question, Task, Topic
+from procedures.steps.branches import HOLD
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
@@ -35,7 +36,6 @@ from procedures.steps.conditions import needs_insertion
 from ronna_hw.text import format_against_limit
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
-HOLD = "hold"  # the instrument stays where it is, and the case is held
 STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
 UNSEEN = "the tracker does not see the frame on the arm; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
