@@ -1,4 +1,4 @@
-"""Settings of a camera and of one frame, and the timing derived from them."""
+"""Camera and frame settings, and the timing derived from them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
 
 
 class EventKind(IntEnum):
-    """Entries of EventSelector; the values are the ids on the wire.
+    """Entries of EventSelector, with their wire ids as values.
 
     A vendor's ids begin at 0x9000; their assignment in real firmware is unconfirmed. A client reads them
     from the description.
