@@ -239,9 +239,7 @@ class Controller:
             self._fail(TRIPS[name](self.parameters))
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp axis corrections to within `within_deg` of their present values, or remove the clamp if
-        None.
-        """
+        """Clamp axis corrections to `within_deg` of their present values, or unclamp them if None."""
         if self.run is not None:
             self.run.flow.narrow(within_deg)
 

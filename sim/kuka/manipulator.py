@@ -89,9 +89,7 @@ class Manipulator:
         return IDENTITY if self._base is None else self._base
 
     def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
-        """Return the nominal tool pose (4, 4) in $ROBROOT at the given axes, or the present ones by
-        default.
-        """
+        """Return the nominal tool pose (4, 4) in $ROBROOT at the given axes (default: present)."""
         axes = self.drives.axes_deg if axes_deg is None else axes_deg
         flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool
@@ -139,16 +137,12 @@ class Manipulator:
         return None if joints is None else [degrees(angle) for angle in joints]
 
     def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
-        """Return the axes (deg) for a pose (4, 4) in BASE with posture S T, or None beyond reach or end
-        switch.
-        """
+        """Return the axes (deg) for a pose (4, 4) in BASE with posture S T, or None if unreachable."""
         flange = self._flange_of(self.base @ frame)
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
-        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT, or None if
-        impossible.
-        """
+        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT, or None if blocked."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAYPOINTS + 1):

@@ -43,9 +43,7 @@ class EkiMotion:
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
-        """Return the axes (deg) for the next cycle, or None at the end or after an abort, which sets
-        `message`.
-        """
+        """Return the axes (deg) for the next cycle, or None at the end or after an abort (see `message`)."""
         point = next(self.points, None)
         if isinstance(point, Message):
             self.message = point
@@ -119,9 +117,7 @@ def line(
     parameters: ControllerParameters,
     cycle_s: float,
 ) -> Iterator[list[float] | Message]:
-    """Yield the axes (deg) for a straight tool motion to a pose (4, 4) in $ROBROOT, turning about one
-    axis.
-    """
+    """Yield the axes (deg) of a straight tool motion to a pose (4, 4) in $ROBROOT."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
     angle_rad = float(np.linalg.norm(turn))

@@ -104,9 +104,7 @@ class EkiMoves:
         return self._point_to_point(goal, arguments)
 
     def lin(self, arguments: Mapping[str, str]) -> Acknowledgement:
-        """Move in a straight line to X..C (mm, deg) in BASE with Tool, Base and Vel (m/s), ignoring S and
-        T.
-        """
+        """Move straight to X..C (mm, deg) in BASE with Tool, Base and Vel (m/s), ignoring S and T."""
         pose = pose_of_frame(frame(arguments))
         speed_m_s = number(arguments, "Vel")
         if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:

@@ -114,9 +114,7 @@ class ProjectChannel:
         )
 
     def tick(self, now_s: float) -> float:
-        """Send the state if it has changed or its period has elapsed, and return the time of the next
-        call.
-        """
+        """Send the state if changed or due, and return the time of the next call."""
         if self._server.connected and now_s > self._idle_until_s and not self._server.silent:
             self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:

@@ -70,9 +70,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp to `within_deg` of the present totals, or to the context's limits if None; return whether
-        changed.
-        """
+        """Clamp to `within_deg` of the present totals (None: context limits); return whether changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -308,9 +306,7 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """Clamp axis corrections to within `within_deg` of their present values, or remove the clamp if
-        None.
-        """
+        """Clamp axis corrections to `within_deg` of their present values, or unclamp them if None."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 
