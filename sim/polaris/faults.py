@@ -176,7 +176,7 @@ class LineFaults:
             self._unit.clock.sleep(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
-        """Advance host time and theatre time, because hosts time out by their own clock."""
+        """Wait in host time and theatre time, because hosts time out by their own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
             self._unit.clock.sleep(duration_s)

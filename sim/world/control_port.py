@@ -1,4 +1,4 @@
-"""Control port: JSON lines over TCP on loopback, giving the staff sole access to the simulated room.
+"""Control port: JSON lines over TCP on loopback, the only way for staff to act on the simulated room.
 
 A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even a
 page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token from

@@ -52,7 +52,7 @@ class Port:
 
     @property
     def occupied(self) -> bool:
-        """Whether the handle has a tool, which a passive tool never loses by unplugging."""
+        """Whether the handle has a tool; passive tools cannot be unplugged."""
         return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
 
     @property
