@@ -142,7 +142,7 @@ class Manipulator:
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
-        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT, or None if unreachable."""
+        """Return the axes (deg) after a straight line to a pose in $ROBROOT, or None if unreachable."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAYPOINTS + 1):

@@ -91,7 +91,7 @@ _DESCRIPTIONS: dict[Variant, RobotDescription] = {
 
 
 def frame_of(pose: Matrix) -> list[float]:
-    """Return X Y Z (mm) A B C (deg) of a pose (4, 4), R = Rz(A) Ry(B) Rx(C), with A = 0 at B = 90 deg."""
+    """Return X Y Z (mm) A B C (deg) of a pose (4, 4), R = Rz(A) Ry(B) Rx(C); A is 0 at B = 90 deg."""
     r00, _, _, x, r10, r11, r12, y, r20, r21, r22, z = pose[:3].ravel().tolist()
     cosine_B = (r00 * r00 + r10 * r10) ** 0.5
     if cosine_B < GIMBAL_LIMIT:

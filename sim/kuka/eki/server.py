@@ -158,7 +158,7 @@ class EkiServer:
                 self._peer.client_disconnected()
 
     def close(self) -> None:
-        """Stop listening for clients."""
+        """Disconnect the client and stop listening."""
         self.drop()
         self._listener.close()
 
