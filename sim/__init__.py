@@ -1,1 +1,1 @@
-"""Simulators of all theatre devices, which speak the real wire protocols over one shared scene."""
+"""Simulators of all theatre devices, speaking the real wire protocols and sharing one scene."""

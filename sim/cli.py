@@ -1,4 +1,4 @@
-"""`ronna-sim`: the whole simulated theatre, or any single device, for any client."""
+"""`ronna-sim`: simulates the whole theatre, or any single device, for any client."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ app = typer.Typer(
 
 
 def register(app: typer.Typer) -> None:
-    """Register all commands. Their modules import nothing heavy until run."""
+    """Register all commands, deferring heavy imports until a command runs."""
     from sim.basler.command import basler
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom

@@ -8,7 +8,7 @@ SEE_PHANTOM = "See ronna-sim phantom --help."  # advice for its options
 
 
 class BadScene(ConfigurationError):
-    """A scene file is missing or has mistakes."""
+    """A scene file is missing or invalid."""
 
     code = "SIM-001"
     action = "Correct the scene file, or name one of default, mini, bench."
@@ -22,7 +22,7 @@ class WorldUnavailable(ConnectError):
 
 
 class BadFaultScript(ConfigurationError):
-    """A line of a fault script is not valid."""
+    """A fault script contains an invalid line."""
 
     code = "SIM-003"
     action = "Write it like: at 12.5 s: tracker occlude marker 3 for 2 s."
@@ -50,7 +50,7 @@ class BadTruth(DataError):
 
 
 class BadDeviceParameter(ConfigurationError):
-    """A device parameter of the theatre is not valid."""
+    """A device parameter of the theatre is invalid."""
 
     code = "SIM-010"
     action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."
@@ -64,7 +64,7 @@ class FolderNotEmpty(ConfigurationError):
 
 
 class BadSavedWorld(DataError):
-    """The world left by the last theatre cannot be read."""
+    """The saved world of the last theatre cannot be read."""
 
     code = "SIM-012"
     action = (
@@ -74,7 +74,7 @@ class BadSavedWorld(DataError):
 
 
 class BadCalibrationFile(DataError):
-    """A file of calibration records for a theatre cannot be read or contains none."""
+    """A theatre's calibration record file cannot be read or contains no records."""
 
     code = "SIM-014"
     action = "Give the folder that a calibration command wrote, or its calibration.toml."
@@ -88,7 +88,7 @@ class StandNotReady(RefusedError):
 
 
 class TheatreRunning(ConnectError):
-    """Another theatre is running in that folder."""
+    """Another theatre is already running in this folder."""
 
     code = "SIM-013"
     action = "Stop the other theatre, or give another folder."

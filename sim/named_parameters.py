@@ -1,4 +1,4 @@
-"""Parameters of a simulated device, set as NAME=VALUE and stored in the fields of a frozen dataclass.
+"""Simulated device parameters, set as NAME=VALUE and stored in the fields of a frozen dataclass.
 
 Each field is annotated with its meaning and optionally its largest value. A number may be 0 only if that is
 its default; otherwise it is positive.
@@ -24,7 +24,7 @@ TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0"
 
 @dataclass(frozen=True)
 class MaximumValue:
-    """Largest value of a parameter."""
+    """Upper limit of a parameter."""
 
     value: float
 
@@ -32,7 +32,7 @@ class MaximumValue:
 def apply_assignments(
     defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
 ) -> Parameters:
-    """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or an invalid value."""
+    """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or invalid value."""
     values: dict[str, Any] = {}
     kinds = _list_kinds(type(defaults))
     for assignment in assignments:
@@ -49,7 +49,7 @@ def apply_assignments(
 
 
 def rows(parameters: type) -> list[tuple[str, str, str]]:
-    """List (name, default, meaning) of each parameter, with the choices of an enumeration."""
+    """List each parameter's name, default and meaning, including the choices of enumerations."""
     found = []
     for name, (kind, meaning, *_) in _list_kinds(parameters).items():
         default: Any = getattr(parameters, name)
@@ -60,13 +60,13 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
 
 
 def _list_kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
-    """Return the type, meaning and any largest value of each parameter."""
+    """Return the type, meaning and upper limit (if any) of each parameter."""
     hints = get_type_hints(parameters, include_extras=True)
     return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
 
 
 def _parse_value(kind: Any, text: str, default: Any, most: list[MaximumValue]) -> tuple[Any, str]:
-    """Parse a value. Return it (None if invalid), and a description of what was expected."""
+    """Parse a value and return it (None if invalid) with a description of what was expected."""
     if get_origin(kind) is Literal:
         return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
     if kind is bool:

@@ -53,7 +53,7 @@ def basler(
 
 
 def keep_freed_memory() -> bool:
-    """Make malloc keep freed memory for the next image. Return False if the C library lacks these settings.
+    """Make malloc keep freed memory for the next image; return False if unsupported.
 
     An image needs several arrays of a few megabytes. The C library returns such memory to the kernel when
     freed, and the kernel clears it page by page on the next request. Most images are drawn in `row_bands`;

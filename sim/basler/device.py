@@ -1,4 +1,4 @@
-"""A camera, assembled from settings, acquisition, channels, registers and control port."""
+"""A complete camera: settings, acquisition, channels, registers and control port."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim.basler.stream_channel import StreamChannel
 
 
 class Camera:
-    """A GigE Vision camera without its control socket: `port` answers its datagrams.
+    """A GigE Vision camera without a control socket; pass datagrams to `port`.
 
     `now_s` is the host's monotonic clock, used for the heartbeat.
     """
@@ -86,21 +86,21 @@ class Camera:
         return self.acquisition.running
 
     def load_user_set(self) -> None:
-        """Load the selected user set. A set that was never saved holds the power-on values."""
+        """Load the selected user set, or the power-on values if it was never saved."""
         selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
         settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
         settings.user_set_selector, settings.parameters_locked = selected, locked
         self.settings = settings
 
     def save_user_set(self) -> None:
-        """Save the present settings as the selected user set; the default set cannot be overwritten."""
+        """Save the present settings to the selected user set; raises Refusal for the default set."""
         selected = self.settings.user_set_selector
         if selected == UserSet.DEFAULT:
             raise Refusal(GevStatus.WRITE_PROTECT)
         self._user_sets[selected] = self.settings.copy()
 
     def apply_faults(self) -> None:
-        """Apply the momentary faults that occurred since the last call, and a seized control privilege."""
+        """Apply the momentary faults since the last call, and any seized control privilege."""
         if self.faults.happened("restart"):
             self.restart()
         if self.faults.happened("pulse"):
@@ -108,7 +108,7 @@ class Camera:
         self.privilege.seize(self.faults.active("taken"))
 
     def restart(self) -> None:
-        """Power-cycle the camera: no application in control, power-on settings. Saved user sets are kept."""
+        """Power-cycle the camera: drop control and restore power-on settings, but keep saved user sets."""
         self.privilege.drop()
         self.acquisition.stop()
         self.channel.shut()
@@ -121,7 +121,7 @@ class Camera:
         return None if owner is None else owner[0]
 
     def _release_control(self) -> None:
-        """Stop all activity, since nothing may continue without an application in control."""
+        """Stop all activity, because it requires an application in control."""
         self.acquisition.stop()
         self.channel.shut()
         self.messages.shut()

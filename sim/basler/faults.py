@@ -1,4 +1,4 @@
-"""Effects of the fault script on one camera: its packets, messages, clock and light."""
+"""Effects of the fault script on a camera's packets, messages, clock and light."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class EmptyBoard:
 
 
 class CameraFaults:
-    """Faults of one camera. Each thread needs its own instance, because each has its own board."""
+    """Faults of one camera, with a separate instance (and fault board) for each thread."""
 
     def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
         self._world = world
@@ -51,7 +51,7 @@ class CameraFaults:
         return not self._board.empty
 
     def draw_lost_packets(self, block_id: int, packets: int) -> Collection[int]:
-        """Draw the ids of packets to lose."""
+        """Draw the ids of the packets to drop."""
         if self._board.empty:
             return ()
         lost_ids: set[int] = set()
@@ -81,7 +81,7 @@ class CameraFaults:
         return [int(number) for number in ids]
 
     def passes(self, packet_bytes: int) -> bool:
-        """Return whether the network passes packets of this size."""
+        """Return whether the network passes packets of `packet_bytes`."""
         if self._board.empty:
             return True
         if self.active("unplug"):
@@ -94,12 +94,12 @@ class CameraFaults:
         return bool(self._own_faults(kind))
 
     def happened(self, kind: str) -> bool:
-        """Return True once after a momentary fault of this kind."""
+        """Return whether a momentary fault of this kind has occurred since the last call."""
         happened = self._board.happened(f"camera_{kind}")
         return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
-        """Return the largest amount among the active faults of this kind; 0 if there are none."""
+        """Return the largest amount among the active faults of this kind, or 0 if none is active."""
         return max((float(fault.arguments[1]) for fault in self._own_faults(kind)), default=0.0)
 
     def drift_ppm(self) -> float:

@@ -1,4 +1,4 @@
-"""Message channel of a camera: events, reported until acknowledged."""
+"""Camera message channel: reports events until they are acknowledged."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DATAGRAM_BYTES = 2048
 
 @dataclass(frozen=True)
 class Event:
-    """A camera event, with block id 0 if it belongs to no frame. `data` is sent as EVENTDATA."""
+    """A camera event, with block id 0 if it does not belong to a frame."""
 
     kind: EventKind
     block_id: int
@@ -45,7 +45,7 @@ class Event:
     data: bytes = b""
 
     def encode_item(self) -> bytes:
-        """Encode the event as an item of a message."""
+        """Encode the event as a message item."""
         head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
         return head + self.data
 
@@ -61,7 +61,7 @@ class _PendingMessage:
 
 
 class MessageChannel(UdpChannel):
-    """Message channel that sends one message at a time to one receiver, until acknowledged or out of retries.
+    """Message channel to one receiver, sending each message until acknowledged or out of retries.
 
     `now_s` is the host's monotonic clock.
     """
@@ -89,7 +89,7 @@ class MessageChannel(UdpChannel):
 
     @property
     def port(self) -> int:
-        """UDP port of the receiver; 0 while closed."""
+        """UDP port of the receiver, or 0 while the channel is closed."""
         return self._port
 
     @port.setter
@@ -100,7 +100,7 @@ class MessageChannel(UdpChannel):
             self._port = value
 
     def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
-        """Queue an event. Return False if a full queue loses it. A closed channel loses nothing."""
+        """Queue an event, returning False if the queue is full; a closed channel accepts and drops it."""
         with self._lock:
             if self.receiver is None:
                 return True
@@ -113,12 +113,12 @@ class MessageChannel(UdpChannel):
         return True
 
     def due_s(self) -> float | None:
-        """Return the host time at which the pending message must be repeated; None if none is pending."""
+        """Return the host time at which to resend the pending message, or None if none is pending."""
         pending = self._pending
         return None if pending is None else pending.due_s
 
     def receive(self) -> None:
-        """Process the acknowledges received."""
+        """Process the received acknowledges."""
         with contextlib.suppress(OSError):
             while True:
                 datagram, (host, _) = self.socket.recvfrom(DATAGRAM_BYTES)
@@ -127,7 +127,7 @@ class MessageChannel(UdpChannel):
                     self._handle_acknowledge(datagram)
 
     def repeat_overdue(self) -> None:
-        """Repeat the pending message if its acknowledge is overdue; give up after the last retry."""
+        """Resend the pending message if its acknowledge is overdue, giving up after the last retry."""
         with self._lock:
             pending = self._pending
             if pending is None or self._now_s() < pending.due_s:
@@ -157,7 +157,7 @@ class MessageChannel(UdpChannel):
                 self._send_next()
 
     def _send_next(self) -> None:
-        """Send the next message: an event with data by itself, other events combined."""
+        """Send the next message, combining queued events unless they carry data."""
         while self._waiting and self._pending is None:
             together = [self._waiting.popleft()]
             while (
@@ -191,7 +191,7 @@ class MessageChannel(UdpChannel):
 
 
 class EventReporter:
-    """Reporter of those events of one camera whose notification is on. Thread-safe."""
+    """Thread-safe reporter of one camera's events, limited to those with notification enabled."""
 
     def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
         self._settings = settings
@@ -200,7 +200,7 @@ class EventReporter:
         self._overrun_reported = False
 
     def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
-        """Report an event at a theatre time in ns, if its notification is on."""
+        """Report an event at a theatre time in ns if its notification is enabled."""
         if kind not in self._settings().events_notified or self._channel.receiver is None:
             return
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""

@@ -1,4 +1,4 @@
-"""Server of the stereo head's two cameras in one process: addresses, and a single serving thread."""
+"""Server for both cameras of the stereo head: addresses and a single serving thread."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SIDES = ("left", "right")
 
 
 class CameraPair:
-    """Two cameras in one world, served until told to end."""
+    """Two cameras in one world, served until `end` is called."""
 
     def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
         sockets = bind_pair(addresses)
@@ -62,14 +62,14 @@ class CameraPair:
 
     @property
     def endpoints(self) -> dict[str, str]:
-        """Endpoints of the cameras."""
+        """Endpoints of both cameras."""
         return {
             side: f"gev://{camera.identity.address}"
             for side, camera in zip(SIDES, self._cameras, strict=True)
         }
 
     def serve(self) -> None:
-        """Serve clients until `end`."""
+        """Serve clients until `end` is called."""
         for camera in self._cameras:
             camera.open()
         try:
@@ -88,7 +88,7 @@ def _report(message: str) -> None:
 
 
 def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
-    """Bind control sockets to two given addresses, or to a free pair of addresses; raises SIM-004."""
+    """Bind control sockets to the two given addresses, or else to a free pair; raises SIM-004."""
     if addresses:
         left, right = addresses
         return _bind(left, right)
@@ -102,7 +102,7 @@ def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
 
 
 def bind_broadcast() -> list[socket.socket]:
-    """Bind sockets that receive broadcasts. Several programs may listen at the same time."""
+    """Bind sockets for receiving broadcasts, which other programs may share."""
     sockets = []
     for address in BROADCAST_ADDRESSES:
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -137,7 +137,7 @@ def _bind_one(address: str) -> socket.socket:
 
 
 class ControlServer:
-    """Serves the control ports of several cameras on one thread: sockets, broadcasts, heartbeats.
+    """Serves the control ports of several cameras on one thread, including broadcasts and heartbeats.
 
     `sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts.
     """
@@ -167,7 +167,7 @@ class ControlServer:
         self._selector.register(self._sleeper, selectors.EVENT_READ, None)
 
     def serve(self) -> None:
-        """Serve until `end`."""
+        """Serve until `end` is called."""
         while not self._ended:
             self._receive_all(self._wait_s())
             self._send_delayed()
@@ -181,17 +181,17 @@ class ControlServer:
                     camera.privilege.expire()
 
     def end(self) -> None:
-        """Make `serve` return. May be called from a signal handler or another thread."""
+        """Make `serve` return; safe to call from a signal handler or another thread."""
         self._ended = True
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the server to check for due work. May be called from another thread."""
+        """Wake the server to check for due work; safe to call from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
     def _wait_s(self) -> float:
-        """Return the seconds until something is due: a heartbeat, a message, a delayed answer, the script."""
+        """Return the seconds until the next heartbeat, message, delayed answer or script check is due."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
@@ -241,7 +241,7 @@ class ControlServer:
 
 
 def _delay_answer(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield the datagrams of an answer under the active faults, each with its host-time delay."""
+    """Yield an answer's datagrams under the active faults, each with its delay in host time."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer

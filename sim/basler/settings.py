@@ -1,4 +1,4 @@
-"""Settings of a camera and of one frame, and the timing derived from them."""
+"""Camera and frame settings, and the timing derived from them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
 
 
 class EventKind(IntEnum):
-    """Entries of EventSelector; the values are the ids on the wire.
+    """Entries of EventSelector, with their wire ids as values.
 
     A vendor's ids begin at 0x9000; their assignment in real firmware is unconfirmed. A client reads them
     from the description.
@@ -96,7 +96,7 @@ class UserSet(IntEnum):
 
 @dataclass
 class TriggerSettings:
-    """Settings of one trigger."""
+    """Trigger settings."""
 
     mode: int = 0
     source: int = TriggerSource.SOFTWARE
@@ -106,7 +106,7 @@ class TriggerSettings:
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """The settings of one frame."""
+    """Settings that apply to a single frame."""
 
     area: Area
     pixel_format: PixelFormat
@@ -123,7 +123,7 @@ class FrameSettings:
 
 @dataclass
 class Settings:
-    """Content of a user set, and the selectors. The defaults are the power-on values."""
+    """User set contents and selectors, with the power-on values as defaults."""
 
     width: int = SENSOR_WIDTH_PX
     height: int = SENSOR_HEIGHT_PX
@@ -158,7 +158,7 @@ class Settings:
         return self.triggers[self.trigger_selector]
 
     def frame(self) -> FrameSettings:
-        """Return the settings of a frame that starts now."""
+        """Return the settings for a frame that starts now."""
         return FrameSettings(
             Area(self.offset_x, self.offset_y, self.width, self.height),
             PixelFormat(self.pixel_format),
@@ -179,7 +179,7 @@ def bits_per_pixel(pixel_format: PixelFormat) -> int:
 
 
 class TheatreClock(Protocol):
-    """Theatre clock, with the functions that a camera needs."""
+    """The part of the theatre clock used by a camera."""
 
     @property
     def paced(self) -> bool: ...
@@ -190,23 +190,23 @@ class TheatreClock(Protocol):
 
 
 def readout_us(frame: FrameSettings) -> float:
-    """Return the time from the end of exposure to the end of read-out."""
+    """Return the read-out time, from the end of exposure."""
     return frame.area.height * ROW_US
 
 
 def shortest_period_us(frame: FrameSettings) -> float:
-    """Return the shortest frame period. Exposure, read-out and transfer overlap, so the slowest decides."""
+    """Return the shortest frame period, set by the slowest of exposure, read-out and transfer."""
     return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
 
 
 def free_running_period_us(settings: Settings) -> float:
-    """Return the frame period in the absence of a frame trigger."""
+    """Return the frame period when no frame trigger is used."""
     shortest = max(shortest_period_us(settings.frame()), 1e6 / FULL_FRAME_RATE_HZ)
     return max(shortest, 1e6 / settings.frame_rate_hz) if settings.frame_rate_enabled else shortest
 
 
 class TriggerMoments:
-    """Theatre times of the triggers, common to both cameras.
+    """Trigger times in theatre time, shared by both cameras.
 
     In real time a trigger acts when it arrives. In lock-step the first camera's frame may have advanced the
     theatre before the second trigger arrives: that one is then backdated to the first, so that a pair
@@ -221,7 +221,7 @@ class TriggerMoments:
         )
 
     def stamp_trigger(self, camera: str) -> int:
-        """Return the theatre time in ns of the trigger that this camera is receiving."""
+        """Return the theatre time in ns of the trigger now reaching this camera."""
         now = self._clock.now_ns()
         if self._clock.paced:
             return now
@@ -236,7 +236,7 @@ class TriggerMoments:
 
 
 class Ticks:
-    """Time stamp counter of a camera, driven by the theatre's clock."""
+    """Camera time stamp counter, driven by the theatre clock."""
 
     def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
@@ -248,16 +248,16 @@ class Ticks:
         self.latched = 0
 
     def stamp(self, moment_ns: int) -> int:
-        """Return the time stamp of a frame in ticks, unique even for frames at the same theatre time."""
+        """Return a frame's time stamp in ticks, unique even among frames at the same theatre time."""
         self._last_stamp = max(self._ticks_at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
     def count(self, moment_ns: int) -> int:
-        """Return the ticks at a theatre time. Time stamps of frames use `stamp` instead."""
+        """Return the tick count at a theatre time; for frame time stamps, use `stamp` instead."""
         return self._ticks_at(moment_ns)
 
     def latch(self) -> None:
-        """Latch the present value for reading."""
+        """Latch the present count for reading."""
         self.latched = self._ticks_at(self._clock.now_ns())
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""Stream channel of a camera: frames as blocks of packets, their pacing and retransmission."""
+"""Camera stream channel: frames sent as blocks of packets, with pacing and retransmission."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fau
 
 @dataclass(frozen=True)
 class Frame:
-    """Image ready for the wire, with the settings of its exposure and its time stamp in ticks."""
+    """Encoded image with its exposure settings and time stamp in ticks."""
 
     settings: FrameSettings
     image: bytes
@@ -54,7 +54,7 @@ class Frame:
 
 
 class Block:
-    """Leader, payload and trailer packets of one frame, built on demand."""
+    """Leader, payload and trailer packets of a frame, built on demand."""
 
     def __init__(self, block_id: int, frame: Frame, packet_size: int) -> None:
         self.block_id = block_id
@@ -71,7 +71,7 @@ class Block:
     def packet(
         self, packet_id: int, status: GevStatus = GevStatus.SUCCESS
     ) -> tuple[bytes, bytes | memoryview]:
-        """Return the header and content of a packet, 0 to `trailer_id`."""
+        """Return the header and content of packet `packet_id`, from 0 to `trailer_id`."""
         if packet_id == LEADER_PACKET_ID:
             return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._encode_leader()
         if packet_id == self.trailer_id:
@@ -93,12 +93,12 @@ class Block:
 
 
 def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -> bytes:
-    """Encode the header of a stream packet."""
+    """Encode a stream packet header."""
     return struct.pack(GVSP_HEADER, status, block_id, kind << GVSP_FORMAT_SHIFT | packet_id)
 
 
 class UdpChannel:
-    """UDP channel from the camera to one receiver. `owner_address` is that of the application in control."""
+    """UDP channel from the camera to one receiver, with `owner_address` as its default destination."""
 
     port: int  # of the receiver; 0 while closed
 
@@ -116,7 +116,7 @@ class UdpChannel:
 
     @property
     def receiver(self) -> tuple[str, int] | None:
-        """Destination of packets; None while closed. 0.0.0.0 stands for the application in control."""
+        """Packet destination, or None while closed; 0.0.0.0 means the application in control."""
         owner = self._owner_address()
         if not self.port or owner is None:
             return None
@@ -152,12 +152,12 @@ class StreamChannel(UdpChannel):
         self.socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if enabled else PMTU_DONT)
 
     def begin(self) -> None:
-        """Restart block numbers from 1, after which older blocks can no longer be resent."""
+        """Restart block numbers from 1, discarding older blocks so that they can no longer be resent."""
         self._next_block_id = BLOCK_ID_FIRST
         self._kept.clear()
 
     def block_of(self, frame: Frame) -> Block | None:
-        """Make the next block to send; None while the channel is closed."""
+        """Create the next block to send, or return None while the channel is closed."""
         if self.receiver is None:
             return None
         block = Block(self._next_block_id, self._apply_faults(frame), self.packet_size)
@@ -166,7 +166,7 @@ class StreamChannel(UdpChannel):
         return block
 
     def send(self, block: Block, duration_s: float = 0.0) -> None:
-        """Send a block over `duration_s`, at the pace of the read-out but never faster than the link."""
+        """Send a block over `duration_s` at the read-out pace, but no faster than the link allows."""
         receiver = self.receiver
         if receiver is None:
             return
@@ -187,7 +187,7 @@ class StreamChannel(UdpChannel):
                 self._send_packet(block, packet_id, GevStatus.SUCCESS, receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
-        """Resend packets, or report the first of them as unavailable."""
+        """Resend packets, or report the first as unavailable."""
         receiver = self.receiver
         if receiver is None:
             return
@@ -206,7 +206,7 @@ class StreamChannel(UdpChannel):
             self._transmit([bytes(size - IP_UDP_HEADER_BYTES)], receiver)
 
     def shut(self) -> None:
-        """Close the channel and forget its blocks."""
+        """Close the channel and discard its blocks."""
         self.port = 0
         self._kept.clear()
 

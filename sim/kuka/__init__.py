@@ -1,1 +1,1 @@
-"""Simulated KR C4 and an arm with its own true geometry: RSI over UDP, EKI over TCP."""
+"""Simulated KR C4 and arm with its own true geometry: RSI over UDP, EKI over TCP."""

@@ -1,4 +1,4 @@
-"""Automatic start of the RSI program, so that a client without EKI finds a streaming controller."""
+"""Automatic start of the RSI program, for clients that do not use EKI."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
-    """Starter of the RSI program, which restarts it some time after a run has ended or was stopped.
+    """Starts the RSI program, and restarts it after a pause whenever a run ends or is stopped.
 
     It also acknowledges the message of a fault or a released emergency stop: the only other way is EKI.
     """
@@ -25,7 +25,7 @@ class Autostart:
             self._controller.start(counts_from_first_reply=True)
 
     def tick(self, now_s: float) -> None:
-        """Restart the program when due. Called while it is stopped or over and the arm is at rest."""
+        """Restart the program when due; call only while no program is running and the arm is at rest."""
         controller = self._controller
         if not self._armed:
             return
@@ -50,5 +50,5 @@ class Autostart:
         self._ended_s = None
 
     def arm(self) -> None:
-        """Resume automatic start, if it was requested."""
+        """Resume automatic start if it was requested at launch."""
         self._armed = self._wanted

@@ -1,4 +1,4 @@
-"""`ronna-sim kuka`: a KR C4 with a KR 6 R900 for any client of RSI and EKI."""
+"""`ronna-sim kuka`: a KR C4 with a KR 6 R900, for any RSI and EKI client."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _read_context(
 
 
 def _describe_link(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
-    """Return facts about the link for the READY line, and whether the wiring was inferred from the tags."""
+    """Return the link facts for the READY line, including whether the wiring was inferred from the tags."""
     return {
         "wiring": "inferred" if inferred else "context",
         "wired": sorted({wire.object for wire in context.wiring}),

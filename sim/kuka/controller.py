@@ -1,4 +1,4 @@
-"""Simulated KR C4 controller: drives, operating mode, message, and the one program it runs.
+"""Simulated KR C4 controller: drives, operating mode, message and the running program.
 
 It owns neither socket nor clock. `RsiRun` is the program while it streams, `EkiMotion` one motion of the EKI
 program, `Manipulator` the arm.
@@ -25,7 +25,7 @@ ALL_BRAKES = 0b111111
 
 
 class Controller:
-    """A KR C4 with one arm, one RSI context, and a program that the EKI channels start and stop."""
+    """A KR C4 with one arm, one RSI context and a program that the EKI channels start and stop."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Controller:
 
     @property
     def rsi_state(self) -> RsiState:
-        """State of the RSI program, as the channels report it."""
+        """RSI program state, as reported by the channels."""
         if self.run is not None:
             return self.run.state
         return RsiState.FAULT if self.message is not None else RsiState.IDLE
@@ -76,7 +76,7 @@ class Controller:
         return self.drives_on and not self.interlocks.forbids_drives and self.message is None
 
     def ready(self) -> Acknowledgement:
-        """Return DONE if a program may move the arm now; otherwise the refusal."""
+        """Return DONE if a program may move the arm now, or the reason for refusal."""
         if self.run is not None:
             return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
@@ -106,7 +106,7 @@ class Controller:
         *,
         counts_from_first_reply: bool = False,
     ) -> Acknowledgement:
-        """Execute RSI_ON, with the settings of the context or the given ones."""
+        """Execute RSI_ON, using the context's settings unless overridden."""
         answer = self.ready()
         if answer is not DONE:
             return answer
@@ -132,7 +132,7 @@ class Controller:
         return DONE
 
     def cancel(self) -> Acknowledgement:
-        """Cancel RSI or a motion and deselect the program. The arm comes to rest."""
+        """Cancel RSI or a motion, deselect the program and bring the arm to rest."""
         if self.message is not None and self.run is None:
             return Acknowledgement(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
         if self.motion is not None:
@@ -142,14 +142,14 @@ class Controller:
         return DONE
 
     def select(self) -> Acknowledgement:
-        """Select the program, without starting it."""
+        """Select the program without starting it."""
         if self.run is not None or self.motion is not None or self.message is not None:
             return Acknowledgement(AckCode.REFUSED, f"program is {self.program_state}")
         self.program_state = ProState.RESET
         return DONE
 
     def stop(self, *, fast: bool = False) -> Acknowledgement:
-        """Stop the program without cancelling it: the arm brakes, and RSI may go on streaming."""
+        """Brake and stop the program without cancelling it, so that RSI may keep streaming."""
         self._interrupt("stopped", fast=fast)
         return DONE
 
@@ -168,7 +168,7 @@ class Controller:
         return DONE
 
     def move(self, motion: EkiMotion) -> None:
-        """Begin a motion of the EKI program; the caller has checked `ready`."""
+        """Start a motion of the EKI program, for which the caller has checked `ready`."""
         self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
         self.motion = motion
         self.program_state = ProState.ACTIVE
@@ -176,7 +176,7 @@ class Controller:
     # -- drives and safety
 
     def switch_drives(self, on: bool) -> Acknowledgement:
-        """Switch the drives on or off; switching off stops the arm."""
+        """Switch the drives on, or off to stop the arm."""
         if on and self.interlocks.forbids_drives:
             return Acknowledgement(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if not on:
@@ -185,26 +185,26 @@ class Controller:
         return DONE
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """Press or release the emergency stop. Its message can be acknowledged only after the release."""
+        """Press or release the emergency stop, whose message can be acknowledged only after release."""
         self.interlocks.emergency_stop = pressed
         if pressed:
             self._stop_with(self.parameters.emergency_stop_message, "emergency stop")
 
     def open_guard(self, is_open: bool) -> None:
-        """Open or close the safety gate. Opening it stops the arm in the automatic modes."""
+        """Open or close the safety gate; opening it stops the arm in the automatic modes."""
         self.interlocks.guard_open = is_open
         if self.interlocks.guard_matters:
             self._stop_with(self.parameters.guard_message, "operator safety: guard open")
 
     def turn_key(self, mode: OperationMode) -> None:
-        """Turn the key switch. A change of mode stops a running program and switches the drives off."""
+        """Turn the key switch; a mode change stops any running program and switches the drives off."""
         if mode is not self.interlocks.mode:
             self._interrupt(f"mode {mode}")
             self.drives_on = False
         self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
-        """Hold or release the enabling switch. Releasing it in a test mode stops the program or motion."""
+        """Hold or release the enabling switch; releasing it in a test mode stops the program or motion."""
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
@@ -212,44 +212,44 @@ class Controller:
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
-        """Hold or release the start key. Releasing it in a test mode stops the program."""
+        """Hold or release the start key; releasing it in a test mode stops the program."""
         self.interlocks.start_key = held
         if self.interlocks.manual and not held and (self.run is not None or self.motion is not None):
             self._interrupt("start key released")
 
     def collide(self) -> None:
-        """Trip the torque monitor: the arm brakes and holds, and a message appears."""
+        """Trip the torque monitor, which stops the arm and displays a message."""
         self._stop_with(
             self.parameters.collision_message, "collision detected: torque beyond the monitored range"
         )
 
     def overload(self) -> None:
-        """Close the brakes without a message: the program continues, but the axes no longer follow."""
+        """Close the brakes without a message, so that the program continues but the axes no longer follow."""
         self._overloaded = True
         self.arm.drives.brake()
 
     @property
     def open_brakes(self) -> int:
-        """$BRAKE_SIG: one bit per axis, A1 the lowest, 1 for an open brake."""
+        """$BRAKE_SIG: one bit per axis with A1 as the lowest, set when the brake is open."""
         return ALL_BRAKES if self.drives_on and not self._overloaded else 0
 
     def trip(self, name: str) -> None:
-        """End a run or motion with a message from `TRIPS`."""
+        """End a run or motion with the named message from `TRIPS`."""
         if self.run is not None or self.motion is not None:
             self._fail(TRIPS[name](self.parameters))
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
+        """Clamp axis corrections to `within_deg` of their present values, or unclamp them if None."""
         if self.run is not None:
             self.run.flow.narrow(within_deg)
 
     def restart(self) -> None:
-        """End the program without a message. The caller restarts it once the arm is at rest."""
+        """End the program without a message, for the caller to restart once the arm is at rest."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
     def handle_eki_loss(self) -> None:
-        """React to the loss of an EKI client. By a parameter, its interrupt cancels the RSI program."""
+        """Handle a lost EKI client, cancelling the RSI program if `eki_loss_cancels` is set."""
         if self.parameters.eki_loss_cancels and self.run is not None:
             self.cancel()
 
@@ -281,7 +281,7 @@ class Controller:
     # -- the cycle
 
     def finish_cycle(self, reply: Reply | None) -> None:
-        """Complete a cycle of the running program: apply the reply and move the arm."""
+        """Complete one cycle of the running program: apply the reply and move the arm."""
         run = self.run
         if run is None:
             return
@@ -302,7 +302,7 @@ class Controller:
             self._follow(run.command_deg, has_reply=reply is not None)
 
     def settle(self) -> None:
-        """Run one cycle without RSI: the next point of a motion, or a step towards rest."""
+        """Run one cycle without RSI: execute the next point of a motion, or move towards rest."""
         motion = self.motion
         if motion is None:
             self.arm.settle()
@@ -321,7 +321,7 @@ class Controller:
             motion.report(DONE)
 
     def _follow(self, command_deg: list[float], *, has_reply: bool) -> None:
-        """Advance the arm by a cycle. In T1, stop it if the tool exceeds the speed limit."""
+        """Advance the arm by one cycle, stopping it in T1 if the tool exceeds the speed limit."""
         if self.interlocks.mode is not OperationMode.T1:
             self.arm.follow(command_deg, has_reply=has_reply)
             return
@@ -342,7 +342,7 @@ class Controller:
         self._end_run(ProState.STOP)
 
     def _stop_with(self, number: int, text: str) -> None:
-        """Switch the drives off and stop the program with a message. It may go on streaming."""
+        """Switch the drives off and stop the program with a message, without ending its streaming."""
         self._display(Message(number, text, drives_off=True))
         self._interrupt(text)
 

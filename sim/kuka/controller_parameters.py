@@ -1,4 +1,4 @@
-"""Unconfirmed controller behaviour, each aspect as a named and documented parameter.
+"""Named and documented parameters for unconfirmed controller behaviour.
 
 The values are best estimates. A driver must live with every alternative; `ronna-sim kuka --set NAME=VALUE`
 chooses one.

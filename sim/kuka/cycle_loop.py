@@ -1,4 +1,4 @@
-"""Cycle loop of the controller, in real time or in lock-step; serves the EKI channels between cycles.
+"""Controller cycle loop, in real time or lock-step, serving the EKI channels between cycles.
 
 A single thread does everything: no locks, and no other thread competes for the interpreter. It waits in one
 `select` over the RSI socket and the channels.
@@ -41,7 +41,7 @@ STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
 
 
 class CycleLoop:
-    """Loop that runs a controller until `end` is called."""
+    """Runs a controller cycle by cycle until `end` is called."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class CycleLoop:
         self.cycles = 0
 
     def end(self) -> None:
-        """Make `run` return soon; may be called from a signal handler or another thread."""
+        """Make `run` return soon; safe to call from a signal handler or another thread."""
         self._ending = True
 
     def run(self) -> None:
@@ -154,7 +154,7 @@ class CycleLoop:
             self._pace(run, began_s + cycle_s)
 
     def _pace(self, run: RsiRun, next_s: float) -> None:
-        """Slow lock-step down to real time while the correction does not change."""
+        """Slow lock-step down to real time while the correction is unchanged."""
         if run.command_deg is not self._last_command:
             self._last_command = run.command_deg
             self._unchanged = 0
@@ -169,7 +169,7 @@ class CycleLoop:
         self._serve_timers(now_s)
 
     def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
-        """Send a telegram as altered by link faults. Return whether the client can answer it."""
+        """Send a telegram subject to link faults and return whether the client can answer it."""
         assert self._rsi is not None
         link = self._link
         if link.is_active("foreign_sender"):
@@ -183,11 +183,11 @@ class CycleLoop:
         return answerable
 
     def _cycle_number(self) -> int:
-        """Return the number of the next telegram, or of the last one between runs, counted over all runs."""
+        """Return the number of the next telegram, or of the last one between runs, across all runs."""
         return self.cycles + (self._controller.run is not None)
 
     def _fault_time(self) -> tuple[float, int | None]:
-        """Return the theatre time, and the IPOC of the next telegram."""
+        """Return the theatre time and the next telegram's IPOC."""
         run = self._controller.run
         return self._clock.now_s(), run.ipoc if run is not None else None
 
@@ -208,7 +208,7 @@ class CycleLoop:
         self._last_command = run.command_deg
 
     def _settle(self) -> None:
-        """Run a cycle of a motion or of coming to rest, then release the control of time."""
+        """Run one cycle of a motion or of braking to rest, then release control of theatre time."""
         if self._rsi is not None:
             self._close_rsi()
             self._deadline_s = time.monotonic()
@@ -246,7 +246,7 @@ class CycleLoop:
             run.rejected.report(time.monotonic(), lambda reason, count: self._log.info(reason, so_far=count))
 
     def _report_change(self) -> None:
-        """Make the channels report a changed state immediately, not at the end of their period."""
+        """Make the channels report a state change at once rather than at the end of their period."""
         state = (self._controller.rsi_state, self._controller.moving)
         if state != self._reported:
             self._reported = state
@@ -255,7 +255,7 @@ class CycleLoop:
     # -- waiting
 
     def _await_reply(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """Wait for the reply of this cycle. Return None if it has not arrived by `limit_s` (host time)."""
+        """Wait for this cycle's reply, or return None if it has not arrived by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = found = None
@@ -277,7 +277,7 @@ class CycleLoop:
                 return found
 
     def _await_reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """Wait for the reply on the RSI socket, serving the channels now and then; None after `limit_s`."""
+        """Wait for the reply while occasionally serving the channels, or return None after `limit_s`."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = None
@@ -297,7 +297,7 @@ class CycleLoop:
                 return None
 
     def _wait_until(self, run: RsiRun | None, moment_s: float) -> None:
-        """Wait while serving the channels. Returns early if the run ends or another one begins."""
+        """Wait while serving the channels, but return early if the run ends or another begins."""
         while not self._ending and self._controller.run is run:
             remaining_s = moment_s - time.monotonic()
             if remaining_s <= 0.0:
@@ -305,7 +305,7 @@ class CycleLoop:
             self._wait_once(remaining_s, None)
 
     def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
-        """Wait once, serving channels and timers. Return whether the RSI socket is readable."""
+        """Wait once while serving channels and timers, and return whether the RSI socket is readable."""
         waiting: list[socket.socket] = [rsi] if rsi is not None else []
         for server in self._servers:
             waiting += server.sockets

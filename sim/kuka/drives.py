@@ -1,4 +1,4 @@
-"""Simulated drives: the response of six axes to commands, and the supervision that trips them.
+"""Simulated drives: response of six axes to commands, and the supervision that trips them.
 
 Angles are encoder degrees. A list of angles is never modified in place, so an unchanged command is the same
 object, and an arm at rest costs nothing.
@@ -22,7 +22,7 @@ TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
 
 
 class Drives:
-    """Six axes with dead time, lag, exact settling, braking and a motion counter. `step` runs one cycle."""
+    """Six axes with dead time, lag, exact settling, braking and a motion counter."""
 
     def __init__(
         self, arm: RobotDescription, start_deg: Sequence[float], parameters: ControllerParameters
@@ -47,13 +47,13 @@ class Drives:
         self.start_cycles(IPO_FAST_S)
 
     def restore(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
-        """Resume from the last state of an arm: the gear flanks it rests on, and its motion number."""
+        """Restore an arm's last state: gear flanks at rest, motion number and time in motion."""
         self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
         self.flanks = list(self._directions)
         self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
-        """Expect a command every `cycle_s`, starting from rest, optionally behind a controller filter."""
+        """Prepare for a command every `cycle_s`, starting at rest, optionally behind a controller filter."""
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
         self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
@@ -61,7 +61,7 @@ class Drives:
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
     def step(self, command_deg: list[float], *, has_reply: bool = True) -> None:
-        """Advance one cycle. `has_reply` is False if the command is merely held for want of a reply."""
+        """Advance one cycle; `has_reply` is False if the command is merely held for lack of a reply."""
         if command_deg is self.command_deg:
             if self.at_rest:
                 return
@@ -96,7 +96,7 @@ class Drives:
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
     def brake(self, *, fast: bool = False) -> None:
-        """Stop on the braking ramps of the axes, ignoring commands."""
+        """Stop on the axes' braking ramps, ignoring commands."""
         self._braking = not self.at_rest
         parameters = self._parameters
         self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
@@ -158,7 +158,7 @@ class Drives:
                 axes_deg[axis] = before_deg[axis]
 
     def _rest_position(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
-        """Return the rest position, which equals the command except for sticking axes."""
+        """Return the rest position, which is the command except for sticking axes."""
         held = [axis for axis, slips in self._slipping.items() if not slips]
         if not held:
             return command_deg
@@ -197,7 +197,7 @@ class Supervision:
         *,
         cartesian: bool = False,
     ) -> None:
-        """If poses are corrected (`cartesian`), a wrist axis that cannot follow indicates a singularity."""
+        """Attribute excessive wrist steps to a singularity if poses are corrected (`cartesian`)."""
         self._arm = arm
         self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s
@@ -220,7 +220,7 @@ class Supervision:
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
     def clip_to_range(self, command_deg: list[float]) -> list[float]:
-        """Clip the command to the software end switches; returns the same object if it is within range."""
+        """Clip the command to the software end switches, returning the same object if it is within range."""
         cut = [
             min(max(angle, joint.lower_deg), joint.upper_deg)
             for angle, joint in zip(command_deg, self._arm.joints, strict=True)
@@ -228,7 +228,7 @@ class Supervision:
         return command_deg if cut == command_deg else cut
 
     def judge(self, command_deg: list[float], before_deg: list[float], *, has_reply: bool) -> Message | None:
-        """Return the message of a stop; None if the arm can follow.
+        """Return the message for a stop, or None if the arm can follow.
 
         Values held for missing replies (`has_reply` is false) do not count as acceleration; after a few of
         them the next command starts from rest.

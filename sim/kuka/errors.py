@@ -1,4 +1,4 @@
-"""Start-up errors of the robot controller; later problems are messages on its pendant."""
+"""Start-up errors of the robot controller; later problems appear as pendant messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import ConfigurationError
 
 
 class EthernetFileInvalid(ConfigurationError):
-    """The Ethernet file of the RSI link cannot be used."""
+    """The Ethernet file of the RSI link is unusable."""
 
     code = "KRC-001"
     action = "Correct the file; its form is ROOT > CONFIG, SEND > ELEMENTS, RECEIVE > ELEMENTS."
@@ -20,7 +20,7 @@ class ClientAddressInvalid(ConfigurationError):
 
 
 class UnknownParameter(ConfigurationError):
-    """The controller has no such parameter, or the parameter cannot have this value."""
+    """The controller parameter does not exist or does not accept the value."""
 
     code = "KRC-003"
     action = "Give --set NAME=VALUE; ronna-sim kuka --list-parameters lists all names."

@@ -1,4 +1,4 @@
-"""Fault injection into controller, arm and EKI channels, and the log of injected faults."""
+"""Fault injection into the controller, arm and EKI channels, with a log of injected faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
 
 
 class FaultLog:
-    """Log of fault beginnings and ends on standard error. `moment` returns theatre time (s) and IPOC."""
+    """Logs the start and end of faults on standard error, stamped with the time and IPOC from `moment`."""
 
     def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
         self._moment = moment
@@ -146,7 +146,7 @@ class ControllerFaults:
                 EKI_FAULTS[kind](server)
 
     def _restart_program(self) -> None:
-        """Restart the program from the place where the arm came to rest."""
+        """Restart the program where the arm came to rest."""
         settings = self._restart
         if settings is None or self._controller.moving:
             return

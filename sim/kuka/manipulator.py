@@ -1,4 +1,4 @@
-"""The arm in the world: drives, nominal geometry for the controller, true geometry for observers."""
+"""The arm in the world: drives, nominal geometry for the controller and true geometry for observers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WAYPOINTS = 40  # checked before a straight path is accepted
 
 
 class Manipulator:
-    """Arm that moves and publishes its true flange pose."""
+    """Moving arm that publishes its true flange pose."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class Manipulator:
         parameters: ControllerParameters,
         resume_from: ArmState | None = None,
     ) -> None:
-        """`resume_from` is the arm's last state in a continued world; None starts it at home."""
+        """Start at `resume_from`, the arm's last state in a continued world, or at home if None."""
         self.description = description(truth.variant)
         start_deg = (
             truth.home_deg if resume_from is None else [degrees(angle) for angle in resume_from.joints_rad]
@@ -59,12 +59,12 @@ class Manipulator:
 
     @property
     def axes_deg(self) -> list[float]:
-        """Encoder angles."""
+        """Encoder angles in degrees."""
         return self.drives.axes_deg
 
     @property
     def reported_deg(self) -> list[float]:
-        """Encoder angles as reported, degrees. Same object while nothing moves."""
+        """Encoder angles as reported, in degrees; the same object while nothing moves."""
         if self._read is not self.drives.axes_deg:
             self._read, step, self._reported_frame = self.drives.axes_deg, self._readout_step_deg, None
             self._reported = [round(angle / step) * step for angle in self._read] if step else self._read
@@ -72,12 +72,12 @@ class Manipulator:
 
     @property
     def frame(self) -> list[float]:
-        """X Y Z (mm) A B C (deg) of the tool in BASE, by the nominal geometry."""
+        """Nominal tool frame in BASE, X Y Z (mm) A B C (deg)."""
         return self._frame_at(self.drives.axes_deg)
 
     @property
     def reported_frame(self) -> list[float]:
-        """Tool frame, X Y Z (mm) A B C (deg), at the reported axes. Same object while nothing moves."""
+        """Tool frame at the reported axes, X Y Z (mm) A B C (deg); the same object while nothing moves."""
         reported_deg = self.reported_deg
         if self._reported_frame is None:
             self._reported_frame = self._frame_at(reported_deg)
@@ -85,11 +85,11 @@ class Manipulator:
 
     @property
     def base(self) -> Matrix:
-        """$BASE in $ROBROOT, (4, 4)."""
+        """Pose of $BASE in $ROBROOT, (4, 4)."""
         return IDENTITY if self._base is None else self._base
 
     def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
-        """Return the nominal pose (4, 4) of the tool in $ROBROOT, at the present or the given axes."""
+        """Return the nominal tool pose (4, 4) in $ROBROOT at the given axes (default: present)."""
         axes = self.drives.axes_deg if axes_deg is None else axes_deg
         flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool
@@ -99,7 +99,7 @@ class Manipulator:
         return frame_of(pose if self._base is None else inverse(self._base) @ pose)
 
     def peak_tool_speed_mm(self, goal_deg: Sequence[float]) -> float:
-        """Return the peak tool speed of a synchronous motion to a goal, in mm per unit of path parameter."""
+        """Return the peak tool speed of a synchronous motion, in mm per unit of path parameter."""
         start_deg = self.drives.axes_deg
         places = [
             self.tool_point([a + n / WAYPOINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
@@ -123,7 +123,7 @@ class Manipulator:
         self.use_frames(self.tool_number, number)
 
     def use_frames(self, tool_number: int, base_number: int) -> None:
-        """Activate a tool and a base, where 0 is the identity. Raises ValueError for an undefined number."""
+        """Activate a tool and a base (0 is the identity); raises ValueError for an undefined number."""
         for what, number, frames in (("tool", tool_number, self._tools), ("base", base_number, self._bases)):
             if number not in frames:
                 raise ValueError(f"{what} {number} is not defined")
@@ -131,18 +131,18 @@ class Manipulator:
         self.tool_number, self.base_number, self._reported_frame = tool_number, base_number, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
-        """Return the joint angles (deg) nearest to `near_deg` for a nominal tool pose; None on failure."""
+        """Return the joint angles (deg) nearest to `near_deg` for a nominal tool pose, or None on failure."""
         flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
 
     def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
-        """Return axes (deg) for a pose (4, 4) in BASE with posture S T; None beyond reach or end switch."""
+        """Return the axes (deg) for a pose (4, 4) in BASE with posture S T, or None if unreachable."""
         flange = self._flange_of(self.base @ frame)
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
-        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT; None if impossible."""
+        """Return the axes (deg) after a straight line to a pose in $ROBROOT, or None if unreachable."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAYPOINTS + 1):

@@ -1,4 +1,4 @@
-"""Interpolator: an EKI motion as one command per cycle, and its acknowledgement.
+"""Interpolator: generates one command per cycle for an EKI motion, then its acknowledgement.
 
 It knows only the nominal arm; the true arm follows its encoders.
 """
@@ -25,7 +25,7 @@ Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
 
 
 class Acknowledgement(NamedTuple):
-    """Answer of the controller to a request: a code and the reason."""
+    """Controller's answer to a request: a code and an explanatory text."""
 
     code: AckCode = AckCode.OK
     text: str = ""
@@ -36,14 +36,14 @@ DONE = Acknowledgement()
 
 @dataclass
 class EkiMotion:
-    """A motion in progress. `report` is called once with its outcome."""
+    """A motion in progress, which calls `report` once with its outcome."""
 
     points: Iterator[list[float] | Message]
     report: Callable[[Acknowledgement], None]
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
-        """Return the axes (deg) for the next cycle; None at the end. `message` is set after an abort."""
+        """Return the axes (deg) for the next cycle, or None at the end or after an abort (see `message`)."""
         point = next(self.points, None)
         if isinstance(point, Message):
             self.message = point
@@ -52,7 +52,7 @@ class EkiMotion:
 
 
 def path_parameters(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
-    """Yield the path parameter (0 to 1) of a trapezoidal speed profile, once per cycle. The last is 1."""
+    """Yield the path parameter of a trapezoidal speed profile once per cycle, ending at 1."""
     speed = min(speed_1_s, acceleration_1_s2**0.5)  # the path may be too short to reach the speed
     ramp_s = speed / acceleration_1_s2
     cruise_s = 1.0 / speed - ramp_s
@@ -78,7 +78,7 @@ def point_to_point(
     cycle_s: float,
     fastest_1_s: float = inf,
 ) -> Iterator[list[float] | Message]:
-    """Yield the axes (deg) of a synchronous motion paced by its slowest axis. Shares are of the axis limits.
+    """Yield the axes (deg) of a synchronous motion, given shares of the axis speed and acceleration limits.
 
     `fastest_1_s` limits the speed, in whole paths per second.
     """
@@ -100,7 +100,7 @@ def point_to_point(
 
 
 def pose_on_line(start: Matrix, goal: Matrix, turn: Matrix, share: float) -> Matrix:
-    """Return the pose (4, 4) at a fraction of a straight line. `turn` is its rotation vector in rad."""
+    """Return the pose (4, 4) at a fraction of a straight line that turns by rotation vector `turn` (rad)."""
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
     pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
@@ -117,7 +117,7 @@ def line(
     parameters: ControllerParameters,
     cycle_s: float,
 ) -> Iterator[list[float] | Message]:
-    """Yield the axes (deg) that move the tool straight to a pose (4, 4) in $ROBROOT, turning on one axis."""
+    """Yield the axes (deg) of a straight tool motion to a pose (4, 4) in $ROBROOT."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
     angle_rad = float(np.linalg.norm(turn))

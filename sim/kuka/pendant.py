@@ -1,4 +1,4 @@
-"""The teach pendant: messages of a stopped controller, its interlocks and keys, and the printed display.
+"""Teach pendant: stop messages, interlocks, keys and the printed display.
 
 Messages have KUKA's numbers and our own wording.
 """
@@ -26,7 +26,7 @@ PENDANT_PREFIX = "pendant at "  # of each line of the display
 
 
 class Message(NamedTuple):
-    """A message to acknowledge. With `drives_off` the drives stop; otherwise the arm brakes on its path."""
+    """A message requiring acknowledgement; the drives go off (`drives_off`) or the arm brakes on its path."""
 
     number: int
     text: str
@@ -41,7 +41,7 @@ def rsi_timeout(late: int) -> Message:
 
 
 def rsi_bad(object_name: str) -> Message:
-    """Return the message for an RSI object that has no effect in its place."""
+    """Return the message for an RSI object that has no effect at this point."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
@@ -88,7 +88,7 @@ TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
 
 @dataclass
 class Interlocks:
-    """State of interlocks and keys. In T1 and T2 an operator is assumed to hold the enabling switch."""
+    """State of interlocks and keys, with the enabling switch initially held."""
 
     mode: OperationMode = OperationMode.EXT
     emergency_stop: bool = False
@@ -98,12 +98,12 @@ class Interlocks:
 
     @property
     def manual(self) -> bool:
-        """Whether a test mode, T1 or T2, is selected."""
+        """Whether a test mode (T1 or T2) is selected."""
         return self.mode in MANUAL_MODES
 
     @property
     def guard_matters(self) -> bool:
-        """Whether an open guard forbids motion. In the test modes it does not: people work inside it."""
+        """Whether an open guard forbids motion, which is never the case in the test modes."""
         return self.guard_open and not self.manual
 
     @property
@@ -113,7 +113,7 @@ class Interlocks:
 
     @property
     def forbids_program(self) -> str:
-        """Reason why no program may run now in this mode; empty if one may."""
+        """Reason why the present mode forbids running a program, or an empty string if it may run."""
         if self.mode is OperationMode.AUT:
             return "mode AUT: the program can only be started at the pendant"
         if self.manual and not self.start_key:
@@ -122,7 +122,7 @@ class Interlocks:
 
 
 class PendantDisplay:
-    """Printer of messages, and the client's EStr texts, on standard error. `now_s` returns theatre time."""
+    """Prints messages and the client's EStr texts on standard error, stamped with the theatre time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s

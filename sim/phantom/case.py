@@ -1,4 +1,4 @@
-"""Writer of a phantom's files: CT series, plan and truth, or postoperative series and truth."""
+"""Writes a phantom's files: CT series, plan and truth, or postoperative series and truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class PostoperativeCase:
-    """Files of the postoperative scan."""
+    """Files of a postoperative scan."""
 
     series: Path
     truth: Path
@@ -54,7 +54,7 @@ class PhantomCase(PostoperativeCase):
 def write_case(
     scene: Scene, folder: Path, progress: Progress = lambda share: None, *, scan: Scan | None = None
 ) -> PhantomCase:
-    """Scan the head of a scene and plan trajectories on it. Raises SIM-001 if it cannot be scanned.
+    """Scan the head of a scene and plan trajectories on it; raises SIM-001 if it cannot be scanned.
 
     `scan` adds surroundings to that head; without it the scene is scanned as it is. Plan and truth are
     written last, so a folder with a plan has a complete series.
@@ -80,14 +80,14 @@ def write_case(
 def _write_slices(
     series: DicomSeries, grid: CtGrid, pool: Executor, paint: Callable[[int], NDArray[np.uint16]]
 ) -> Iterator[int]:
-    """Write all slices of a series. Yield the count written so far."""
+    """Write all slices of a series, yielding the count written so far."""
     for number, stored in enumerate(pool.map(paint, range(grid.slices))):
         series.write(number, stored)
         yield number + 1
 
 
 def plan_toml(scan: Scan, series_instance_uid: str) -> str:
-    """Return the plan on a scan, in TOML, with the trajectories of its scene."""
+    """Return a TOML plan for a scan, with the trajectories of its scene."""
     import tomli_w
 
     scene = scan.scene
@@ -157,7 +157,7 @@ def write_postoperative(
     folder: Path,
     progress: Progress = lambda share: None,
 ) -> PostoperativeCase:
-    """Scan the head again. The truth is written last, so a folder that has it has a complete series."""
+    """Rescan the head, writing the truth last so that its presence marks a complete series."""
     grid = scan.grid
     series = DicomSeries(
         scan.scene.model_copy(update={"ct": scan.protocol}),
@@ -178,7 +178,7 @@ def write_postoperative(
 def postoperative_truth(
     scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
 ) -> dict[str, Any]:
-    """Return the pose of the new scan and the instruments, in the plan's CT frame and the new one."""
+    """Return the pose of the new scan, and the instruments in the CT frames of plan and new scan."""
     post_from_pre = scan.pose.scan_from_head
     return {
         "scene": scan.scene.name,

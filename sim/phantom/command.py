@@ -22,7 +22,7 @@ DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
 class Fiducials(StrEnum):
-    """How the spheres are mounted: on single screws or on a frame."""
+    """Sphere mounting: on individual screws or on a frame."""
 
     FREE = "free"
     XFRAME = "xframe"

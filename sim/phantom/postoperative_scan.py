@@ -1,4 +1,4 @@
-"""Postoperative scan: the head in another pose, without markers, with the instruments of a run."""
+"""Postoperative scan: the head in a new pose, without markers but with a run's instruments."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ RADII_MM = {InstrumentKind.ELECTRODE: 0.635, InstrumentKind.NEEDLE: 0.9, Instrum
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument as a run left it, in the plan's CT frame: tip, and unit vector out of the head."""
+    """An instrument left by a run: its tip and outward unit vector in the plan's CT frame."""
 
     identifier: str
     kind: InstrumentKind
@@ -72,7 +72,7 @@ class Instrument:
     outwards: Point
 
     def rod(self, head: Head) -> Rod:
-        """Return the body to paint. A drilled hole is filled with fluid and as deep as the skull."""
+        """Return the body to paint: a metal rod, or a fluid-filled rod through the skull for a drill hole."""
         skin_mm = _to_skin_mm(self, head)
         if self.kind is not InstrumentKind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
@@ -82,7 +82,7 @@ class Instrument:
 
 
 def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instrument, ...]]:
-    """Read the scene of a run and its instruments at the reached targets. Raises SIM-006, SIM-007."""
+    """Read a run's scene and its instruments at the reached targets; raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
         raise NothingToVerify(f"{run} has no simulated theatre")
@@ -104,7 +104,7 @@ def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instru
 
 @dataclass(frozen=True, eq=False)
 class PostoperativeScan:
-    """Everything to paint, in the coordinates of the new scan."""
+    """Contents of a postoperative scan, in its own coordinates."""
 
     scene: Scene
     seed: int
@@ -118,7 +118,7 @@ class PostoperativeScan:
     streaks: tuple[Streak | None, ...]  # one per rod, at the origin; none for a drilled hole
 
     def paint(self, number: int) -> Values:
-        """Paint one slice with its noise: HU (rows, columns)."""
+        """Paint one slice in HU (rows, columns), including noise."""
         grid = self.grid
         z_mm = float(grid.z_mm[number])
         x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
@@ -154,7 +154,7 @@ class PostoperativeScan:
 def draw_scan(
     scene: Scene, instruments: tuple[Instrument, ...], seed: int, protocol: CtProtocol | None = None
 ) -> PostoperativeScan:
-    """Draw a pose of the head from `seed`. Spheres and bases are removed; screws stay in the bone."""
+    """Draw a head pose from `seed`, removing spheres and bases but leaving screws in the bone."""
     generator = noise(seed, "postoperative pose", 0)
     protocol = protocol or scene.ct
     pose = _draw_pose(scene, generator)
@@ -188,12 +188,12 @@ def draw_scan(
 
 @dataclass(frozen=True, eq=False)
 class HeadPose:
-    """Pose of the head. `scan_from_head` (4, 4) maps the plan's CT frame to that of the new scan."""
+    """Head pose, with `scan_from_head` (4, 4) mapping the plan's CT frame to the new scan's."""
 
     scan_from_head: Matrix
 
     def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
-        """Map scan coordinates to head coordinates; x, y and z may have different but compatible shapes."""
+        """Map scan coordinates to head coordinates, for broadcastable arrays x, y and z."""
         head_from_scan = inverse(self.scan_from_head).astype(np.float32)
         u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in head_from_scan[:3])
         return u, v, w
@@ -219,7 +219,7 @@ class PosedShape:
         return self.shape.hu
 
     def bounds(self) -> Bounds:
-        """Return a box around the rotated bounding box, computed once for all slices."""
+        """Return a box around the rotated bounding box, cached for all slices."""
         return self._box
 
     @cached_property
@@ -234,17 +234,17 @@ class PosedShape:
 
 @dataclass(frozen=True, eq=False)
 class PosedLayers:
-    """The layers of the head in the new scan."""
+    """The head's layers in the new scan."""
 
     layers: HeadLayers
     pose: HeadPose
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
-        """Return the HU at the given points; outside the head, that of air."""
+        """Return the HU at the given points, using air outside the head."""
         return self.layers.hu_at(*self.pose.to_head(x, y, z))
 
     def bounds(self, margin_mm: float) -> Bounds:
-        """Return a bounding box of the head, with a margin."""
+        """Return a bounding box of the head plus a margin."""
         centre = apply(self.pose.scan_from_head, self.layers.centre)
         turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
         half_sides = np.linalg.norm(turned, axis=1) + margin_mm
@@ -252,7 +252,7 @@ class PosedLayers:
 
 
 def _to_skin_mm(instrument: Instrument, head: Head) -> float:
-    """Return the distance in mm outwards from the tip to the skin."""
+    """Return the outward distance in mm from the tip to the skin."""
     axes = np.array(head.semi_axes_mm)
     start = np.subtract(instrument.tip_mm, head.centre_ct_mm) / axes
     along = np.array(instrument.outwards) / axes
@@ -270,7 +270,7 @@ def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
 
 
 def _remaining_screw(post: Shape) -> Rod:
-    """Return the part of a marker's post that remains in scalp and bone."""
+    """Return the part of a marker's post left in scalp and bone."""
     assert isinstance(post, Rod)
     remaining_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
     start = shift_point(post.start, post.along, post.length - remaining_mm)

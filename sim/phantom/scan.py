@@ -1,4 +1,4 @@
-"""One scan: its contents, its voxel grid, and its slices as the scanner produces them, with faults."""
+"""A CT scan: contents, voxel grid, and slices as produced by a scanner with faults."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WIDE_STORED = 65535  # largest value of 16 bits
 
 @dataclass(frozen=True)
 class Scan:
-    """Contents of a scan. `truth` is added to the truth file, `marks` (by number) to its fiducials."""
+    """Scan contents, with `truth` for the truth file and `marks` (by number) for its fiducials."""
 
     scene: Scene
     grid: CtGrid
@@ -57,7 +57,7 @@ def plain_scan(scene: Scene) -> Scan:
 
 
 class Planes:
-    """Painter of a scan's slices in any order, with the scanner's faults. Call `paint_patches` first."""
+    """Paints slices in any order, including scanner faults, once `paint_patches` has been called."""
 
     def __init__(self, scan: Scan) -> None:
         faults, grid = scan.faults, scan.grid
@@ -89,18 +89,18 @@ class Planes:
 
     @property
     def largest_stored(self) -> int:
-        """Largest value that the scanner can store."""
+        """Largest value the scanner can store."""
         return WIDE_STORED if self._scan.faults.extended_range else LARGEST_STORED
 
     def active(self) -> dict[str, Any]:
-        """Return the faults for the truth file; empty if there are none."""
+        """Return the faults for the truth file, or an empty mapping if there are none."""
         faults = self._scan.faults.active()
         if self.moved_from:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}
 
     def paint_patches(self, pool: Executor, progress: Callable[[int], None] = lambda done: None) -> None:
-        """Paint the regions that must be exact. `progress` is called with the count done."""
+        """Paint the regions that must be exact, calling `progress` with the number done."""
         done = 0
         for painter in self._painters:
             patches = []
@@ -111,7 +111,7 @@ class Planes:
             painter.patches = tuple(patches)
 
     def paint(self, number: int) -> Values:
-        """Paint one slice with its noise: HU (rows, columns)."""
+        """Paint one slice in HU (rows, columns), including noise."""
         image = self._paint_tilted(number) if self._tilt_rad else self._paint_clean(number)
         image += self._before.noise(number)
         return image
@@ -163,7 +163,7 @@ class Planes:
 
 
 def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
-    """Draw a patient motion: the first slice after it, halfway up the markers, and the displacement."""
+    """Draw patient motion: the first slice after it, halfway up the markers, and the displacement."""
     faults = scan.faults
     if not faults.motion_mm and not faults.slide_mm:
         return 0, (0.0, 0.0, 0.0)
@@ -174,7 +174,7 @@ def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, flo
 
 
 class SlicePainter:
-    """Painter of straight slices in any order: head, bodies, marker patches, metal streaks, noise."""
+    """Paints straight slices in any order: head, bodies, marker patches, metal streaks and noise."""
 
     def __init__(
         self, scene: Scene, grid: CtGrid, anatomy: Anatomy, faults: ScannerFaults = NO_FAULTS
@@ -200,7 +200,7 @@ class SlicePainter:
         self.patches: tuple[Patch, ...] = ()
 
     def paint_patch(self, number: int) -> Patch:
-        """Paint the surroundings of a centre. Paint all `patches` before any slice."""
+        """Paint the surroundings of a centre; complete all `patches` before painting slices."""
         return paint_patch(
             self._anatomy.places[number],
             self._anatomy.shapes,
@@ -211,7 +211,7 @@ class SlicePainter:
         )
 
     def clean(self, number: int) -> Values:
-        """Paint one slice without noise: HU (rows, columns)."""
+        """Paint one slice in HU (rows, columns), without noise."""
         z_mm = float(self._z_mm[number])
         z = np.array([z_mm], dtype=np.float32)
         image = self._background.copy()
@@ -231,7 +231,7 @@ class SlicePainter:
         return image
 
     def _paint_background(self) -> Values:
-        """Paint air and headrest, which are the same in all slices."""
+        """Paint the air and headrest shared by all slices."""
         image = np.full((1, len(self._y), len(self._x)), AIR_HU, dtype=np.float32)
         somewhere = self._z_mm[:1].astype(np.float32)
         for shape in self._anatomy.headrest:
@@ -252,7 +252,7 @@ class SlicePainter:
         np.maximum(region, self._head.hu_at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
 
     def noise(self, number: int) -> Values:
-        """Draw the noise of one slice."""
+        """Draw the noise for one slice."""
         generator = noise(self._scene.seed, "ct", number)
         shape = (len(self._y), len(self._x))
         return slice_noise(generator, shape, self._grid.pixel_mm, self._scene.ct.noise_HU, self._kernel)
@@ -265,7 +265,7 @@ def slice_noise(
     noise_HU: float,
     kernel: Kernel = KERNELS["standard"],
 ) -> Values:
-    """Draw noise (rows, columns), correlated within the slice according to the kernel."""
+    """Draw noise (rows, columns), correlated within the slice by the kernel."""
     rows, columns = shape
     white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
     blurred = exp(-0.5 * (pixel_mm / kernel.plane_sigma_mm) ** 2)

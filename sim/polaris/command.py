@@ -13,7 +13,7 @@ FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can 
 
 
 class ModelName(StrEnum):
-    """Models that can be simulated."""
+    """Supported tracker models."""
 
     SPECTRA = "spectra"
     VICRA = "vicra"

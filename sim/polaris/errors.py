@@ -1,4 +1,4 @@
-"""Errors in setting up the simulated tracker; later errors are codes on its line."""
+"""Set-up errors of the simulated tracker; later errors are reported as codes on its line."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import ConfigurationError, ConnectError
 
 
 class BadUnitParameter(ConfigurationError):
-    """A parameter of the unit does not exist, or the value is not allowed."""
+    """The unit parameter does not exist or does not accept the value."""
 
     code = "PSU-001"
     action = "Give --set NAME=VALUE; ronna-sim polaris --list-parameters lists all names."
 
 
 class LineUnavailable(ConnectError):
-    """This computer provides no pseudo-terminal, or does not allow watching one."""
+    """The computer provides no pseudo-terminal, or does not allow watching one."""
 
     code = "PSU-003"
     action = (

@@ -1,4 +1,4 @@
-"""Faults of the tracker unit and of the line between unit and host.
+"""Faults of the tracker unit, and of the line between unit and host.
 
 Unit faults act before each command: alerts, refusals, delays, wired tools, power loss. Line faults act on
 commands and replies: bit errors, lost and doubled bytes, delays. Which command and bit are hit is a function
@@ -28,7 +28,7 @@ BITS = 8
 
 
 class UnitFaults:
-    """Tracker faults applied to a unit. Without faults, a call costs one look-up."""
+    """Tracker faults applied to a unit, costing one look-up per call when there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -40,19 +40,19 @@ class UnitFaults:
 
     @property
     def any_active(self) -> bool:
-        """Whether the script has a tracker fault, or the effects of an earlier one must still be undone."""
+        """Whether the script has tracker faults, or effects of earlier ones remain to be undone."""
         remains = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return remains or not self._board.empty
 
     def power(self) -> Power:
-        """Return how the power supply has changed since the previous call."""
+        """Return the change in power supply since the previous call."""
         was_dead, self._dead = self._dead, bool(self._board.active("power_off"))
         if self._dead:
             return Power.GONE
         return Power.RETURNS if was_dead or self._board.happened("unit_restart") else Power.STAYS
 
     def apply(self) -> None:
-        """Apply faults that act without a command: alerts, and plugging of wired tools."""
+        """Apply faults that do not depend on a command: alerts and plugging of wired tools."""
         board, unit = self._board, self._unit
         alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
         alerts |= Alert.TOO_HOT if board.active("hot") else Alert(0)
@@ -111,7 +111,7 @@ class UnitFaults:
 
 
 class Power(Enum):
-    """Change of the power supply."""
+    """Power supply change."""
 
     STAYS = auto()
     GONE = auto()
@@ -119,7 +119,7 @@ class Power(Enum):
 
 
 def _provide_tool(unit: Unit, number: int) -> None:
-    """Create a test tool for a socket that has no tool."""
+    """Create a test tool for a socket without one."""
     wired = unit.wired
     wired.count = max(wired.count, number)
     if number not in wired.tools:
@@ -128,7 +128,7 @@ def _provide_tool(unit: Unit, number: int) -> None:
 
 
 class LineFaults:
-    """Disturbances of the line between host and unit. Without faults, a call costs one look-up."""
+    """Disturbances of the line between host and unit, costing one look-up per call when there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -136,7 +136,7 @@ class LineFaults:
         self._count = 0  # commands received during faults
 
     def to_unit(self, line: bytes) -> bytes:
-        """Return a command line as the unit receives it."""
+        """Return a command line as received by the unit."""
         if self._board.empty:
             return line
         self._count += 1
@@ -144,7 +144,7 @@ class LineFaults:
         return _flip_bit(line, generator) if line and self._strikes("garble_commands", generator) else line
 
     def to_host(self, line: bytes, reply: bytes) -> bytes:
-        """Return a reply as the host receives it, possibly delayed; empty if lost."""
+        """Return a reply as received by the host, possibly delayed, or empty if lost."""
         if self._board.empty:
             return reply
         if not reply:  # the unit has no power
@@ -170,13 +170,13 @@ class LineFaults:
         return reply
 
     def _let_host_time_out(self, line: bytes) -> None:
-        """Advance an unpaced theatre by the host's time limit, so that faults can end during the wait."""
+        """Advance an unpaced theatre by the host's time limit, so that faults can end meanwhile."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
             self._unit.clock.sleep(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
-        """Let host time and theatre time pass. Hosts measure their time limits with their own clock."""
+        """Wait in host time and theatre time, because hosts time out by their own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
             self._unit.clock.sleep(duration_s)

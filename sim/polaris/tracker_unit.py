@@ -1,4 +1,4 @@
-"""Tracker unit: its mode, settings, tools and current frame.
+"""Tracker unit: mode, settings, tools and current frame.
 
 Frame numbers count 60 per second of theatre time, whatever the illuminator rate. On a clock that follows the
 host, a request gets the latest frame, or the same one again if it comes too soon. On a clock that its users
@@ -29,7 +29,7 @@ COUNTS_PER_SECOND = int(FRAME_RATE_HZ)
 
 
 class Mode(StrEnum):
-    """Operating modes, valued as in `Info.Status.System Mode`."""
+    """Operating modes, with values as in `Info.Status.System Mode`."""
 
     NOT_INITIALISED = "Booted"
     SETUP = "Initialized"
@@ -73,7 +73,7 @@ class Unit:
         return [port.definition.part_number for port in self.ports if port.definition is not None]
 
     def initialise(self) -> None:
-        """Enter setup mode (INIT), freeing passive handles and giving plugged-in tools a handle."""
+        """Enter setup mode (INIT), freeing passive handles and assigning handles to plugged-in tools."""
         self.frames.stop()
         self.mode = Mode.SETUP
         self.infrared_checked = False
@@ -83,7 +83,7 @@ class Unit:
             self._give_handle(number)
 
     def reset(self) -> None:
-        """Restart as at power-up or after a break: saved settings, default line settings, not initialised."""
+        """Reset as at power-up or after a break: saved settings, default line settings, not initialised."""
         self.mode = Mode.NOT_INITIALISED
         self.line = DEFAULT_LINE
         self.frames.stop()
@@ -95,7 +95,7 @@ class Unit:
         self.infrared_checked = False
 
     def start_tracking(self, *, restart: bool) -> None:
-        """Enter tracking mode. With `restart`, the frame number restarts at zero."""
+        """Enter tracking mode, restarting the frame number at zero if `restart` is set."""
         self._begin(restart=restart)
         self.measurer.begin_tracking()
         self.mode = Mode.TRACKING
@@ -111,7 +111,7 @@ class Unit:
         self.mode = Mode.SETUP
 
     def plug(self, number: int) -> None:
-        """Plug in a wired tool. An initialised unit gives it a handle immediately."""
+        """Plug in a wired tool, which gets a handle immediately if the unit is initialised."""
         if number in self.wired.plugged or number not in self.wired.tools:
             return
         self.wired.plugged.add(number)
@@ -134,11 +134,11 @@ class Unit:
 
     @property
     def watch_dog_s(self) -> int:
-        """Watchdog limit: seconds without a command; 0 if it is off."""
+        """Watchdog limit in seconds without a command, or 0 if disabled."""
         return self.user_parameters.number(WATCH_DOG)
 
     def frame(self) -> Frame:
-        """Return the current frame. Repeated requests do not measure it again."""
+        """Return the current frame without remeasuring it on repeated requests."""
         faulty = self.frames.missed or not self.faults.empty
         if faulty and self._frame is not None and self._repeats_frame():
             return self._frame
@@ -155,11 +155,11 @@ class Unit:
         return kept
 
     def resend_frame(self) -> None:
-        """Send the last frame again, for a host that resynchronises after a line disturbance."""
+        """Resend the last frame to a host that resynchronises after a line disturbance."""
         self._frame_was_lost = True
 
     def diagnostic_frame(self, port: Port) -> Frame:
-        """Measure one tool, enabled or not, and everything else in view. For diagnostic mode."""
+        """In diagnostic mode, measure one tool, enabled or not, and everything else in view."""
         self.measurer.forget_tools()  # the previous frame may have shown another tool
         return self._measure(self.frames.number(), self.alerts.system_status, (port,))
 
@@ -176,7 +176,7 @@ class Unit:
         return frame
 
     def _next_number(self) -> int:
-        """Return the number of the frame that the next request gets.
+        """Return the frame number for the next request.
 
         If each request gets exactly one frame, a lost one is sent again; otherwise all later frames would
         have other noise.
@@ -213,7 +213,7 @@ class Unit:
 
 
 class FrameCounter:
-    """Counter of frames since power-up, or since the last restart at zero."""
+    """Counter of frames since power-up or the last restart at zero."""
 
     def __init__(self, clock: SharedClock) -> None:
         self._clock = clock
@@ -224,7 +224,7 @@ class FrameCounter:
         self._counts_per_frame = 1
 
     def start(self, *, restart: bool, rate_hz: int) -> None:
-        """Start tracking. With `restart`, the number restarts at zero."""
+        """Start tracking, restarting the frame number at zero if `restart` is set."""
         now_ns = self._clock.now_ns()
         if restart:
             self._epoch_ns = now_ns
@@ -233,7 +233,7 @@ class FrameCounter:
         self._begin = self.last = self._count_at(now_ns)
 
     def number(self) -> int:
-        """Return the number of the requested frame. Waits for the next frame if the clock can be advanced."""
+        """Return the requested frame's number, waiting for the next frame if the clock can be advanced."""
         if self._clock.paced:
             self.last = self._measured_count(self._count_at(self._clock.now_ns()))
             return self.last
@@ -244,11 +244,11 @@ class FrameCounter:
         return self.last
 
     def stop(self) -> None:
-        """End tracking. Frames then pass unread."""
+        """End tracking, so that the clock no longer waits for frames to be read."""
         self._clock.expect_reader(0)
 
     def pass_frame(self) -> None:
-        """Let one frame pass after repeating the last one, on a clock that its users advance."""
+        """Skip one frame after repeating the last one, on a clock advanced by its users."""
         if not self._clock.paced:
             self._clock.wait_until_ns(self._clock.now_ns() + NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)
 
@@ -259,11 +259,11 @@ class FrameCounter:
 
     @property
     def last_is_newest(self) -> bool:
-        """Whether a clock that its users advance has produced no frame after the last one."""
+        """Whether a clock advanced by its users has produced no newer frame."""
         return not self._clock.paced and self._count_at(self._clock.now_ns()) <= self.last
 
     def since_start(self, frame: int) -> int:
-        """Return the number of frames since the start of tracking, the counter of the noise."""
+        """Return the number of frames since tracking began, used as the noise counter."""
         return frame - self._begin
 
     def _measured_count(self, count: int) -> int:

@@ -1,4 +1,4 @@
-"""`ronna-sim theatre`, the commands of its staff, `ronna-sim scene` and `ronna-sim verify`."""
+"""`ronna-sim theatre`, its staff commands, `ronna-sim scene` and `ronna-sim verify`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FiducialsOption = Annotated[
 
 
 class CycleMs(StrEnum):
-    """Sensor cycle of the robot controller: #IPO_FAST or #IPO."""
+    """Sensor cycle of the robot controller (#IPO_FAST or #IPO)."""
 
     FAST = "4"
     SLOW = "12"
@@ -140,7 +140,7 @@ def theatre(
 
 
 def _require_same_world(context: typer.Context, folder: Path) -> None:
-    """Raise CLI-001 for an option that contradicts the world to be continued."""
+    """Raise CLI-001 if an option contradicts the world being continued."""
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
@@ -167,7 +167,7 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
 
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
-    """Serve until `ended` is set. Return the reason if a device has ended unprompted."""
+    """Serve until `ended` is set, and return the reason if a device ended unprompted."""
     from sim.world.process import announce
 
     reasons: list[str] = []

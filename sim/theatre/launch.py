@@ -1,4 +1,4 @@
-"""Launcher of a theatre: one process per device in one world, then the theatre file once all are ready."""
+"""Theatre launcher: starts one process per device in one world, then writes the theatre file."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ class Theatre:
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
-        """`cycle_ms` None keeps the cycle of the robot's context. `parameters` are NAME=VALUE by command.
+        """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
-        `saved` is the world of an earlier theatre, to continue from; `records` replace the theatre's own
-        calibrations. Raises PRC-001 when a device does not become ready.
+        `parameters` are NAME=VALUE by command; `saved` is the world of an earlier theatre, to continue from;
+        `records` replace the theatre's own calibrations. Raises PRC-001 when a device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -99,11 +99,11 @@ class Theatre:
 
     @property
     def control(self) -> str:
-        """Endpoint of the control port."""
+        """Control port endpoint."""
         return self._control.endpoint
 
     def watch(self, on_end: Callable[[str], None]) -> None:
-        """Call `on_end` with the reason when a device process ends unprompted."""
+        """Call `on_end` with the reason if a device process ends unprompted."""
 
         def wait(child: ChildProcess) -> None:
             code = child.process.wait()
@@ -114,7 +114,7 @@ class Theatre:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
-        """Save the state of the world, then stop all device processes and the control port."""
+        """Save the world's state, then stop all device processes and the control port."""
         self._save_world()
         for child in self._children:
             if child.alive:
@@ -125,7 +125,7 @@ class Theatre:
         self._control.close()
 
     def _save_world(self) -> None:
-        """Save the world after giving a moving arm, whose client may just have died, time to come to rest."""
+        """Save the world, first allowing a moving arm time to come to rest."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
@@ -169,14 +169,14 @@ class Theatre:
 
 
 def _pass_on_pendant(line: str) -> None:
-    """Pass on the messages on the robot's pendant."""
+    """Forward messages from the robot's pendant."""
     if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
 
 
 def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
-    """Read calibration records by name. The later of two with the same name wins. Raises SIM-014.
+    """Read calibration records by name, with later files taking precedence; raises SIM-014.
 
     Readers of the theatre file check their content.
     """

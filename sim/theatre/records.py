@@ -1,4 +1,4 @@
-"""Arm and tool records as a laboratory would supply them: the truth plus residual errors."""
+"""Laboratory records of the arm and tools: the truth plus residual errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GAUGE_BASE_MM = 60.0
 
 
 def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
-    """Return the deviations in an arm's record, named as in `ronna_hw.calibration.ArmCalibration`."""
+    """Return the deviations for an arm record, keyed as in `ronna_hw.calibration.ArmCalibration`."""
 
     def deviate(values: Any, sigma: float) -> Array:
         exact = np.asarray(values, dtype=float)
@@ -58,7 +58,7 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
 
 
 def draw_mount_record(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
-    """Draw FLANGE <- TOOL of the head as a calibration would find it."""
+    """Draw the head's FLANGE <- TOOL as a calibration would find it."""
     beside = matrix_from(generator.normal(0.0, residual.tool_mm, 3), np.eye(3))
     return pose_of(matrix_of(mount.flange_from_tool_true) @ beside)
 
@@ -66,7 +66,7 @@ def draw_mount_record(mount: Mount, residual: ArmResidual, generator: np.random.
 def tool_records(
     scene: Scene, record_header: Callable[[str], dict[str, Any]], flange: str
 ) -> dict[str, dict[str, Any]]:
-    """Return the tool records by name. `record_header` builds the fields common to all dated records."""
+    """Return the tool records by name, using `record_header` for the fields common to dated records."""
     mount = scene.mount
     guide = mount.guide
     A1, *others = scene.arm.home_deg
@@ -97,7 +97,7 @@ def tool_records(
 
 
 def gauge_readings(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]:
-    """Draw the dial readings of the record, whose seats, arrivals and noise are independent of any case's."""
+    """Draw the recorded dial readings, with seats, arrivals and noise independent of any case."""
     draws, each = noise(scene.seed, "gauge of the record", 0), GAUGE_APPROACHES // mountings
     seated = draws.normal(0.0, scene.mount.guide.seat_mm, (mountings, 1, 3))
     end = (seated + draws.normal(0.0, scene.arm.repeatability_mm, (mountings, each, 3))).reshape(-1, 3)
@@ -113,7 +113,7 @@ def gauge_readings(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, 
 
 
 def refer_to_tip(content: dict[str, Any]) -> None:
-    """Make the guide's record refer to the tip calibration in the same theatre file."""
+    """Link the guide's record to the tip calibration in the same theatre file."""
     guide, records = content["tools"]["guide"], content["calibration"]
     guide["tip"] = records["tool_tip"]["identifier"]
     head, tip = (_as_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
@@ -125,7 +125,7 @@ def _as_pose(plain: dict[str, Any]) -> PoseRecord:
 
 
 def _guide_frame_pose(mount: Mount) -> dict[str, Any]:
-    """Return the pose on the mount of the guide's tracker frame; None if it has no frame."""
+    """Return the record entry for the guide's tracker frame pose on the mount, empty if it has no frame."""
     if mount.guide.tip_from_frame is None:
         return {}
     mount_from_tip = inverse(matrix_of(mount.tool_from_marker_true)) @ matrix_of(mount.tool_from_tip_true)

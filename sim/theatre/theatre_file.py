@@ -1,4 +1,4 @@
-"""The theatre file: endpoints announced by the devices, and calibration records.
+"""Theatre file: device endpoints and calibration records.
 
 A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would have
 measured it. The tool frame is the exception: its record has the nominal pose, and the mount deviates from it.
@@ -48,7 +48,7 @@ def theatre_content(
     cycle_ms: int | None = None,
     calibrated: datetime | None = None,
 ) -> dict[str, Any]:
-    """Return the content of the theatre file as plain data, valid for `ronna_hw.config.TheatreFile`.
+    """Return the theatre file as plain data, valid for `ronna_hw.config.TheatreFile`.
 
     `cycle_ms` is the robot's cycle if it differs from its context's, `calibrated` the time of the records if
     not now.
@@ -96,7 +96,7 @@ def theatre_content(
 
 
 def _tool_entry(name: str, rom: Path) -> dict[str, str]:
-    """Return a tool and its definition file, pinned by the file's hash if it exists."""
+    """Return the entry of a tool and its definition file, including the file's hash if it exists."""
     option = {"name": name, "rom": str(rom)}
     if not rom.is_file():
         return option
@@ -112,7 +112,7 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
 
 
 def identity_of(theatre_file: Path) -> str | None:
-    """Return the identity of the theatre that wrote a theatre file; None if there is no such file."""
+    """Return the identity stored in a theatre file, or None if it cannot be read."""
     try:
         identity: str = read_toml(theatre_file, InputRefused)["identity"]
     except (OSError, ValueError, KeyError):
@@ -121,7 +121,7 @@ def identity_of(theatre_file: Path) -> str | None:
 
 
 def read_calibration_time(theatre_file: Path) -> datetime | None:
-    """Return the time of the calibration records in a theatre file; None if there is no such file."""
+    """Return the calibration time stored in a theatre file, or None if it cannot be read."""
     try:
         content = read_toml(theatre_file, InputRefused)
         made: datetime = content["calibration"]["stereo_head"]["created"]
@@ -161,7 +161,7 @@ def _make_calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
         }
 
     def mounted_part_record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
-        """Build the record of a part on the mount. On the first day it is the drawing, not a calibration."""
+        """Build the record of a part on the mount, which on the first day is a drawing, not a calibration."""
         made = record(name, stated_error_mm, **more)
         if not error.first_day:
             return made
@@ -198,7 +198,7 @@ def _make_calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
 
 
 def _credible_mm(error_mm: float) -> float:
-    """Return an error that a laboratory could state, even for a scene without errors."""
+    """Return an error that a laboratory could state, even if the scene has no errors."""
     return max(error_mm, FINEST_ON_ARM_MM)
 
 

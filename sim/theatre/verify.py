@@ -1,4 +1,4 @@
-"""Comparison of a finished run with the truth: spheres missed by the CT localizer, and the true tip.
+"""Comparison of a finished run with the truth: spheres missed by the CT localizer, and tip errors.
 
 It uses the run's records and the truth sampled by the theatre; neither knows the other.
 """
@@ -84,7 +84,7 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
 
 
 def _require_single_run(folder: Path) -> None:
-    """Raise SIM-006 for a folder of several runs, naming them."""
+    """Raise SIM-006 for a folder of several runs, listing them."""
     if not folder.is_dir() or (folder / JOURNAL_FILE).exists():
         return
     runs = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
@@ -96,7 +96,7 @@ def _require_single_run(folder: Path) -> None:
 
 
 def require_targets(run: Path, outcome: dict[str, Any]) -> None:
-    """Raise SIM-006 unless the tip was sampled at a target of the plan: an empty table is no success."""
+    """Raise SIM-006 unless the tip was sampled at a planned target, because an empty table is no success."""
     if outcome["targets"]:
         return
     other = ", ".join(outcome["other_samples"])
@@ -109,7 +109,7 @@ def require_targets(run: Path, outcome: dict[str, Any]) -> None:
 
 
 def _read_contained_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
-    """Read the truth in a run folder, from the very bytes that are checked against its journal."""
+    """Read the truth in a run folder, verifying the same bytes against its journal."""
 
     def read_checked(name: str, content: bytes) -> bytes:
         return found.require_content(f"{THEATRE_FOLDER}/{name}", content)
@@ -121,7 +121,7 @@ def _read_contained_truth(found: Inspection, place: Path) -> tuple[Scene, Sequen
 
 
 def _select_samples_during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
-    """Return the samples taken during the run, according to the clock that theatre and run share."""
+    """Return the samples taken during the run, by the clock shared by theatre and run."""
     if not found.chain.lines:
         return ()
     began_s, ended_s = (theatre_time_s(line) for line in (found.chain.lines[0], found.chain.lines[-1]))
@@ -129,7 +129,7 @@ def _select_samples_during(found: Inspection, samples: Sequence[TipSample]) -> S
 
 
 def _read_planned_trajectories(found: Inspection) -> list[dict[str, Any]]:
-    """Return the trajectories of the plan that the run followed. The scene may name them differently."""
+    """Return the trajectories of the run's plan, which may be named differently in the scene."""
     plan = _find_valid_record(found, "plan_check")
     return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 

@@ -1,1 +1,1 @@
-"""World shared by all simulators: the true scene, its clock, its faults and its staff."""
+"""World shared by all simulators: true scene, clock, faults and staff."""

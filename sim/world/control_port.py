@@ -1,4 +1,4 @@
-"""Control port: JSON lines over TCP on loopback, the staff's only access to the simulated room.
+"""Control port: JSON lines over TCP on loopback, the only way for staff to act on the simulated room.
 
 A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even a
 page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token from
@@ -64,7 +64,7 @@ NO_TOKEN = {"ok": False, "reason": "expected the token from the READY line in th
 
 
 class ControlPort:
-    """Control port of a room, on a free loopback port until closed."""
+    """Control port of a room, open on a free loopback port until closed."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class ControlPort:
 
     @property
     def endpoint(self) -> str:
-        """Address including the token, and therefore secret."""
+        """Address including the access token, so it must be kept secret."""
         address = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
         return ControlAddress(address, self._server.token).text()
 
@@ -103,7 +103,7 @@ class _Server(socketserver.ThreadingTCPServer):
         self.changing = threading.Lock()
 
     def verify_request(self, request: socket.socket | tuple[bytes, socket.socket], _address: Any) -> bool:
-        """Admit a connection. Too many connections drop the oldest untrusted one."""
+        """Admit a connection, dropping the oldest untrusted one if there are too many."""
         assert isinstance(request, socket.socket)
         with self.changing:
             if len(self.trusted) == MOST_CONNECTIONS:
@@ -146,7 +146,7 @@ class _Conversation(socketserver.BaseRequestHandler):
             self.server.trusted.append(self.request)
 
     def _receive_next(self, limit_s: float) -> dict[str, Any]:
-        """Receive the next JSON object. Hangs up on anything else, or if it is late."""
+        """Receive the next JSON object, hanging up on anything else or after `limit_s`."""
         deadline = time.monotonic() + limit_s
         while b"\n" not in self._received:
             self.request.settimeout(max(deadline - time.monotonic(), 0.001))
@@ -169,11 +169,11 @@ class _Conversation(socketserver.BaseRequestHandler):
 
 
 class _HangUp(Exception):
-    """Raised to close the connection."""
+    """The connection must be closed."""
 
 
 class Room:
-    """Executor of requests in a world. If `folder` is given, the truth at each target is stored in it.
+    """Executes requests in a world, and stores the truth at each target in `folder` if given.
 
     `devices` are simulated here: faults of others are refused. `loaded` returns the tools that a client
     has loaded into the tracker, if the tracker is in this process.
@@ -198,7 +198,7 @@ class Room:
         self._one_at_a_time = threading.Lock()  # requests may come from several connections
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one request. An unknown or invalid request is answered with the reason."""
+        """Execute a request, answering an unknown or invalid one with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
             "step": self._step,
             "work": self._work,
@@ -290,7 +290,7 @@ class Room:
         return {"missed": missed[:MOST_MISSED]}
 
     def _step_of_onset(self, fault: Fault) -> str | None:
-        """Say in which step a fault began; None if it has not, or in an earlier theatre of this world."""
+        """Describe the step in which a fault began, or return None if it did not begin in this theatre."""
         if fault.at_s is None:
             return next((f"in {name}" for _, name in self._steps if fault.begins_in(name)), None)
         if fault.at_s > self._world.clock.now_s() or 0.0 < fault.at_s <= self._opened_s:
@@ -304,7 +304,7 @@ def _refusal(reason: object, advice: str) -> dict[str, Any]:
 
 
 def _require_number(value: object) -> float:
-    """Return a JSON number; raises TypeError for text, a truth value or anything else."""
+    """Return a JSON number; raises TypeError for anything else, including booleans."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"expected a number, got {value!r}")
     return float(value)

@@ -1,4 +1,4 @@
-"""True positions in the room, after displacements by faults and refitting of spheres after the CT.
+"""True positions in the room after fault displacements and refitting of spheres after the CT.
 
 Bases and spheres are removed after the CT and refitted on their screws, each slightly off its position in the
 CT. One may also be on a loosened screw or a bent base, on the base of another, or missing. Cameras and
@@ -37,7 +37,7 @@ SEATING = "seating"  # noise key; each screw draws independently of the others
 
 @dataclass(frozen=True)
 class RoomShift:
-    """Displacement relative to the robot base: a turn about its origin (rotation vector), then a shift.
+    """Displacement relative to the robot base: a rotation about its origin, then a translation.
 
     `spheres_mm` are additional displacements of single spheres, by number.
     """
@@ -51,7 +51,7 @@ class RoomShift:
     spheres_mm: tuple[tuple[int, Point], ...] = ()
 
     def displace_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
-        """Displace spheres (n, 3) in the robot frame, given with their numbers in the scene."""
+        """Displace spheres (n, 3) in the robot frame, identified by their numbers in the scene."""
         alone = dict(self.spheres_mm)
         loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
         places: Array = apply(rigid_move(self.head_rad, self.head_mm), places_mm) + loose
@@ -62,7 +62,7 @@ NOTHING_MOVED = RoomShift()
 
 
 class ShiftedRoom:
-    """Displacements by the active room faults, cheap to query if there are none."""
+    """Displacements caused by active room faults, cheap to query if there are none."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -72,7 +72,7 @@ class ShiftedRoom:
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
 
     def now(self) -> RoomShift:
-        """Return the current displacements; without faults, the object `NOTHING_MOVED`."""
+        """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
         if self._board.empty:
             return NOTHING_MOVED
         shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
@@ -100,12 +100,12 @@ class ShiftedRoom:
 
 
 def rigid_move(turn_rad: Point, shift_mm: Point) -> Matrix:
-    """Return the transform (4, 4) of a turn about the robot's origin followed by a shift."""
+    """Return the transform (4, 4) of a rotation about the robot's origin followed by a translation."""
     return matrix_from(shift_mm, rotation_from_vector(turn_rad))
 
 
 def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
-    """Return ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
+    """Return ROBOT <- FLANGE (4, 4) of an arm yielding to a hand pushing its tool."""
     if not any((*room.guide_mm, *room.guide_rad)):
         return flange
     about_mm = (flange @ flange_from_marker)[:3, 3]
@@ -117,7 +117,7 @@ def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift)
 
 
 def list_cart_rolls_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
-    """Return, per fault, how far the cart has rolled since its brakes were released, mm."""
+    """Return how far the cart has rolled for each fault since its brakes were released, in mm."""
     return tuple(
         _add_up([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
         for fault, onset_s in board.acting_since()
@@ -126,12 +126,12 @@ def list_cart_rolls_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
 
 
 def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
-    """Return the spheres as refitted in the theatre, in scene order; CT frame, mm."""
+    """Return the spheres as refitted in the theatre, in scene order and the CT frame (mm)."""
     return tuple(_refit(one, scene) for one in scene.head.fiducials if not one.missing)
 
 
 def _refit(sphere: Fiducial, scene: Scene) -> Fiducial:
-    """Move a sphere to its refitted position, on the base now fixed to its screw."""
+    """Move a sphere to its refitted position on the base now attached to its screw."""
     place_mm = np.array(sphere.centre_ct_mm) + sphere.displaced_mm
     place_mm += noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
     wanted = sphere.base_in_theatre or sphere.number

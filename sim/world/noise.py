@@ -1,4 +1,4 @@
-"""Noise as a function rather than a stream: equal keys and counters yield equal numbers.
+"""Noise as a function rather than a stream: the same keys and counters yield the same numbers.
 
 Results therefore depend neither on the number of previous readings nor on the speed of the machine.
 """
@@ -25,7 +25,7 @@ def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Gene
 
 
 class ReusedNoise:
-    """Cheaper form of `noise` for one device, which reuses a generator at a tenth of the cost.
+    """Cheaper form of `noise` for one device, reusing a generator at a tenth of the cost.
 
     A new generator first draws a random seed that it then does not use.
     """
@@ -38,7 +38,7 @@ class ReusedNoise:
         self._no_buffer = np.zeros(4, dtype=np.uint64)
 
     def at(self, counter: int, lane: int = 0) -> np.random.Generator:
-        """Return the random generator of one event, valid until the next call."""
+        """Return the random generator for one event, valid until the next call."""
         self._start[1:3] = lane, counter & WORD_MASK
         self._philox.state = {
             "bit_generator": "Philox",

@@ -1,4 +1,4 @@
-"""Nominal KR 6 R900: machine data, KUKA's frames, and postures in closed form.
+"""Nominal KR 6 R900: machine data, KUKA frames, and closed-form postures.
 
 Written from the published robot descriptions of both arms that share the name, independently of the
 kinematics that the drivers use. The wrist root is where A4, A5 and A6 intersect: A1 to A3 position it, A4 to
@@ -31,7 +31,7 @@ ZERO_DEG = 0.01  # a frame with four decimals does not show on which side of zer
 
 @dataclass(frozen=True)
 class Joint:
-    """A revolute joint. `origin_mm` is its position in the previous joint's frame."""
+    """A revolute joint at `origin_mm` in the previous joint's frame."""
 
     name: str
     origin_mm: tuple[float, float, float]
@@ -44,7 +44,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Machine data of an arm. `variant` is its name in the controller, `model` the content of $ROBTRAFO[]."""
+    """Machine data of an arm, with its controller name `variant` and $ROBTRAFO[] content `model`."""
 
     variant: Variant
     model: str
@@ -52,7 +52,7 @@ class RobotDescription:
 
     @property
     def stretched_A3_deg(self) -> float:
-        """A3 in degrees at which upper arm and wrist root are aligned."""
+        """A3 angle in degrees that aligns the upper arm with the wrist root."""
         return degrees(atan2(self.joints[3].origin_mm[2], self.joints[4].origin_mm[0]))
 
 
@@ -91,7 +91,7 @@ _DESCRIPTIONS: dict[Variant, RobotDescription] = {
 
 
 def frame_of(pose: Matrix) -> list[float]:
-    """Return X Y Z (mm) A B C (deg) of a pose (4, 4); R = Rz(A) Ry(B) Rx(C). At B = 90 deg, A is 0."""
+    """Return X Y Z (mm) A B C (deg) of a pose (4, 4), R = Rz(A) Ry(B) Rx(C); A is 0 at B = 90 deg."""
     r00, _, _, x, r10, r11, r12, y, r20, r21, r22, z = pose[:3].ravel().tolist()
     cosine_B = (r00 * r00 + r10 * r10) ** 0.5
     if cosine_B < GIMBAL_LIMIT:
@@ -118,7 +118,7 @@ def pose_of_frame(frame: Sequence[float]) -> Matrix:
 
 
 def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[int, int]:
-    """Return status S and turn T.
+    """Return the status S and turn T of a posture.
 
     Bits of S: wrist root behind A1, A3 beyond the stretched arm, A5 not positive.
     """
@@ -141,7 +141,7 @@ def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[i
 def axes_of_posture(
     arm: RobotDescription, flange: Matrix, status: int, turn: int, near_deg: Sequence[float]
 ) -> list[float] | None:
-    """Return the axes (deg) of a flange pose (4, 4, in $ROBROOT) in the posture S T; None if impossible.
+    """Return the axes (deg) for a flange pose (4, 4) in $ROBROOT with posture S T, or None if impossible.
 
     None if the pose is out of reach, or an axis of that turn is beyond its end switch. `near_deg` decides A4
     if the wrist is straight.
@@ -161,7 +161,7 @@ def axes_of_posture(
 def axes_of_status(
     arm: RobotDescription, flange: Matrix, status: int, near_A4: float = 0.0
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Return the axes (rad, modulo whole turns) of a flange pose (4, 4, in $ROBROOT) with status S.
+    """Return the axes (rad, modulo whole turns) for a flange pose (4, 4) in $ROBROOT with status S.
 
     None if the pose is out of reach; end switches are not checked. `near_A4` decides A4 if the wrist is
     straight.
@@ -188,7 +188,7 @@ def axes_of_status(
 
 
 def _solve_wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, float, float]:
-    """Return A4, A5, A6 (rad) of a rotation Rx(-A4) Ry(A5) Rx(-A6)."""
+    """Solve Rx(-A4) Ry(A5) Rx(-A6) for A4, A5 and A6 (rad)."""
     sine = hypot(wrist[1, 0], wrist[2, 0])
     if sine < STRAIGHT_WRIST:
         both = atan2(-wrist[2, 1], wrist[1, 1])
@@ -200,7 +200,7 @@ def _solve_wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[flo
 
 
 def _with_sign(angle_deg: float, negative: bool) -> float:
-    """Add a whole turn if the sign requires it. Zero satisfies either sign."""
+    """Add a whole turn if needed for the required sign, which zero always satisfies."""
     if abs(angle_deg) < ZERO_DEG:
         return angle_deg
     if negative and angle_deg >= 0.0:

@@ -1,4 +1,4 @@
-"""Choices offered by commands, importable without heavy dependencies."""
+"""Command choices, importable without heavy dependencies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class OnStand(StrEnum):
-    """Objects that the calibration stand can hold: the ball, or the divot on a slide with three dials."""
+    """Objects for the calibration stand: the ball, or the divot on a slide with three dials."""
 
     NOTHING = "nothing"
     BALL = "ball"
@@ -14,7 +14,7 @@ class OnStand(StrEnum):
 
 
 class InstrumentKind(StrEnum):
-    """Kinds of instrument in the head of a postoperative scan."""
+    """Kinds of instrument in a postoperative scan."""
 
     ELECTRODE = "electrode"
     NEEDLE = "needle"
@@ -22,7 +22,7 @@ class InstrumentKind(StrEnum):
 
 
 class Carrier(StrEnum):
-    """Fixation of a named scene's spheres: on individual screws, or on the x-shaped frame."""
+    """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
 
     FREE = "free"
     XFRAME = "xframe"

@@ -1,4 +1,4 @@
-"""Common functions of all device processes: open the world, print READY, end with the parent."""
+"""Functions shared by all device processes: open the world, print READY, end with the parent."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
 
 
 def end_with_parent(end: Callable[[], None]) -> None:
-    """Call `end` on SIGTERM or SIGINT, or when the parent process is gone.
+    """Call `end` on SIGTERM or SIGINT, or when the parent process has ended.
 
     `end` must make the process leave its main loop; if it still runs 1.5 s later, it is killed with its
     descendants.
@@ -76,7 +76,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
 
 def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
-    """Report the failure of a thread and end the process, which would otherwise stop responding unnoticed."""
+    """Report a thread's failure and end the process, which would otherwise stop responding unnoticed."""
     traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
     sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
     sys.stderr.flush()
@@ -86,7 +86,7 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
 def open_world(
     world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
 ) -> World:
-    """Open the theatre's world, or create one on the host's clock for a simulator started alone.
+    """Open the theatre's world, or create one on the host's clock for a standalone simulator.
 
     `scene` is a built-in name or a file; `devices` are those simulated in a world of its own.
     """
@@ -103,7 +103,7 @@ def open_world(
 def open_own_control_port(
     world: str | None, own: World, devices: Sequence[str], loaded: Callable[[], Sequence[str]] | None = None
 ) -> str | None:
-    """Open the control port of a simulator started alone. Return None in a theatre, which has its own."""
+    """Open a standalone simulator's control port, or return None in a theatre, which has its own."""
     return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
 
 

@@ -18,19 +18,19 @@ Point = tuple[float, float, float]
 
 
 def as_point(values: Iterable[float]) -> Point:
-    """Convert an array (3,) to plain numbers."""
+    """Convert an array (3,) to a tuple of plain floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
 def as_rounded_point(values: Iterable[float]) -> Point:
-    """Convert an array (3,) to plain numbers, rounded to six decimals."""
+    """Convert an array (3,) to a tuple of plain floats, rounded to six decimals."""
     x, y, z = (round(float(value), 6) for value in values)
     return x, y, z
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
-    """Return the rotation matrix (3, 3) of a quaternion of any length."""
+    """Return the rotation matrix (3, 3) of a quaternion, which need not be normalised."""
     w, x, y, z = np.asarray(quaternion_wxyz, dtype=float) / np.linalg.norm(quaternion_wxyz)
     return np.array(
         [
@@ -42,7 +42,7 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
-    """Return the unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
+    """Return the unit quaternion (4,) of a rotation matrix, with non-negative scalar (Shepperd's method)."""
     # Plain numbers: operations on single elements of an array take ten times as long.
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=float).tolist()
     trace = a + e + i
@@ -104,7 +104,7 @@ def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
 
 
 def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
-    """Return the rotation with third column `z_axis` and first column as near as possible to `x_hint`."""
+    """Return the rotation with third column `z_axis` and first column as close as possible to `x_hint`."""
     z = np.asarray(z_axis, dtype=float)
     z = z / np.linalg.norm(z)
     x = np.asarray(x_hint, dtype=float)
@@ -116,7 +116,7 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
 
 
 def vector_from_rotation(rotation: ArrayLike) -> Matrix:
-    """Return the axis-angle vector (3,) of a rotation by less than half a turn."""
+    """Return the axis-angle vector (3,) of a rotation of less than half a turn."""
     w, *axis = quaternion_from_rotation(rotation)
     half_sine = float(np.linalg.norm(axis))
     if half_sine == 0.0:

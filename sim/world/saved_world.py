@@ -1,4 +1,4 @@
-"""Saved state of a theatre's world, for continuation by another theatre: arm, tool and time.
+"""Saved world state from which another theatre can continue: arm, tool and time.
 
 The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
 faults have moved, bent or rotated; a continued world has no other fault until one is injected.
@@ -42,7 +42,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class SavedArm(Strict):
-    """State of the robot: its encoders, and hidden state that they do not show."""
+    """Robot state: encoders, plus hidden state that they do not show."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
     flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
@@ -51,7 +51,7 @@ class SavedArm(Strict):
 
 
 class SavedWorld(Strict):
-    """State of everything that changes in a world."""
+    """All mutable state of a world."""
 
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
@@ -63,7 +63,7 @@ class SavedWorld(Strict):
 
     @classmethod
     def from_world(cls, world: World) -> SavedWorld:
-        """Read the present state of a world."""
+        """Capture the present state of a world."""
         arm = world.arm() if world.has_arm else None
         return cls(
             theatre_time_ns=world.clock.now_ns(),
@@ -81,7 +81,7 @@ class SavedWorld(Strict):
         )
 
     def restore(self, scene: Scene, *, paced: bool) -> World:
-        """Create a world of the given scene, starting from this state."""
+        """Create a world from this state and the given scene."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool, self.mountings)
         world.set_fault_script(self.standing_faults)
@@ -94,12 +94,12 @@ class SavedWorld(Strict):
 
 
 def save_world(world: World, folder: Path) -> None:
-    """Save the state of a world atomically."""
+    """Save a world's state atomically."""
     write_atomically(folder / WORLD_FILE, SavedWorld.from_world(world).model_dump_json(indent=1).encode())
 
 
 def read_saved_world(folder: Path) -> SavedWorld | None:
-    """Read the state saved in a folder; None if there is none. Raises SIM-003, SIM-012."""
+    """Read the state saved in a folder, or return None if there is none; raises SIM-003, SIM-012."""
     path = folder / WORLD_FILE
     if not path.exists():
         return None
@@ -117,7 +117,7 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """Return a script that reproduces displacements and bends by faults, each until its own end."""
+    """Return a script reproducing fault displacements and bends, each with its remaining duration."""
     now_s = world.clock.now_s()
     lines = []
     for roll_mm in list_cart_rolls_mm(FaultBoard(world, ROOM), now_s):
@@ -134,7 +134,7 @@ def standing_faults(world: World) -> str:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder for one theatre; raises SIM-013 if another theatre does not end in time."""
+    """Lock a folder for one theatre; raises SIM-013 if another theatre using it does not end in time."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:

@@ -1,4 +1,4 @@
-"""Simulated theatre staff: manual tasks with guide, instrument, stand and gauge, and the readings taken.
+"""Simulated theatre staff: manual tasks with guide, instrument, stand and gauge, and their readings.
 
 Tasks are named as in the procedure. Work on skin and skull alone has no effect here. The calibration stand on
 the table holds a removable ball or a divot with three dials: staff raise the divot to the tip of a guide and
@@ -56,7 +56,7 @@ NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks n
 
 
 class TaskRefused(Exception):
-    """Raised for a task that cannot be done as requested; `advice` is the remedy."""
+    """The task cannot be carried out as requested; `advice` is the remedy."""
 
     def __init__(self, reason: str, advice: str) -> None:
         super().__init__(reason)
@@ -64,7 +64,7 @@ class TaskRefused(Exception):
 
 
 class Staff:
-    """Staff of a theatre, who carry out tasks. `folder`, if given, receives the truth at each target."""
+    """Theatre staff who carry out tasks, recording the truth at each target in `folder` if given."""
 
     def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world
@@ -75,7 +75,7 @@ class Staff:
         self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task and return its readings.
+        """Carry out a task and return its readings.
 
         Raises TaskRefused, SIM-015, or ValueError if it cannot be done.
         """
@@ -113,7 +113,7 @@ class Staff:
         return ()
 
     def _push_cart(self) -> Readings:
-        """Push the cart. An unlocked cart rolls away for good; a locked cart stays."""
+        """Push the cart, which rolls away permanently if unlocked."""
         for fault in self._board.active(UNLOCKED.name):
             displacement = " ".join(fault.arguments)
             _, text = self._world.fault_script()
@@ -122,7 +122,7 @@ class Staff:
         return ()
 
     def _read_gauge(self, numbers: Sequence[float]) -> Readings:
-        """Read the dials: at the mandrel's end along x, y and z, and higher up along x and y; mm.
+        """Read the dials in mm: at the mandrel's end along x, y and z, and higher up along x and y.
 
         `numbers` are the arm's joints in deg at the gauge, and the height between the dials.
         """
@@ -137,7 +137,7 @@ class Staff:
         return tuple(_round_to_scale(float(value), DIAL_MM) for value in read)
 
     def _touch(self, direction: Sequence[float]) -> Readings:
-        """Return the position of a pointer that touches the given side of the patient's head, robot frame."""
+        """Return where a pointer touches the given side of the patient's head, in the robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
         skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
         place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
@@ -145,7 +145,7 @@ class Staff:
         return tuple(_round_to_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
-        """Return the pose of the calibrated mandrel's end at the arm pose where the gauge was zeroed."""
+        """Return the pose of the calibrated mandrel's end where the gauge was zeroed."""
         from sim.world.true_arm import TrueArm
 
         arm = TrueArm(self._world.scene.arm, self._world.scene.seed)
@@ -154,7 +154,7 @@ class Staff:
 
 
 def read_dials(world: World) -> tuple[float, float, float]:
-    """Read the three dials with the divot raised to the guide's tip, in mm; raises SIM-015 if impossible."""
+    """Read the three dials in mm with the divot raised to the guide's tip; raises SIM-015 if impossible."""
     stand, mount = world.scene.stand, world.scene.mount
     if (there := world.on_stand()) is not OnStand.DIVOT:
         holds = "nothing" if there is OnStand.NOTHING else f"the {there}"

@@ -74,7 +74,7 @@ class TrueArm:
     def at_rest(
         self, encoders_rad: Sequence[float], flanks: Sequence[float], motion_number: int, moved_s: float = 0.0
     ) -> Matrix:
-        """Return the flange pose (4, 4) at rest after the motion with this number."""
+        """Return the flange pose (4, 4) at rest after motion `motion_number`."""
         pose = self.moving(encoders_rad, flanks, moved_s)
         # a shift of the flange: any mounted tool is displaced alike
         pose[:3, 3] += noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
@@ -98,7 +98,7 @@ class TrueArm:
 
 
 class JointChain:
-    """Pinocchio chain of the arm's joints, nominal or with link errors: flange in $ROBROOT, mm and rad.
+    """Pinocchio joint chain of an arm, nominal or with link errors: flange in $ROBROOT, mm and rad.
 
     `links` are the errors of the links after A1 .. A6, each added at the link's far end. One chain belongs to
     one thread: Pinocchio computes in the chain's own memory.
@@ -110,14 +110,14 @@ class JointChain:
         self._q = np.zeros(AXES)
 
     def flange(self, joints_rad: Sequence[float] | Matrix) -> Matrix:
-        """Return the pose (4, 4) of the flange."""
+        """Return the flange pose (4, 4)."""
         self._q[:] = joints_rad
         pin.framesForwardKinematics(self._model, self._data, self._q)
         pose: Matrix = self._data.oMf[self._flange].homogeneous
         return pose
 
     def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:
-        """Solve for the joint angles of a flange pose, starting from nearby angles. Return None on failure.
+        """Solve for the joint angles of a flange pose from nearby angles, or return None on failure.
 
         Damped least squares, which may not converge near a singularity.
         """
@@ -141,7 +141,7 @@ class JointChain:
 
 @lru_cache(maxsize=8)  # shared: chains only read it and compute in their own data
 def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
-    """Build the model. Return it and the index of the flange frame."""
+    """Build the model and return it with the index of its flange frame."""
     model, parent = pin.Model(), 0
     for number, joint in enumerate(arm.joints):
         place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
@@ -160,6 +160,6 @@ def _placement_error(link: LinkError) -> pin.SE3:
 
 
 def rotation_vector(rotation: Matrix) -> Matrix:
-    """Return the rotation vector (axis times angle, rad) of a rotation (3, 3)."""
+    """Return the rotation vector (axis times angle, rad) of a rotation matrix (3, 3)."""
     vector: Matrix = pin.log3(rotation)
     return vector

@@ -1,4 +1,4 @@
-"""True pose of the mounted guide, and truth samples of the instrument's tip.
+"""True pose of the mounted guide, and truth samples of the instrument tip.
 
 The guide is pushed, badly seated or bent by faults. Only the verifier reads the samples.
 """
@@ -35,7 +35,7 @@ MOST_MISTAKES = 5  # listed in one error
 
 
 class TipSample(Strict):
-    """True position of the instrument's tip at one moment, in the robot frame."""
+    """True instrument tip position at one moment, in the robot frame."""
 
     target: str
     theatre_time_s: float
@@ -49,12 +49,12 @@ class TipSample(Strict):
 
     @property
     def head_moved(self) -> Matrix:
-        """Displacement of the head, a transform (4, 4)."""
+        """Head displacement as a transform (4, 4)."""
         return rigid_move(self.head_turn_rad, self.head_shift_mm)
 
 
 def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
-    """Sample the true tip of an instrument inserted to its depth stop.
+    """Sample the true tip of an instrument inserted up to its depth stop.
 
     `target` is a name of the caller's; `draw` distinguishes insertions there, each elsewhere within the
     bore's play.
@@ -79,7 +79,7 @@ def append_sample(sample: TipSample, folder: Path) -> None:
 
 
 def read_samples(folder: Path) -> list[TipSample]:
-    """Read all samples of a theatre in order; none if there is no file. Raises SIM-007."""
+    """Read all samples of a theatre in order, or none if there is no file; raises SIM-007."""
     path = folder / TRUTH_FILE
     return parse_samples(truth_bytes(path)) if path.exists() else []
 
@@ -93,7 +93,7 @@ def truth_bytes(path: Path) -> bytes:
 
 
 def parse_samples(content: bytes) -> list[TipSample]:
-    """Parse the content of a truth file; raises SIM-007 with the errors by line."""
+    """Parse the content of a truth file; raises SIM-007 listing the errors by line."""
     try:
         lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
@@ -113,7 +113,7 @@ def parse_samples(content: bytes) -> list[TipSample]:
 
 
 class TrueGuide:
-    """True poses (4, 4) of the guide's tip frame in the robot frame, from the world and the room's faults."""
+    """True poses (4, 4) of the guide's tip frame in the robot frame, given the world and room faults."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -128,14 +128,14 @@ class TrueGuide:
         self._seat_offset_mm = (-1, np.zeros(3))  # by the number of mountings
 
     def tip_frame(self, flange: Matrix | None = None) -> Matrix:
-        """Return the pose at the end of the calibrated mandrel, including the guide's bend.
+        """Return the pose of the calibrated mandrel's end, including the guide's bend.
 
         `flange` is its pose without a push, by default the present one.
         """
         return self.bore_frame(flange) @ self._bend()
 
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
-        """Return the pose without the bend, for the parts above the bore."""
+        """Return the pose without the guide's bend, for the parts above the bore."""
         flange = self._world.arm().robot_from_flange if flange is None else flange
         pose = yielding_flange(flange, self._flange_from_marker, self._room.now()).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
@@ -144,12 +144,12 @@ class TrueGuide:
         return pose @ self._tip_at_calibration @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
-        """Return the pose at the end of the mandrel in use."""
+        """Return the pose of the end of the mandrel in use."""
         longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_MANDREL))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
-        """Return the tip (3,) of an instrument inserted to its depth stop, drawn within the bore's play."""
+        """Draw the tip (3,) of an instrument inserted to its depth stop, within the play of the bore."""
         guide = self._scene.mount.guide
         beyond_mm = stop_mm - guide.bore_mm
         upper, lower = _draw_in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
@@ -170,7 +170,7 @@ class TrueGuide:
         return matrix_from(seat_offset_mm, rotation_from_vector((tilt_rad, 0.0, 0.0)))
 
     def _bend(self) -> Matrix:
-        """Return the bend of the guide, about the upper end of the bore."""
+        """Return the guide's bend, about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
         for fault in self._active_faults(BENT_TIP):
@@ -187,7 +187,7 @@ class TrueGuide:
 
 
 def tip_at_calibration(world: World) -> Matrix:
-    """Return FLANGE <- tip (4, 4) as it was at the time of the calibration records."""
+    """Return FLANGE <- tip (4, 4) at the time of the calibration records."""
     mount = world.scene.mount
     pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
     return pose

@@ -1,4 +1,4 @@
-"""Shared world: the scene, the clock, and everything that changes in a running theatre.
+"""Shared world: the scene, the clock and all mutable state of a running theatre.
 
 One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`: it
 disappears with the last process that holds it, however that process ends. The clock has a block of its own,
@@ -34,13 +34,13 @@ FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
 class ClockRow(NamedTuple):
-    """Location of the clock's own shared block."""
+    """Location of the clock's shared memory block."""
 
     path: Annotated[str, text(100)]
 
 
 class ArmRow(NamedTuple):
-    """An `ArmState` as plain numbers, the flange pose row by row."""
+    """An `ArmState` as plain numbers, with the flange pose row by row."""
 
     joints_rad: Annotated[Numbers6, "6d"]
     flange_rows: Annotated[tuple[float, ...], "12d"]
@@ -51,7 +51,7 @@ class ArmRow(NamedTuple):
 
 
 class StepRow(NamedTuple):
-    """The running step, as plain data."""
+    """The current step as plain data."""
 
     started_ns: Annotated[int, "q"]  # theatre time
     name: Annotated[str, text(64)]
@@ -73,7 +73,7 @@ _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 @dataclass(frozen=True)
 class ArmState:
-    """True state of the arm: encoder angles, and the flange in the robot frame."""
+    """True arm state: encoder angles, and flange pose in the robot frame."""
 
     joints_rad: Numbers6
     robot_from_flange: NDArray[np.float64]  # (4, 4)
@@ -84,7 +84,7 @@ class ArmState:
 
 
 class World:
-    """View of the shared block. The owning process calls `create`, others call `open`."""
+    """View of the shared memory block; the owning process calls `create`, all others call `open`."""
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
@@ -108,7 +108,7 @@ class World:
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
-        """Create a world. A `paced` world follows the host's clock, which starts at `begins_ns`.
+        """Create a world, which if `paced` follows the host's clock, starting at `begins_ns`.
 
         Others can open it as long as this object exists.
         """
@@ -130,21 +130,21 @@ class World:
 
     @classmethod
     def open(cls, endpoint: str) -> World:
-        """Open the world of a theatre by its `shm://` endpoint; raises SIM-001, SIM-002, CLK-001, INP-001."""
+        """Open a theatre's world by its `shm://` endpoint; raises SIM-001, SIM-002, CLK-001, INP-001."""
         return cls(parse_endpoint(endpoint).require("shm").path)
 
     @property
     def endpoint(self) -> str:
-        """Endpoint of this world for devices."""
+        """World endpoint for devices."""
         return f"shm://{self._path}"
 
     @property
     def clock_endpoint(self) -> str:
-        """Endpoint of this world's clock only."""
+        """Endpoint of the world's clock alone."""
         return f"shm://{self._clock_path}"
 
     def publish_arm(self, state: ArmState) -> None:
-        """Publish the arm's state. For the robot simulator only."""
+        """Publish the arm's state; for use by the robot simulator only."""
         memory = self._memory
         sequence = _ARM_SEQUENCE.read(memory)
         _ARM_SEQUENCE.write(memory, sequence + 1)
@@ -154,7 +154,7 @@ class World:
         _ARM_SEQUENCE.write(memory, sequence + 2)
 
     def arm(self) -> ArmState:
-        """Read the arm's true state consistently (seqlock), even if its writer died while writing."""
+        """Read a consistent true arm state (seqlock), even if its writer died while writing."""
         for _ in range(READ_ATTEMPTS):
             before = _ARM_SEQUENCE.read(self._memory)
             row = _ARM.read(self._memory)
@@ -175,7 +175,7 @@ class World:
         return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
-        """Return the true pose (4, 4) of the stereo head's tool centre point, which moves with the arm."""
+        """Return the true pose (4, 4) of the stereo head's tool centre point, carried by the arm."""
         pose: NDArray[np.float64] = self.arm().robot_from_flange @ matrix_of(
             self.scene.mount.flange_from_tool_true
         )
@@ -186,11 +186,11 @@ class World:
         return _TOOL.read(self._memory)
 
     def mountings(self) -> int:
-        """Return how many times the guide was mounted. Its seat differs slightly each time."""
+        """Return how often the guide has been mounted, since its seating differs slightly each time."""
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
-        """Mount a tool, possibly the one already mounted. For the control port only.
+        """Mount a tool, possibly the one already mounted; for use by the control port only.
 
         Mountings of the guide are counted, unless a restored world sets `mountings`.
         """
@@ -200,24 +200,24 @@ class World:
         _MOUNTINGS.write(self._memory, mountings)
 
     def on_stand(self) -> OnStand:
-        """Return what is on the calibration stand."""
+        """Return the object on the calibration stand."""
         return tuple(OnStand)[_STAND.read(self._memory)]
 
     def put_on_stand(self, content: OnStand) -> None:
-        """Change what is on the calibration stand. For the control port only."""
+        """Change the object on the calibration stand; for use by the control port only."""
         _STAND.write(self._memory, tuple(OnStand).index(content))
 
     def step(self) -> tuple[str, int]:
-        """Return the name of the running step and the theatre time in ns of its start."""
+        """Return the name of the current step and its start in theatre time, in ns."""
         row = _STEP.read(self._memory)
         return row.name, row.started_ns
 
     def enter_step(self, name: str) -> None:
-        """Set the running step. For the control port only."""
+        """Set the current step; for use by the control port only."""
         _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
 
     def fault_version(self) -> int:
-        """Return the version of the fault script, which changes whenever the text does."""
+        """Return the version of the fault script, which changes with every edit of the text."""
         return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
@@ -232,7 +232,7 @@ class World:
         raise WorldUnavailable("the fault script in the world was left half written")
 
     def set_fault_script(self, script: str) -> None:
-        """Replace the fault script by a text already checked. For the control port only."""
+        """Replace the fault script with text already checked; for use by the control port only."""
         content = script.encode()
         if len(content) > FAULTS_CAPACITY_BYTES:
             raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
@@ -246,7 +246,7 @@ class World:
 
 
 def _create_block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
-    """Create an anonymous block. Return its file, its path (valid while the file is open), and its memory."""
+    """Create an anonymous block and return its file, its path (valid while open) and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)
     return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

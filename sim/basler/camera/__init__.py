@@ -1,1 +1,1 @@
-"""A simulated camera: its features, its acquisition, and its view of the theatre."""
+"""Simulated camera: features, acquisition and view of the theatre."""

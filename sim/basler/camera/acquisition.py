@@ -34,7 +34,7 @@ FRAMES_LATE = 3  # how far a free run may lag before it drops frames
 
 @dataclass(frozen=True)
 class _Exposure:
-    """A scheduled exposure: its acquisition, its frame number in it, its start time and settings."""
+    """A scheduled exposure, numbered within its acquisition."""
 
     acquisition: int
     number: int
@@ -100,7 +100,7 @@ class Acquisition:
 
     @property
     def missed_triggers(self) -> int:
-        """Number of frame triggers since AcquisitionStart that were lost because the camera was busy."""
+        """Number of frame triggers lost since AcquisitionStart because the camera was busy."""
         return self._missed_triggers
 
     @property
@@ -186,7 +186,7 @@ class Acquisition:
         return len(self._waiting) >= FRAMES_IN_PROGRESS or self._clock.now_ns() < self._ready_ns
 
     def _schedule_exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
-        """Schedule a frame. The last one ends the acquisition, or the permission of its trigger."""
+        """Schedule a frame and count it against the frame limit of the acquisition or its trigger."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
@@ -254,7 +254,7 @@ class Acquisition:
 
 
 class TriggerCounter:
-    """Counter of triggers since AcquisitionStart. It seeds the noise, so retaking an image reproduces it.
+    """Trigger counter whose value seeds the noise, so that retaking an image reproduces it.
 
     A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
     neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
@@ -267,11 +267,11 @@ class TriggerCounter:
         self._started = False
 
     def start(self) -> None:
-        """Begin an acquisition."""
+        """Mark the start of an acquisition."""
         self._started = False
 
     def next(self, view: object) -> int:
-        """Return the number of the next trigger. `view` is all that the image depends on; None if unknown."""
+        """Return the number of the next trigger, given everything the image depends on (None if unknown)."""
         if self._started:
             self._number += 1
         elif view is None or view != self._view:

@@ -1,4 +1,4 @@
-"""Features that govern how frames are taken: image format, acquisition, triggers, exposure, gain."""
+"""Image capture features: image format, acquisition, triggers, exposure and gain."""
 
 from __future__ import annotations
 

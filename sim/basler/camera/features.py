@@ -1,4 +1,4 @@
-"""The features of a camera: names, limits, and the values behind them.
+"""Camera features: names, limits and backing values.
 
 One table serves both the registers and the XML that describes them, so every register named in the XML
 exists. Numbers are 32-bit integers or 32-bit floats.
@@ -130,7 +130,7 @@ def constant(name: str, category: str, about: str, value: float, **more: Any) ->
 
 
 def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
-    """Define an enumeration that the camera family defines but this camera restricts to a single entry."""
+    """Define an enumeration of the camera family that this camera restricts to a single entry."""
     return constant(
         name,
         category,

@@ -1,4 +1,4 @@
-"""Image source of one camera: an image per trigger, or prepared images in a ring when free-running."""
+"""Image source of one camera: one image per trigger, or a ring of prepared images when free-running."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ TRIGGERED_LANE, RING_LANE = 0, 1  # streams of noise
 
 
 class FrameSource(Protocol):
-    """Source of the images of an acquisition."""
+    """Image source for an acquisition."""
 
     def place(self) -> bytes | None:
-        """Return the camera's position for comparison; None if unknown. Thread-safe."""
+        """Return the camera's position for comparison, or None if unknown; thread-safe."""
         ...
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
@@ -40,7 +40,7 @@ class FrameSource(Protocol):
 
 
 class Photographer:
-    """Takes the images of one camera of the theatre.
+    """Takes the images of one simulated camera.
 
     The same trigger number, settings and pose of the head yield the same bytes.
     """
@@ -88,7 +88,7 @@ class Photographer:
         return to_wire(pixels, frame.pixel_format)
 
     def dependencies(self, frame: FrameSettings) -> tuple[object, Pose | None]:
-        """Return everything an image depends on, for comparison, and the pose of the head."""
+        """Return everything the image depends on, in comparable form, and the pose of the head."""
         pose = self._view.pose()
         position = None if pose is None else pose.tobytes()
         in_view = (self._view.head_mounted, self._view.stand_has_ball)
@@ -96,7 +96,7 @@ class Photographer:
 
 
 class ImageRing:
-    """Ring of prepared images for a free run, renewed in the background when the view has changed.
+    """Ring of prepared images for free-running mode, refreshed in the background when the view changes.
 
     Meanwhile the stream continues with the old ones: it never waits for drawing.
     """
@@ -108,7 +108,7 @@ class ImageRing:
         self._refresher: threading.Thread | None = None
 
     def image(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        """Return the image of frame `number`; the first of a new format is drawn at once."""
+        """Return the image for frame `number`, drawing it immediately if the format is new."""
         geometry = (frame.area.width, frame.area.height, frame.pixel_format)
         shown = self._images[0][0] if self._images else None
         if shown is None or (shown.area.width, shown.area.height, shown.pixel_format) != geometry:
@@ -127,7 +127,7 @@ class ImageRing:
         time.sleep(REFRESH_PAUSE_S)
 
     def _draw_next(self, frame: FrameSettings) -> None:
-        """Draw one more image. If the view has changed, it replaces all others."""
+        """Draw another image, discarding all earlier ones if the view has changed."""
         dependencies, pose = self._photographer.dependencies(frame)
         kept = self._images if dependencies == self._drawn_for else ()
         image = self._photographer.draw(frame, pose, len(kept), RING_LANE)
@@ -135,7 +135,7 @@ class ImageRing:
 
 
 def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:
-    """Encode an image (rows, columns) of even width in the pixel format of the wire."""
+    """Encode an image (rows, columns) of even width in the wire's pixel format."""
     if pixel_format is PixelFormat.MONO12:
         return pixels.astype("<u2").tobytes()
     if pixel_format is PixelFormat.MONO12_PACKED:
@@ -149,12 +149,12 @@ def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:
 
 
 def depth_bits(pixel_format: PixelFormat) -> int:
-    """Return the bit depth of a pixel value."""
+    """Return the bit depth of a pixel format."""
     return 8 if bits_per_pixel(pixel_format) == 8 else 12
 
 
 def ramp_image(frame: FrameSettings, number: int) -> Pixels:
-    """Draw a diagonal ramp with a period of 256 (or 4096) pixels; the moving ramp shifts by 1 per frame."""
+    """Draw a diagonal ramp with a period of 256 (or 4096) pixels, shifted by 1 per frame if it moves."""
     shift = number if frame.test_image is RampImage.MOVING else 0
     rows = np.arange(frame.area.y, frame.area.y + frame.area.height)[:, None]
     columns = np.arange(frame.area.x, frame.area.x + frame.area.width)[None, :]

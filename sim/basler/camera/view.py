@@ -1,4 +1,4 @@
-"""View of one camera: the spheres in front of it, and the disturbances of its image."""
+"""View of one camera: the visible spheres and the image disturbances."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class View:
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
 
     def pose(self) -> Pose | None:
-        """Return the true pose (4, 4) of the head in the robot frame; None until an arm has published it."""
+        """Return the true head pose (4, 4) in the robot frame, or None before an arm has published it."""
         pose = self._world.robot_from_tool()
         return pose if np.any(pose[:3, :3]) else None
 
@@ -64,7 +64,7 @@ class View:
     def spheres(
         self, robot_from_tool: Pose | None, twist_rad: float = 0.0, room: RoomShift = NOTHING_MOVED
     ) -> tuple[Sphere, ...]:
-        """Return the spheres in front of the camera, camera frame, for a pose that `pose` returned.
+        """Return the spheres in front of the camera, in the camera frame, for a pose returned by `pose`.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
         plane of both cameras: the tool's x axis. `room` is the displacement of the spheres.
@@ -100,7 +100,7 @@ class View:
 
 
 class Disturbances:
-    """Optical disturbances of one camera, from the fault script and the scene."""
+    """Optical disturbances of one camera, as defined by the fault script and the scene."""
 
     def __init__(self, world: World, camera: CameraTruth) -> None:
         self._world = world
@@ -111,7 +111,7 @@ class Disturbances:
 
     @cached_property
     def _worn(self) -> Disturbance:
-        """Spots of worn film: permanent defects, as dark as a stain."""
+        """Worn spots of the film: permanent defects, as dark as a stain."""
         scene = self._world.scene
         spots = tuple(
             (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))
@@ -121,7 +121,7 @@ class Disturbances:
         return Disturbance(stains=spots) if spots else CLEAR
 
     def now(self) -> Disturbance:
-        """Return the active disturbances. Without faults this costs a single query."""
+        """Return the active disturbances, using only a single query when there are no faults."""
         room = self._room.now()
         if self._board.empty:
             return self._worn if room is NOTHING_MOVED else replace(self._worn, room=room)
@@ -145,7 +145,7 @@ class Disturbances:
         return [fault for fault in self._board.active(kind) if fault.argument == self._side]
 
     def _drift_rad(self, fault: Fault) -> float:
-        """Return the drift in rad since its onset, or since its step was entered."""
+        """Return the drift in rad accumulated since the onset of the fault or the start of its step."""
         begun_s = self._world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
         acting_s = self._world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
@@ -172,6 +172,6 @@ def _target_balls(head: Head) -> tuple[Fiducial, ...]:
 
 
 def _rotation_along_post(post: tuple[float, float, float]) -> Pose:
-    """Return a rotation (3, 3) whose third column is the post; the turn about it is arbitrary but fixed."""
+    """Return a rotation (3, 3) whose third column is the post, with an arbitrary but fixed roll."""
     hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
     return rotation_towards(post, hint)

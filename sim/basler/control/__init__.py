@@ -1,1 +1,1 @@
-"""Control channel of a camera (GVCP): registers, privilege, acknowledges, and the GenICam XML."""
+"""Camera control channel (GVCP): registers, privilege, acknowledges and the GenICam XML."""

@@ -69,7 +69,7 @@ MOST_RETRIES = 100
 
 @dataclass
 class Identity:
-    """Identity of a camera; a client may change `user_name`."""
+    """Camera identity, of which a client may change only `user_name`."""
 
     address: str
     serial: str
@@ -77,7 +77,7 @@ class Identity:
 
     @property
     def mac(self) -> bytes:
-        """Hardware address: the vendor's prefix and the end of the serial number."""
+        """Hardware address, composed of the vendor prefix and the end of the serial number."""
         number = int("".join(filter(str.isdigit, self.serial)) or "0") % (1 << SERIAL_DIGITS_IN_MAC)
         return BASLER_MAC_PREFIX + number.to_bytes(3, "big")
 
@@ -231,7 +231,7 @@ def _constant_word(value: int) -> Word:
 
 
 def _stored_word(allowed: int) -> Word:
-    """Define a register that stores the permitted bits written to it and has no other effect."""
+    """Define a register that stores the permitted bits but has no other effect."""
     content = {"value": 0}
     return Word(lambda: content["value"], lambda value: content.update(value=value & allowed))
 
@@ -259,7 +259,7 @@ def _address_number(address: str) -> int:
 
 
 def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:
-    """Add port, destination, time-out, retries and source port of the message channel."""
+    """Add the message channel registers: port, destination, time-out, retries and source port."""
 
     def set_port(value: int) -> None:
         channel.port = value & MCP_PORT_MASK

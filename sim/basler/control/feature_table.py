@@ -1,4 +1,4 @@
-"""Register table of all features, in address order: value, minimum, maximum and step of each.
+"""Register table of all features in address order: value, minimum, maximum and increment.
 
 Names are those of the camera family (SFNC 1.x). Features of transport, actions, user sets and events are
 defined here, those of frames in `capture_features`.

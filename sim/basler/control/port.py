@@ -1,4 +1,4 @@
-"""GVCP command processing of one camera, without sockets: each datagram yields at most one answer."""
+"""GVCP command processing for one camera, without sockets: each datagram yields at most one answer."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ADDRESS_BYTES = 4
 
 
 class CommandIgnored(Exception):
-    """Raised for a command that must not be answered."""
+    """The command must not be answered."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Actions:
 
 
 class ControlPort:
-    """Control protocol of one camera with this `mac` and IP `address`."""
+    """Control port of one camera, identified by its `mac` and IP `address`."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class ControlPort:
         }
 
     def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
-        """Execute the command in a datagram and return the answer; None if it gets no answer."""
+        """Execute the command in a datagram and return the answer, or None if none is due."""
         if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
             return None
         _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
@@ -131,7 +131,7 @@ class ControlPort:
         return self._registers.read(0, DISCOVERY_BYTES)
 
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
-        """Execute FORCEIP. Only the present address is accepted, since the camera's socket is bound to it."""
+        """Execute FORCEIP, accepting only the present address, to which the camera's socket is bound."""
         if len(payload) != FORCEIP_BYTES:
             raise Refusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
@@ -217,7 +217,7 @@ class ControlPort:
 
 @dataclass(frozen=True)
 class AnsweredCommand:
-    """A command and its answer, None if it required none."""
+    """A command with its answer, or None if no answer was required."""
 
     datagram: bytes
     answer: bytes | None
@@ -225,7 +225,7 @@ class AnsweredCommand:
 
 
 class ReplayCache:
-    """Cache of each application's last modifying command, so that a repetition is answered, not executed.
+    """Caches each application's last modifying command, so that a repeat is answered but not re-executed.
 
     `now_s` is the host's monotonic clock.
     """

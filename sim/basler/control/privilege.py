@@ -16,7 +16,7 @@ OTHER_APPLICATION: Peer = ("0.0.0.0", 0)
 
 
 class Privilege:
-    """The application in control and its heartbeat, which any of its commands renews.
+    """The application in control and its heartbeat, renewed by each of its commands.
 
     `released` is called when control ends, by request or by time-out; `now_s` is the host's monotonic clock.
     """
@@ -65,7 +65,7 @@ class Privilege:
             self._refreshed_s = self._now_s()
 
     def seize(self, is_seized: bool) -> None:
-        """Put another application in control while `is_seized`, whoever was in control before."""
+        """Give control to another application while `is_seized`, regardless of the present owner."""
         if is_seized and self.owner != OTHER_APPLICATION:
             self.drop()
             self.owner, self.value = OTHER_APPLICATION, CCP_CONTROL
@@ -73,18 +73,18 @@ class Privilege:
             self.drop()
 
     def drop(self) -> None:
-        """End control as if the owner had released it."""
+        """Release control on behalf of the owner."""
         if self.owner is not None:
             self._release()
 
     def seconds_left(self) -> float | None:
-        """Return the seconds until the owner loses control; None without an owner."""
+        """Return the seconds until the owner loses control, or None if no heartbeat is expected."""
         if self.owner in (None, OTHER_APPLICATION):
             return None
         return self._refreshed_s + self._heartbeat_ms / 1e3 - self._now_s()
 
     def expire(self) -> None:
-        """End the control of an owner that has timed out."""
+        """Withdraw control from an owner whose heartbeat has timed out."""
         left_s = self.seconds_left()
         if left_s is not None and left_s <= 0.0:
             self._release()

@@ -1,4 +1,4 @@
-"""Registers of a camera: single words and memory blocks, each with its own read and write functions."""
+"""Camera registers: single words and memory blocks, each with its own read and write functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
 class Refusal(Exception):
-    """Access refused with a status code. `written` counts the bytes or registers written before it."""
+    """Register access refused with a status code after writing `written` bytes or registers."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
         super().__init__(status.name)
@@ -20,7 +20,7 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Word:
-    """A 32-bit register. Without `write` it is read-only; `write` raises Refusal for an invalid value."""
+    """A 32-bit register, read-only if `write` is None; `write` raises Refusal for an invalid value."""
 
     read: Callable[[], int]
     write: Callable[[int], None] | None = None
@@ -28,7 +28,7 @@ class Word:
 
 @dataclass(frozen=True)
 class Memory:
-    """A block of memory whose size is a multiple of 4. `write` receives the whole new content."""
+    """A memory block whose size is a multiple of 4; `write` receives its whole new content."""
 
     address: int
     size: int
@@ -36,7 +36,7 @@ class Memory:
     write: Callable[[bytes], None] | None = None
 
     def content(self) -> bytes:
-        """Return the content, zero-padded to the size of the block."""
+        """Return the content, zero-padded to the block size."""
         return self.read().ljust(self.size, b"\0")[: self.size]
 
 

@@ -1,4 +1,4 @@
-"""The GenICam description of the camera, generated from its features, standard registers and events."""
+"""GenICam description of the camera, generated from its features, standard registers and events."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sim.basler.settings import EventKind
 
 @dataclass(frozen=True)
 class EventData:
-    """One value of one kind of event; `offset` is its position in an item of the message."""
+    """A value carried by an event, at `offset` in its message item."""
 
     kind: EventKind
     what: str
@@ -41,12 +41,12 @@ class EventData:
 
     @property
     def category(self) -> str:
-        """Category of the node."""
+        """Node category."""
         return f"{self.kind.feature_name}EventData"
 
     @property
     def port(self) -> str:
-        """Port of this kind of event."""
+        """Name of the event's port node."""
         return f"{self.kind.feature_name}EventPort"
 
 
@@ -62,7 +62,7 @@ EVENT_DATA = tuple(_event_data())
 
 
 def add_event_data(root: ElementTree.Element) -> None:
-    """Add nodes, registers and ports of all kinds of events.
+    """Add the nodes, registers and ports for all kinds of events.
 
     Each kind has a port of its own, which a client fills from messages; addresses are offsets in an item.
     """
@@ -103,7 +103,7 @@ LOCK = "TLParamsLocked"
 
 @dataclass(frozen=True)
 class StandardFeature:
-    """A feature with a register of the standard; `command` is the value that a command writes."""
+    """A feature with a standard register; `command` is the value written to execute it."""
 
     name: str
     category: str
@@ -164,7 +164,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """Generate the GenICam XML. Its version depends on its content, so no client uses an outdated copy."""
+    """Generate the GenICam XML, versioned by content so that no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {

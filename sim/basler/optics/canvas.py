@@ -1,4 +1,4 @@
-"""The lens, the irradiance behind it on a part of the sensor, and the defocus blur.
+"""The lens, the irradiance it casts on part of the sensor, and defocus blur.
 
 Camera frame: x right, y down, z along the optical axis. Pixels: (0, 0) is the centre of the top-left pixel.
 """
@@ -37,7 +37,7 @@ SPREAD_SIGMAS = 3.5  # light from farther away adds less than 0.05 %
 
 @dataclass(frozen=True)
 class Lens:
-    """Pinhole with distortion k1 k2 p1 p2 k3, focused at `focus_mm`."""
+    """Pinhole lens with distortion k1 k2 p1 p2 k3, focused at `focus_mm`."""
 
     focal_px: tuple[float, float]
     principal_point_px: tuple[float, float]
@@ -62,7 +62,7 @@ class Lens:
         return distorted * self.focal_px + self.principal_point_px
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Return x and y of the ray (x, y, 1) of each pixel position (n, 2)."""
+        """Return x and y of the ray (x, y, 1) for each pixel position (n, 2)."""
         seen = (np.asarray(pixels, dtype=float) - self.principal_point_px) / self.focal_px
         seen_x, seen_y = seen.T.copy()
         x, y = seen_x, seen_y
@@ -79,7 +79,7 @@ class Lens:
 
     @property
     def magnification(self) -> float:
-        """Image size over object size in the plane of focus."""
+        """Ratio of image size to object size in the plane of focus."""
         return self.focal_px[0] * PIXEL_PITCH_UM * 1e-3 / self.focus_mm
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ class Area:
 
     @property
     def empty(self) -> bool:
-        """Whether the area has no pixel."""
+        """Whether the area contains no pixels."""
         return self.width == 0 or self.height == 0
 
 
@@ -129,7 +129,7 @@ def row_bands(height: int, width: int) -> Iterator[slice]:
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
-    """Return the image area of points (n, 3), with a margin for what lies between; empty behind the lens."""
+    """Return the image area spanned by points (n, 3) plus a margin, empty if all are behind the lens."""
     points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
     if not len(points):
         return Area(0, 0, 0, 0)
@@ -141,7 +141,7 @@ def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
 
 @dataclass(frozen=True)
 class Canvas:
-    """Light on `area` in electrons per microsecond, pixel by pixel."""
+    """Light on `area`, in electrons per microsecond per pixel."""
 
     area: Area
     light: Image
@@ -154,7 +154,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Dot:
-    """Dot products of a vector with the rays of an area, stored as a row and a column to be added."""
+    """Dot products of a vector with the rays of an area, stored as a row term plus a column term."""
 
     rows: Image  # (height, 1)
     columns: Image  # (1, width)
@@ -166,7 +166,7 @@ class Dot:
 
 
 class Rays:
-    """The rays (x, y, 1) of all pixels of an area, linear in the pixel position.
+    """Rays (x, y, 1) of all pixels of an area, linear in the pixel position.
 
     Distortion bends them by less than 0.1 px over a sphere's image, which is negligible for shading; at a rim
     the exact rays of the lens are used instead. Being linear, a dot product with a fixed vector is the sum of
@@ -184,7 +184,7 @@ class Rays:
         self._rows = np.arange(area.height) - (area.height - 1) / 2
 
     def dot(self, vector: NDArray[np.float64]) -> Dot:
-        """Dot a vector (3,) with each ray."""
+        """Compute the dot product of a vector (3,) with each ray."""
         columns = self._columns * (self._per_column @ vector) + self._origin @ vector
         rows = self._rows * (self._per_row @ vector)
         return Dot(rows.astype(np.float32)[:, None], columns.astype(np.float32)[None, :])

@@ -1,4 +1,4 @@
-"""Surface of a sphere: retro-reflective film with grain and stains that are fixed to the sphere.
+"""Surface of a sphere: retro-reflective film with grain and stains.
 
 Blood and liquid stop the beads from reflecting the light. Both cameras see the same stains, each from its
 side.
@@ -28,7 +28,7 @@ SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, from the sph
 
 
 class Film:
-    """The film of one sphere: its grain, darkened by its stains."""
+    """Film of one sphere: its grain, darkened by stains."""
 
     def __init__(self, grain: Grain, radius_mm: float, stains: Sequence[Stain] = ()) -> None:
         self._grain = grain
@@ -36,7 +36,7 @@ class Film:
         self._radius_mm = radius_mm
 
     def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Return the brightness factor at surface points in the sphere's frame, with mean 1 on clean film."""
+        """Return the brightness factor (mean 1 on clean film) at surface points in the sphere's frame."""
         light = self._grain.brightness_at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
@@ -54,19 +54,19 @@ class Film:
 
 @dataclass(frozen=True)
 class Stain:
-    """A round stain: the direction of its centre in the sphere's frame, and its angular radius."""
+    """A round stain, given by its angular radius and the direction of its centre in the sphere's frame."""
 
     direction: tuple[float, float, float]
     half_angle_rad: float
 
     def may_be_visible(self, to_camera: NDArray[np.float64]) -> bool:
-        """Return whether any of the stain may face `to_camera`, a unit vector in the sphere's frame."""
+        """Return whether part of the stain may face `to_camera`, a unit vector in the sphere's frame."""
         return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
 
 
 @cache
 def draw_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
-    """Draw stains, possibly overlapping, until their areas add up to `share` of a sphere's surface."""
+    """Draw possibly overlapping stains until their total area reaches `share` of the sphere's surface."""
     generator = noise(seed, f"stains of sphere {number}", 0)
     stains: list[Stain] = []
     covered = 0.0
@@ -80,7 +80,7 @@ def draw_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
 
 
 class Grain:
-    """Glass beads, each a little brighter or darker than the mean.
+    """Film grain: glass beads, each slightly brighter or darker than the mean.
 
     Space is divided into cubes of a bead's size, fixed to the sphere, and a bead's brightness is derived from
     its cube: the grain moves with the sphere, and the same sphere always looks the same.
@@ -91,7 +91,7 @@ class Grain:
         self._table: Image = np.float32(1.0) + np.float32(CONTRAST) * values
 
     def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Return the brightness factor, with mean 1, at surface points in the sphere's frame."""
+        """Return the brightness factor (mean 1) at surface points in the sphere's frame."""
         total: NDArray[np.int32] = np.zeros(x_mm.shape, dtype=np.int32)
         beads, cube = np.empty_like(x_mm), np.empty_like(total)
         for position, multiplier in zip((x_mm, y_mm, z_mm), MULTIPLIERS, strict=True):

@@ -1,4 +1,4 @@
-"""Light on one camera's sensor: spheres drawn from far to near, blurred by depth, and disturbances."""
+"""Light on one camera's sensor: spheres drawn from far to near, depth blur and disturbances."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 @dataclass(frozen=True)
 class Glare:
-    """Reflection of a lamp in a wet surface: a bright disc on the sensor."""
+    """Reflection of a lamp on a wet surface: a bright disc on the sensor."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -49,7 +49,7 @@ class Glare:
 
 @dataclass(frozen=True)
 class Occluder:
-    """A dark object with a straight edge that hides `rim_share` of a sphere's rim from one camera.
+    """A dark, straight-edged object hiding `rim_share` of a sphere's rim from one camera.
 
     `direction_rad` is the side it enters the image from. `brightness` is relative to the drapes behind it.
     """
@@ -61,7 +61,7 @@ class Occluder:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbances of one camera's view at one moment, comparable and hashable. Stains by sphere number."""
+    """Disturbances of one camera's view at one moment, hashable, with stains keyed by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()
@@ -137,7 +137,7 @@ class Optics:
         _composite(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
     def _draw_stalk_part(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
-        """Draw the stalk in an area; None if the area is empty."""
+        """Draw the stalk within an area, or return None if the area is empty."""
         if area.empty:
             return None
         image = draw_stalk(sphere, self.lens, area)
@@ -160,7 +160,7 @@ class Optics:
 
 
 def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
-    """Hide a sphere's rim behind an edge that is as sharp as the image of the sphere."""
+    """Hide a sphere's rim behind an edge that is as blurred as the sphere itself."""
     outline = lens.project(sphere.outline_mm())
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     radius = float(np.ptp(outline, axis=0).mean()) / 2
@@ -176,7 +176,7 @@ def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigm
 
 
 def add_glare(canvas: Canvas, glare: Glare) -> None:
-    """Add the light of a glare."""
+    """Add a glare to the light."""
     sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
     margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
     x, y = (round(value) for value in glare.centre_px)
@@ -192,12 +192,12 @@ def add_glare(canvas: Canvas, glare: Glare) -> None:
 
 
 def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
-    """Return the sphere nearest to the optical axis; None without spheres."""
+    """Return the sphere nearest to the optical axis, or None if there are no spheres."""
     return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
 
 
 def _soft_edge(sigmas: Array | Image) -> Image:
-    """Return the coverage by an object with a blurred edge, given the distance from the edge in sigmas."""
+    """Return the coverage near a blurred edge, given the signed distance inside it in sigmas."""
     cover: Image = (sigmas > 0.0).astype(np.float32)
     soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
     cover[soft] = np.interp(sigmas[soft], *_edge_table())

@@ -1,4 +1,4 @@
-"""Image sensor: illumination across it, and read-out with noise, gain and quantization."""
+"""Image sensor: illumination profile, and read-out with noise, gain and quantization."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FALL_OFF = 0.06  # towards the corners
 
 
 class Lighting:
-    """Illumination of one camera: an individual gradient, and a fall-off towards the corners."""
+    """Illumination of one camera: an individual gradient and corner fall-off."""
 
     def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
         self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
@@ -61,7 +61,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor whose full well gives full scale at unity gain."""
+    """Image sensor that reaches full scale at full well and unity gain."""
 
     read_noise_electrons: float
     full_well_electrons: float
@@ -76,7 +76,7 @@ class Sensor:
         bits: int,
         noise: np.random.Generator | None,
     ) -> Pixels:
-        """Expose to `light`, electrons per microsecond, and return pixel values (rows, columns).
+        """Expose to `light` in electrons per microsecond and return pixel values (rows, columns).
 
         Shot noise is approximated as normal with the variance of the mean: below 20 electrons, where that is
         wrong, read noise dominates. Without a generator there is no noise.
@@ -106,7 +106,7 @@ class Sensor:
 
 
 def _draw_normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
-    """Draw normal numbers, four from each 64-bit word: three times as fast as NumPy's own method."""
+    """Draw normally distributed numbers, four per 64-bit word: three times as fast as NumPy's own method."""
     count = rows * columns
     words = generator.integers(0, 2**64 - 1, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     numbers: Image = _normal_table().take(words.view(np.uint16)[:count]).reshape(rows, columns)
@@ -115,7 +115,7 @@ def _draw_normal(generator: np.random.Generator, rows: int, columns: int) -> Ima
 
 @cache
 def _normal_table() -> Image:
-    """Tabulate quantiles of the normal distribution in equal steps of probability, scaled to variance 1."""
+    """Tabulate normal quantiles at equal steps of probability, scaled to unit variance."""
     inverse = NormalDist().inv_cdf
     half = np.array([inverse((step + 0.5) / NORMAL_STEPS) for step in range(NORMAL_STEPS // 2)])
     table = np.concatenate([half, -half[::-1]])

@@ -1,4 +1,4 @@
-"""Image of a retro-reflective sphere, exact at the rim, and of the stalk that carries it.
+"""Images of a retro-reflective sphere, exact at the rim, and of its stalk.
 
 Lit from around the lens, the film returns light to the camera from everywhere, a quarter less at the limb.
 Inside, one ray per pixel; in a band along the rim 4 x 4 exact rays per pixel, each weighted by its distance
@@ -32,7 +32,7 @@ OUTLINE_POINTS = 90
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere in the camera frame, millimetres.
+    """A sphere in the camera frame, in millimetres.
 
     The third column of `camera_from_sphere` (3, 3) points along the post, from the skull to the sphere.
     """
@@ -66,7 +66,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class BodyImage:
-    """Coverage, light and depth of each pixel of `area`. Depth is infinite where the pixel centre misses."""
+    """Per-pixel coverage, light and depth of `area`, with infinite depth where the pixel centre misses."""
 
     area: Area
     cover: Image
@@ -92,7 +92,7 @@ def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage
 
 @dataclass(frozen=True)
 class SphereRays:
-    """Rays of an area, with the dot products needed to draw a sphere."""
+    """Rays of an area, with the dot products for drawing a sphere."""
 
     rays: Rays
     along: Dot  # the centre projected on each ray, times the ray's length
@@ -101,7 +101,7 @@ class SphereRays:
 
     @classmethod
     def of(cls, sphere: Sphere, rays: Rays) -> SphereRays:
-        """Compute the rays of an area for a sphere."""
+        """Compute the dot products of an area's rays for a sphere."""
         x, y, z = sphere.centre_mm
         across = ([z, 0.0, -x], [0.0, z, -y], [y, -x, 0.0])
         first, second, third = (rays.dot(np.array(each)) for each in across)
@@ -126,7 +126,7 @@ class SphereRays:
 def _draw_inside(
     sphere: Sphere, lens: Lens, film: Film, rays: SphereRays, image: BodyImage, rows: slice
 ) -> Image:
-    """Draw some rows, one ray per pixel. Return the depth inside the outline of each pixel."""
+    """Draw some rows with one ray per pixel and return each pixel's depth inside the outline."""
     miss = rays.squared_miss_distance(rows)
     squared = rays.rays.square_rows(rows)
     inside_px: Image = miss / squared
@@ -192,7 +192,7 @@ def _sample_rim(
 
 
 def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> Values:
-    """Return the brightness for an angle of incidence, with cos^2 = discriminant / (radius^2 ray^2)."""
+    """Return the brightness at an angle of incidence given by cos^2 = discriminant / (radius^2 ray^2)."""
     limb: Values = discriminant / squared
     limb *= LIMB_DARKENING / sphere.radius_mm**2
     limb += 1.0 - LIMB_DARKENING
@@ -200,7 +200,7 @@ def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> V
 
 
 def _surface_points(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
-    """Yield x, y, z of the surface points in the sphere's frame; `dots` are the rays along its axes."""
+    """Yield x, y, z of the surface points in the sphere's frame, with `dots` for the rays along its axes."""
     for axis, dot in zip(sphere.camera_from_sphere.T, dots, strict=True):
         dot *= depth
         point: Image = dot.astype(np.float32, copy=False)
@@ -215,7 +215,7 @@ SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the ax
 
 @dataclass(frozen=True)
 class Section:
-    """A cylinder on the stalk's axis, bounded by distances from the sphere's centre towards the skull."""
+    """A cylindrical section of the stalk, bounded by distances from the sphere's centre towards the skull."""
 
     begin_mm: float
     end_mm: float
@@ -231,7 +231,7 @@ SECTIONS = (
 
 
 def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
-    """Return points (n, 3) that enclose a sphere's stalk, or the given sections of it."""
+    """Return points (n, 3) enclosing a sphere's stalk or the given sections of it."""
     across, over, post = sphere.camera_from_sphere.T
     angle = np.linspace(0.0, 2 * np.pi, STALK_OUTLINE_POINTS, endpoint=False)[:, None]
     circle = np.cos(angle) * across + np.sin(angle) * over
@@ -244,7 +244,7 @@ def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> 
 
 
 def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
-    """Draw the stalk of a sphere of unit brightness over `area`."""
+    """Draw the stalk of a sphere with unit brightness over `area`."""
     shape = (area.height, area.width)
     image = BodyImage(
         area, np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
@@ -280,7 +280,7 @@ Drawn = tuple[Image, Image, Image]  # cover, light and depth
 
 
 def _add_section(layers: Sequence[Image], side: Drawn, end: Drawn) -> None:
-    """Add side and end of a section, where nearer, to cover, light and depth. Overwrites `side`."""
+    """Composite the side and end of a section into the layers where they are nearer; overwrites `side`."""
     cover, light, depth = side
     end_cover, end_light, end_depth = end
     on_end = end_cover > cover
@@ -301,7 +301,7 @@ def _draw_side(
     section: Section,
     px_per_mm: float,
 ) -> Drawn:
-    """Draw the curved side; `towards` is the axis, projected on each ray."""
+    """Draw the curved side; `towards` projects the axis point nearest the camera on each ray."""
     radius, length = section.radius_mm, section.end_mm - section.begin_mm
     foot_along = float(foot @ axis)
     across = along_axis * along_axis  # squared component of the ray perpendicular to the axis
@@ -358,7 +358,7 @@ def _draw_end(
 
 
 def _edge_cover(distance_mm: Image, radius_mm: float, px_per_mm: float) -> Image:
-    """Convert distances of pixel centres from the axis to pixel coverage, in place."""
+    """Convert pixel distances from the axis to pixel coverage, in place."""
     cover = distance_mm
     np.subtract(np.float32(radius_mm), distance_mm, out=cover)
     cover *= np.float32(px_per_mm)

@@ -1,4 +1,4 @@
-"""Motion commands of the project's EKI channel (PTP_AXIS, PTP_POS, LIN), and strict parsing of attributes."""
+"""Motion commands of the project's EKI channel (PTP_AXIS, PTP_POS, LIN) and strict attribute parsing."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def number(arguments: Mapping[str, str], name: str, default: float | None = None
 
 
 def share(arguments: Mapping[str, str], name: str) -> float:
-    """Parse a percentage up to 100 and return it as a fraction; 1 if missing."""
+    """Parse a percentage up to 100 and return it as a fraction, or 1 if missing."""
     value = number(arguments, name, 100.0)
     if not LEAST_PERCENT <= value <= 100.0:
         raise ValueError(f"{name} must be a percentage from {LEAST_PERCENT} to 100")
@@ -73,12 +73,12 @@ def axes(arguments: Mapping[str, str]) -> list[float]:
 
 
 def escape(content: str, longest: int) -> str:
-    """Escape an attribute value, truncated to the length of a KRL string."""
+    """Escape an attribute value and truncate it to the length of a KRL string."""
     return content[:longest].translate(_ESCAPED)
 
 
 class EkiMoves:
-    """Motion commands of a client. Calls `report_end` with the outcome of each motion."""
+    """A client's motion commands, whose outcomes are passed to `report_end`."""
 
     def __init__(self, controller: Controller, report_end: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
@@ -104,7 +104,7 @@ class EkiMoves:
         return self._point_to_point(goal, arguments)
 
     def lin(self, arguments: Mapping[str, str]) -> Acknowledgement:
-        """Move on a straight line to X..C (mm, deg) in BASE; Tool, Base, Vel (m/s). S and T do not apply."""
+        """Move straight to X..C (mm, deg) in BASE with Tool, Base and Vel (m/s), ignoring S and T."""
         pose = pose_of_frame(frame(arguments))
         speed_m_s = number(arguments, "Vel")
         if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:
@@ -154,7 +154,7 @@ class EkiMoves:
         )
 
     def _prepare(self, arguments: Mapping[str, str]) -> Acknowledgement | None:
-        """Activate the tool and base of a motion that may start. Return the refusal if it may not."""
+        """Activate the tool and base for a permitted motion, or return the refusal."""
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:

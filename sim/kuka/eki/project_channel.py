@@ -37,7 +37,7 @@ LAST_TOOL, LAST_BASE = 16, 32
 
 
 class ProjectChannel:
-    """Channel for one client, whose loss ends only the conversation."""
+    """Channel for one client; its disconnection ends only the conversation."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -76,12 +76,12 @@ class ProjectChannel:
         self.tick(time.monotonic())
 
     def client_disconnected(self) -> None:
-        """Handle the loss of the client. A parameter decides whether it ends a running program."""
+        """Handle the loss of the client, which cancels a running program only if a parameter says so."""
         self._autostart.arm()
         self._controller.handle_eki_loss()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer a command; ignore anything else."""
+        """Answer a command and ignore anything else."""
         if element.tag != CMD:
             return
         self._idle_until_s = inf
@@ -104,7 +104,7 @@ class ProjectChannel:
         self.tick(time.monotonic())
 
     def _report_motion_end(self, answer: Acknowledgement) -> None:
-        """Acknowledge a motion a second time, once it is done or aborted."""
+        """Acknowledge a motion a second time, when it completes or is aborted."""
         self._acknowledge(self._motion_id, self._motion_name, answer)
 
     def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:
@@ -114,7 +114,7 @@ class ProjectChannel:
         )
 
     def tick(self, now_s: float) -> float:
-        """Send the state if it has changed or its period is over. Return when to call again."""
+        """Send the state if changed or due, and return the time of the next call."""
         if self._server.connected and now_s > self._idle_until_s and not self._server.silent:
             self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:
@@ -191,7 +191,7 @@ class ProjectChannel:
 
 
 def _parse_number(arguments: Mapping[str, str], last: int) -> int:
-    """Parse the number of a tool or base."""
+    """Parse a tool or base number."""
     number = integer(arguments, "No")
     if not 1 <= number <= last:
         raise ValueError(f"No is 1 to {last}")

@@ -1,4 +1,4 @@
-"""EKI channel of KUKA's C++ client SDK: program control by numbered requests, and status on change."""
+"""EKI channel of KUKA's C++ client SDK: program control by numbered requests, with status on change."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AXES, EXTERNAL_AXES = 6, 0
 
 
 class Request(IntEnum):
-    """Values of REQTYPE."""
+    """REQTYPE values."""
 
     CONNECT = 0
     START = 1
@@ -35,7 +35,7 @@ class Request(IntEnum):
 
 
 class Event(IntEnum):
-    """Values of EventID in a response."""
+    """EventID values in a response."""
 
     STARTED = 0
     STOPPED = 1
@@ -53,7 +53,7 @@ class Event(IntEnum):
 
 
 class State(Enum):
-    """State of the program that serves the channel."""
+    """State of the program serving the channel."""
 
     INITIALIZED = 0
     INACTIVE = 1
@@ -87,7 +87,7 @@ class SdkChannel:
         server.attach(self)
 
     def client_connected(self) -> None:
-        """Reset for a client that has connected; the status follows unsolicited."""
+        """Reset for a newly connected client, to which the status is sent unsolicited."""
         self._reset()
         self._sent = None
         self._first_status_s = time.monotonic() + FIRST_STATUS_LOOPS * SUBMIT_CYCLE_S
@@ -99,7 +99,7 @@ class SdkChannel:
         self._controller.handle_eki_loss()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer a request with one response."""
+        """Answer a request with a single response."""
         if element.tag != REQUEST:
             return
         try:
@@ -127,7 +127,7 @@ class SdkChannel:
         # The status reports what has changed one loop later.
 
     def tick(self, now_s: float) -> float:
-        """Send the status if it has changed. Return when to call again."""
+        """Send the status if it has changed, and return the time of the next call."""
         if not self._server.connected:
             return inf
         again_s = now_s + SUBMIT_CYCLE_S

@@ -1,4 +1,4 @@
-"""TCP server of one EKI channel, which serves a single client and splits the stream into requests.
+"""TCP server for one EKI channel, serving a single client and splitting the stream into requests.
 
 The stream has no framing: a request ends with its root element. Anything before a root (NUL padding, line
 ends, leftovers) is skipped; requests may arrive split or merged. The program reads one per loop of the submit
@@ -50,7 +50,7 @@ class Peer(Protocol):
 
 
 class EkiServer:
-    """Non-blocking server. The owner selects on `sockets`, calls `serve`, and calls `flush` at `due_s`.
+    """Non-blocking server whose owner selects on `sockets`, calls `serve`, and calls `flush` at `due_s`.
 
     `spacing_s` is the program's loop time: at most one telegram is read and one written per loop.
     """
@@ -71,12 +71,12 @@ class EkiServer:
         self._full = False
 
     def attach(self, peer: Peer) -> None:
-        """Set the peer that answers."""
+        """Set the peer that handles requests."""
         self._peer = peer
 
     @property
     def endpoint(self) -> str:
-        """Endpoint for clients, with the port actually bound if port 0 was requested."""
+        """Client endpoint, with the port actually bound if port 0 was requested."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 
@@ -92,7 +92,7 @@ class EkiServer:
 
     @property
     def due_s(self) -> float | None:
-        """Host time at which `flush` next has something to read or write; None if nothing is pending."""
+        """Host time of the next read or write by `flush`, or None if nothing is pending."""
         moments = [self._next_s] if self._outgoing else []
         if self._unread and not self.silent:
             moments.append(self._next_read_s)
@@ -100,7 +100,7 @@ class EkiServer:
 
     @property
     def writes_later(self) -> bool:
-        """Whether anything is queued for a later write."""
+        """Whether any telegrams are still queued for writing."""
         return bool(self._outgoing)
 
     def corrupt_next(self, how: Callable[[bytes], bytes]) -> None:
@@ -108,7 +108,7 @@ class EkiServer:
         self._corrupt = how if self.connected else None
 
     def fill_buffer(self) -> None:
-        """Fill the buffer so that the present client's next request does not fit."""
+        """Make the present client's next request overflow the buffer."""
         self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
@@ -119,7 +119,7 @@ class EkiServer:
             self._read()
 
     def send(self, text: str) -> None:
-        """Queue one telegram, to be written as soon as the spacing allows."""
+        """Queue a telegram, to be written as soon as the spacing allows."""
         if self._client is not None and not self.silent:
             self._outgoing.append(text.encode("utf-8"))
             self._write()
@@ -158,7 +158,7 @@ class EkiServer:
                 self._peer.client_disconnected()
 
     def close(self) -> None:
-        """Stop listening."""
+        """Disconnect the client and stop listening."""
         self.drop()
         self._listener.close()
 
@@ -211,7 +211,7 @@ class EkiServer:
         self._dispatch()
 
     def _dispatch(self) -> None:
-        """Pass pending requests to the program, one per loop."""
+        """Pass pending requests to the program, one per loop time."""
         while self._unread and self._client is not None and not self.silent:
             now_s = time.monotonic()
             if now_s < self._next_read_s:
@@ -242,7 +242,7 @@ def pad_with_nul(telegram: bytes) -> bytes:
 
 
 def split_requests(stream: bytes) -> tuple[list[bytes], bytes]:
-    """Split a stream into complete root elements and a remainder that may still become complete."""
+    """Split a stream into complete root elements and an incomplete remainder."""
     requests: list[bytes] = []
     position = 0
     while True:

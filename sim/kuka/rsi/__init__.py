@@ -1,1 +1,1 @@
-"""RSI over UDP: telegrams, signal flow, and one run of the program."""
+"""RSI over UDP: telegrams, signal flow and a single program run."""

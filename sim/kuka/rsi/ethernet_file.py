@@ -1,4 +1,4 @@
-"""KUKA's RSI Ethernet file: layout of the telegrams, and address of the client.
+"""KUKA's RSI Ethernet file: telegram layout and client address.
 
 The wiring of the channels is not in the file but in the RSI context; without one it is inferred from
 the commonly used tags.

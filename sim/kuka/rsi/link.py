@@ -1,4 +1,4 @@
-"""RSI link: the UDP socket of a run, and the faults of telegrams and replies in transit."""
+"""RSI link: the UDP socket of a run, and faults of telegrams and replies in transit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
 
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
-    """Return the client's numeric address; raises KRC-002 for a name, which no Ethernet file contains."""
+    """Return the client's numeric address, with localhost as loopback; raises KRC-002 for other names."""
     host = LOOPBACK if endpoint.host == "localhost" else endpoint.host
     try:
         socket.inet_pton(socket.AF_INET, host)
@@ -47,7 +47,7 @@ def resolve(endpoint: Endpoint) -> tuple[str, int]:
 
 
 class RsiSocket:
-    """UDP socket of one run, which sends to the client and accepts datagrams from its host only.
+    """UDP socket of one run, accepting datagrams only from the client's host.
 
     The kernel chooses the source port, which stays for the whole run.
     """
@@ -61,12 +61,12 @@ class RsiSocket:
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(WAIT_S * 1e6)))
 
     def send(self, telegram: bytes) -> None:
-        """Send one telegram. It is lost if the network refuses it."""
+        """Send a telegram, which is lost if the network refuses it."""
         with contextlib.suppress(OSError):
             self.socket.sendto(telegram, socket.MSG_DONTWAIT, self._client)
 
     def receive(self) -> bytes | None:
-        """Return one waiting datagram: None if there is none, empty if it came from another host."""
+        """Return a waiting datagram, None if there is none, or empty bytes if it came from another host."""
         try:
             data, source = self.socket.recvfrom(DATAGRAM_BYTES, socket.MSG_DONTWAIT)
         except OSError:
@@ -98,14 +98,14 @@ class RsiSocket:
 
 
 class LinkFaults:
-    """Effects of the fault script on telegrams and replies; one object per controller.
+    """Effects of the fault script on one controller's telegrams and replies.
 
     Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time.
     Random draws depend on the cycle number only: the same cycles are hit regardless of earlier hits.
     """
 
     def __init__(self, seed: int, hit: Callable[[str], None], *, takes_second: bool = False) -> None:
-        """`hit` is called with the kind of each fault that takes effect.
+        """Call `hit` with the kind of each fault that takes effect.
 
         `takes_second`: of two replies to the same telegram the second counts.
         """
@@ -131,7 +131,7 @@ class LinkFaults:
             self._stamp = None
 
     def begin_run(self) -> None:
-        """Drop the replies still delayed from the previous run."""
+        """Discard replies still delayed from the previous run."""
         self._in_transit.clear()
 
     def is_active(self, kind: str) -> bool:
@@ -139,7 +139,7 @@ class LinkFaults:
         return kind in self._active
 
     def outgoing(self, telegram: bytes) -> tuple[bytes | None, bool]:
-        """Return the telegram to send (None if lost), and whether the client can answer it."""
+        """Return the telegram to send (None if lost) and whether the client can answer it."""
         if self.is_active("network_cut") or self._strikes("lose_telegrams"):
             return None, False
         if self._strikes("corrupt_telegrams"):
@@ -147,7 +147,7 @@ class LinkFaults:
         return telegram, True
 
     def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
-        """Return the reply that arrives in this cycle, given the datagram from the client."""
+        """Return the reply arriving in this cycle, given the client's datagram."""
         now = [data for arrival, data in self._in_transit if arrival <= self.cycle]
         self._in_transit = [item for item in self._in_transit if item[0] > self.cycle]
         if datagram is not None:
@@ -180,7 +180,7 @@ class LinkFaults:
         return [*copies, *before]
 
     def _alter(self, datagram: bytes) -> bytes:
-        """Return an altered reply that may still be XML but is not a valid answer."""
+        """Apply content faults to a reply, which may remain XML but is no longer a valid answer."""
         if self._strikes("wrong_ipoc"):
             datagram = _restamp(datagram, WRONG_BY)
         if self._strikes("future_ipoc"):
@@ -208,7 +208,7 @@ class LinkFaults:
         return True
 
     def _corrupt_data(self, data: bytes, kind: str) -> bytes:
-        """Truncate the data, or make one byte invalid."""
+        """Truncate the data or make one byte invalid."""
         chance = self._draw_chance(kind)
         chance.random()  # skip the draw that selected it
         place = int(chance.integers(0, len(data)))

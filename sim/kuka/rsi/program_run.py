@@ -1,4 +1,4 @@
-"""One run of the RSI program, from RSI_ON to RSI_OFF: telegrams out, replies in, commands to the drives.
+"""A run of the RSI program, from RSI_ON to RSI_OFF: telegrams, replies and drive commands.
 
 It has neither socket nor clock: the caller sends what `telegram` returns, passes every datagram to `read`,
 and ends each cycle with `finish`.
@@ -33,14 +33,14 @@ PATH_FAST = "PathFast"
 
 
 def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters) -> int:
-    """Return the IPOC of a run's first telegram, a multiple of the cycle. Runs are numbered from 1."""
+    """Return the IPOC of a run's first telegram, a multiple of the cycle, with runs numbered from 1."""
     stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_STEP) % (1 << parameters.ipoc_bits)
     return stamp - stamp % cycle_ms
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of a run, as requested."""
+    """Run settings, as requested."""
 
     context: RsiContext
     cycle_ms: int
@@ -52,7 +52,7 @@ class RunSettings:
 
 
 class RsiRun:
-    """State of one run. Once `over`, `message` gives the reason; None if the client requested the end."""
+    """State of one run; once `over`, `message` is the reason, or None if the client requested the end."""
 
     def __init__(self, settings: RunSettings, arm: Manipulator, parameters: ControllerParameters) -> None:
         context = settings.context
@@ -112,23 +112,23 @@ class RsiRun:
 
     @property
     def command_deg(self) -> list[float]:
-        """Commanded axes in degrees. The object stays the same while nothing changes."""
+        """Commanded axes in degrees; the same object while nothing changes."""
         return self.flow.command_deg
 
     @property
     def correction_stats(self) -> tuple[int, int]:
-        """Stat outputs of AXISCORR and POSCORR: whether each is active, and which limits clamp it."""
+        """Stat outputs of AXISCORR and POSCORR, showing whether each is active and which limits clamp it."""
         axis, position = self.flow.stats
         mask = -1 if self._parameters.stat_tells_limits else ACTIVE_BIT
         return axis & mask, position & mask
 
     def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
-        """Return the telegram of this cycle."""
+        """Return this cycle's telegram."""
         return self._writer.write(frame, axes_deg, self._delays[0], self.ipoc, self.correction_stats)
 
     @property
     def streams(self) -> bool:
-        """Whether telegrams are being sent. A program may begin streaming late."""
+        """Whether telegrams are being sent, which may start only after the program does."""
         return self.sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
@@ -136,12 +136,12 @@ class RsiRun:
         return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
 
     def with_other_stamp(self, telegram: bytes) -> bytes:
-        """Return the telegram with the IPOC that another arm's controller might write."""
+        """Return the telegram with an IPOC that could come from another arm's controller."""
         other = (self.ipoc + self._ipoc_range // 2) % self._ipoc_range
         return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
-        """Parse the reply to this cycle's telegram. Return None if it is broken, foreign or outdated."""
+        """Parse the reply to this cycle's telegram, or return None if it is broken, foreign or outdated."""
         reply = self._reader.read(data)
         if reply is not None and reply.ipoc == self.ipoc:
             return reply
@@ -149,7 +149,7 @@ class RsiRun:
         return None
 
     def finish(self, reply: Reply | None) -> None:
-        """Finish the cycle, with or without a reply. Sets `over` when the run ends."""
+        """Finish the cycle with or without a reply, and set `over` if the run ends."""
         self._cycles += 1
         if not self.sent_once and not self.streams:
             self._enter_movecorr()
@@ -178,7 +178,7 @@ class RsiRun:
             self._enter_movecorr()
 
     def hold(self) -> None:
-        """Keep streaming but ignore corrections, since the program is stopped but not cancelled."""
+        """Keep streaming but ignore corrections, because the program is stopped but not cancelled."""
         self.held = True
         self.state = RsiState.ON
 
@@ -188,7 +188,7 @@ class RsiRun:
         return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
 
     def confirm(self) -> None:
-        """Let corrections become active."""
+        """Allow corrections to become active."""
         self._confirmed = True
 
     @property
@@ -218,7 +218,7 @@ class RsiRun:
             self._end(message)
 
     def _handle_stop(self) -> bool:
-        """Handle a rising edge at STOP. Return whether the run continues."""
+        """Handle a rising edge at STOP and return whether the run continues."""
         if self._stop_mode == INFO_MESSAGE:
             self.notice = "STOP1: stop requested"
             return True

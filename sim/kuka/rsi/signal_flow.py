@@ -1,4 +1,4 @@
-"""RSI signal flow, from the ETHERNET object through wiring and corrections to a joint command."""
+"""RSI signal flow: from the ETHERNET object through wiring and corrections to a joint command."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 
 
 class AxisCorrector:
-    """AXISCORR and AXISCORRMON of one run: axis corrections, degrees from RSI_ON, clamped and monitored."""
+    """AXISCORR and AXISCORRMON of one run: clamped and monitored axis corrections, in degrees from RSI_ON."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp this close to the present totals; None keeps the context's limits. Return whether changed."""
+        """Clamp to `within_deg` of the present totals (None: context limits); return whether changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -87,7 +87,7 @@ class AxisCorrector:
         return True
 
     def apply(self, inputs_deg: Sequence[float]) -> Message | None:
-        """Add one cycle's inputs. Return the monitor's message if a total exceeds its limit."""
+        """Add one cycle's inputs and return the monitor's message if a total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
             if self._relative
@@ -109,7 +109,7 @@ class AxisCorrector:
 
 
 class PositionCorrector:
-    """POSCORR and POSCORRMON of one run: corrections of the tool pose, clamped and monitored.
+    """POSCORR and POSCORRMON of one run: clamped and monitored tool pose corrections.
 
     `start` is the pose (4, 4) of the tool centre point at RSI_ON and `reference` the rotation (3, 3) of the
     correction system, both in $ROBROOT. `inverse` finds joints (deg) for a pose, near given joints.
@@ -140,7 +140,7 @@ class PositionCorrector:
         self.stat = 0
 
     def apply(self, inputs: Sequence[float]) -> Message | None:
-        """Apply one cycle's X Y Z (mm) A B C (deg). Return the message of a stop, or None."""
+        """Apply one cycle's X Y Z (mm) A B C (deg) and return the message for a stop, or None."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
@@ -180,12 +180,12 @@ class PositionCorrector:
 
 
 def _angle(rotation: Matrix) -> float:
-    """Return the angle of a rotation matrix in rad, exact even near zero."""
+    """Return the angle of a rotation matrix in rad, accurate even near zero."""
     return float(np.arctan2(np.linalg.norm(_axis(rotation)), np.trace(rotation) - 1.0))
 
 
 def _axis(rotation: Matrix) -> Matrix:
-    """Return the rotation axis of a matrix, (3,), times twice the sine of its angle."""
+    """Return the axis of a rotation matrix, (3,), multiplied by twice the sine of the angle."""
     return np.array(
         [
             rotation[2, 1] - rotation[1, 2],
@@ -196,12 +196,12 @@ def _axis(rotation: Matrix) -> Matrix:
 
 
 class EthernetOutputs:
-    """Outputs of the ETHERNET object: the last values, held or reset to zero according to HOLDON."""
+    """Outputs of the ETHERNET object: the last values, held or reset to zero as set by HOLDON."""
 
     def __init__(
         self, context: RsiContext, missing_element: Literal["holdon", "kept", "zero"] = "holdon"
     ) -> None:
-        """`missing_element` states how to treat an element that a reply lacks."""
+        """Treat elements missing from a reply as specified by `missing_element`."""
         self._hold = [bool(element.holdon) for element in context.receive]
         self._keep = (
             self._hold if missing_element == "holdon" else [missing_element == "kept"] * len(self._hold)
@@ -210,7 +210,7 @@ class EthernetOutputs:
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
     def update(self, values: Sequence[float | None] | None) -> list[float]:
-        """Apply the values of a reply; None stands for a cycle without one."""
+        """Apply the values of a reply, or None for a cycle without a reply."""
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
@@ -224,7 +224,7 @@ class EthernetOutputs:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Positions, among the received elements, of each object's inputs; None for an unwired input."""
+    """Indices into the received elements for each object's inputs, with None for an unwired input."""
 
     axes: tuple[int | None, ...] | None
     frame: tuple[int | None, ...] | None
@@ -232,7 +232,7 @@ class Inputs:
 
 
 def resolve_inputs(context: RsiContext) -> Inputs:
-    """Resolve a context's wiring to positions among the received elements."""
+    """Resolve a context's wiring to indices into the received elements."""
     position = {element.indx: n for n, element in enumerate(context.receive) if element.indx != INTERNAL}
     fed: dict[tuple[str, str], int] = {
         (wire.object, wire.input): position[wire.indx] for wire in context.wiring
@@ -258,7 +258,7 @@ class SignalFlow:
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """Apply only a fraction `share` of each correction, below 1 if the override scales corrections."""
+        """Apply only the fraction `share` of each correction, below 1 if the override scales corrections."""
         self._inputs = inputs
         self._relative = relative
         self._share = share
@@ -280,7 +280,7 @@ class SignalFlow:
         return rises
 
     def correct(self, values: list[float]) -> Message | None:
-        """Apply one cycle's corrections. `command_deg` stays the same object if nothing changes."""
+        """Apply one cycle's corrections, keeping the same `command_deg` object if nothing changes."""
         if values == self._last and not self._relative:
             return None
         self._last = values
@@ -306,7 +306,7 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
+        """Clamp axis corrections to `within_deg` of their present values, or unclamp them if None."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 

@@ -52,7 +52,7 @@ _IPOC = re.compile(rb"<IPOC>\s*(\d{1,20})\s*</IPOC>")
 
 
 class TelegramWriter:
-    """Writer of one run's telegrams, byte for byte as a KR C4 sends them.
+    """Writes one run's telegrams, byte for byte as a KR C4 sends them.
 
     Elements are in the order of the configuration, without white space, IPOC last. The layout is compiled
     once per run; while the arm is at rest its numbers are not even reformatted. `set_axes_deg` and
@@ -92,7 +92,7 @@ class TelegramWriter:
         ipoc: int,
         stats: tuple[int, int] = (0, 0),
     ) -> bytes:
-        """Return one telegram: actual frame (mm, deg), actual axes (deg), count of late packets, IPOC.
+        """Encode a telegram: actual frame (mm, deg), actual axes (deg), late packet count and IPOC.
 
         `stats` are the Stat outputs of AXISCORR and POSCORR.
         """
@@ -158,7 +158,7 @@ class TelegramWriter:
 
 
 class Reply(NamedTuple):
-    """A parsed reply: its IPOC, and a number per receive element, None if absent."""
+    """A parsed reply: its IPOC and one number per receive element, or None if absent."""
 
     ipoc: int
     values: Sequence[float | None]
@@ -166,7 +166,7 @@ class Reply(NamedTuple):
 
 
 class ReplyReader:
-    """Reader of the replies in one configuration, lenient about form and strict about content.
+    """Parses replies for one configuration, lenient about form but strict about content.
 
     Any order, unknown or missing elements, blanks and line ends are accepted. A wrong root or Type, no IPOC,
     an invalid number, malformed XML or a document type make it no reply at all. STRING channels count as 0.
@@ -193,7 +193,7 @@ class ReplyReader:
         self._dense = list(self._places.values()) == list(range(self._count))
 
     def read(self, data: bytes) -> Reply | None:
-        """Parse a datagram. Return None if it is not a reply."""
+        """Parse a datagram, or return None if it is not a reply."""
         found = self._match(data)
         if found is None:
             return self._read_strictly(data)
@@ -275,7 +275,7 @@ class ReplyReader:
 
 
 class RejectedReplies:
-    """Counter of rejected replies, which reports the last reason at most once per `AGAIN_S`.
+    """Counts rejected replies and reports the last reason at most once per `AGAIN_S`.
 
     A real controller reports nothing.
     """
@@ -288,12 +288,12 @@ class RejectedReplies:
         self._last: tuple[bytes, int] = (b"", 0)
 
     def record(self, data: bytes, ipoc: int) -> None:
-        """Count a reply rejected in the cycle with this IPOC. Cheap enough for every cycle."""
+        """Count a reply rejected in the cycle with this IPOC; cheap enough to call every cycle."""
         self.count += 1
         self._last = (data, ipoc)
 
     def report(self, now_s: float, say: Callable[[str, int], None]) -> None:
-        """Call `say` with the reason for the last rejection and the count, if new and due."""
+        """Call `say` with the reason for the last rejection and the count, if due and not yet reported."""
         if self.count == self._reported or now_s < self._reported_s + AGAIN_S:
             return
         self._reported, self._reported_s = self.count, now_s

@@ -1,1 +1,1 @@
-"""Families of scans that differ in head, markers and surroundings."""
+"""Scan families that differ in head, markers and surroundings."""

@@ -1,4 +1,4 @@
-"""Scene families of the phantom CT, and the protocols they are scanned with.
+"""Scene families for the phantom CT, and their scan protocols.
 
 The localizer's thresholds may be chosen on the families for TUNING. Its accuracy, detection and calibration
 of covariances are stated for the families for JUDGING, which are never used while changing the localizer.
@@ -32,14 +32,14 @@ RAY_MM = 25.0  # half the length of a band that starts at metal
 
 
 class Purpose(StrEnum):
-    """Purpose that a family may be used for."""
+    """Intended use of a family."""
 
     TUNING = "tuning"
     JUDGING = "judging"
 
 
 class Headrest(StrEnum):
-    """Support of the head."""
+    """Head support."""
 
     TROUGH = "trough"
     CUSHION = "cushion"  # a flat block of foam on a board
@@ -48,7 +48,7 @@ class Headrest(StrEnum):
 
 @dataclass(frozen=True)
 class PostStreaks:
-    """Streaks from the metal of the markers: peak, distance at which they fade, number of lobes."""
+    """Metal streaks from the markers: peak intensity, fall-off distance and number of lobes."""
 
     hu: Range
     fall_mm: Range
@@ -57,7 +57,7 @@ class PostStreaks:
 
 @dataclass(frozen=True)
 class MarkerBands:
-    """Straight bright or dark streaks: their number and place near each marker.
+    """Straight bright or dark streaks: how many, and where near each marker.
 
     `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
     sphere.
@@ -74,7 +74,7 @@ class MarkerBands:
 
 @dataclass(frozen=True)
 class Family:
-    """Contents of the scans of one family. Each scan draws its values uniformly from the ranges."""
+    """A scan family, from whose ranges each scan draws its values uniformly."""
 
     name: str
     purpose: Purpose
@@ -243,7 +243,7 @@ FAMILIES: dict[str, Family] = {
 def draw_bands(
     kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
 ) -> tuple[Band, ...]:
-    """Draw the bands of each marker. The result is empty if the family has no bands."""
+    """Draw the bands of each marker, or none if the family has no bands."""
     if kind is None:
         return ()
     return tuple(

@@ -1,4 +1,4 @@
-"""Random scan of a family: head, markers, their surroundings, and the field of view."""
+"""Random scan from a family: head, markers, surroundings and field of view."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ STREAK_HEIGHT_MM = 3.0
 def family_scan(
     name: str, protocol: str, *, seed: int = 0, markers: int | None = None, fiducials: str = FREE
 ) -> Scan:
-    """Draw a scan; raises SIM-001 for an unknown name, or if the markers do not fit."""
+    """Draw a scan; raises SIM-001 if the name is unknown or the markers do not fit."""
     if name not in FAMILIES:
         raise BadScene(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
@@ -126,7 +126,7 @@ def _build_scene(family: Family, protocol: str, seed: int, head: Head, fiducials
 def _draw_head(
     family: Family, seed: int, count: int, fiducials: str, generator: np.random.Generator
 ) -> tuple[Head, Vector]:
-    """Draw a head with markers. Return it and the marker centres (n, 3)."""
+    """Draw a head with markers, and return it with the marker centres (n, 3)."""
     sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
     width, depth, height = (float(generator.uniform(*size)) for size in sizes)
     along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
@@ -183,7 +183,7 @@ def _draw_free_fiducials(
 def _draw_frame_and_more(
     family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
 ) -> tuple[Fiducial, ...]:
-    """Place the frame's spheres, and any additional spheres next to the frame."""
+    """Place the frame's spheres, plus any additional spheres next to the frame."""
     found = list(frame_fiducials(head, frame, generator))
     centres = [np.array(one.centre_ct_mm) for one in found]
     bars = [(centres[0], centres[2]), (centres[1], centres[3])]
@@ -228,7 +228,7 @@ def _is_clear_of_cable(centre: Vector, head: Head) -> bool:
 def _draw_obstacles(
     family: Family, head: Head, sphere_centres: Vector, covering_mm: float, generator: np.random.Generator
 ) -> tuple[Obstacles, list[tuple[float, float, float]]]:
-    """Draw the objects around the head. Return them and the centres of the distractors."""
+    """Draw the objects around the head, and return them with the distractor centres."""
     around = Obstacles()
     if covering_mm > 0.0:
         around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))
@@ -262,7 +262,7 @@ def _draw_obstacles(
 def _draw_look_alikes(
     family: Family, head: Head, grid: CtGrid, sphere_centres: Vector, generator: np.random.Generator
 ) -> list[LookAlike]:
-    """Draw look-alikes within the field, clear of the markers and of each other."""
+    """Draw look-alikes within the field of view, clear of the markers and each other."""
     first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
     last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
     occupied_points = list(sphere_centres)
@@ -326,7 +326,7 @@ def _draw_post_streaks(
 
 
 def _compute_burial_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
-    """Return how deep a bandage buries each sphere, as a fraction of the sphere's height."""
+    """Return the buried fraction of each sphere's height under a bandage."""
     if covering_mm <= 0.0:
         return {}
     marks = {}

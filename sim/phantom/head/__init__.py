@@ -1,1 +1,1 @@
-"""The head to scan: its layers, anatomy and markers, and the objects around it."""
+"""The scanned head: layers, anatomy, markers and surrounding objects."""

@@ -1,4 +1,4 @@
-"""The head to paint: layers by depth below the skin, further anatomy, headrest, cable and markers."""
+"""Anatomy of the painted head: layers by depth below the skin, headrest, cable and markers."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class HeadLayers:
         self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
-        """Return the HU at the given points; outside the head, that of air."""
+        """Return the HU at the given points, using air outside the head."""
         depth = ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
         place = (depth + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
         last = np.float32(len(self._table) - 1)
@@ -100,7 +100,7 @@ class HeadLayers:
         return hu
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
-        """Return half extents in x and y of the head at `z_mm`, with a margin; None outside the head."""
+        """Return the head's half extents in x and y at `z_mm` plus a margin, or None outside."""
         a, b, c = (axis + margin_mm for axis in self.semi_axes)
         squared = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
@@ -117,7 +117,7 @@ def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Marker:
-    """A sphere on its post, as painted. `post` is the material of the post."""
+    """A painted sphere with its post, whose material is `post`."""
 
     fiducial: Fiducial
     hu: float
@@ -127,7 +127,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Everything painted over the head's layers, in painting order, and the sources of metal streaks."""
+    """Bodies painted over the head's layers, in painting order, and the sources of metal streaks."""
 
     headrest: tuple[Shape, ...]  # the same in all slices
     surroundings: tuple[Shape, ...]
@@ -139,12 +139,12 @@ class Anatomy:
 
     @property
     def places(self) -> tuple[Point, ...]:
-        """Centres of the regions to paint finely: first the markers, then the look-alikes."""
+        """Centres of the finely painted regions: first the markers, then the look-alikes."""
         return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """All bodies, in the order of painting."""
+        """All bodies, in painting order."""
         return (
             *self.headrest,
             *self.surroundings,
@@ -153,7 +153,7 @@ class Anatomy:
 
 
 def draw_anatomy(scene: Scene) -> Anatomy:
-    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that misses the head."""
+    """Draw the anatomy of a scene from its seed; raises SIM-001 if a post misses the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
     teeth, fillings = jaw_teeth(head, generator)
@@ -207,7 +207,7 @@ def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
 
 
 def trough(head: Head) -> tuple[Shape, ...]:
-    """Return a trough of foam with a thin shell, under the back of the head."""
+    """Return a foam trough with a thin shell, under the back of the head."""
     inner = max(head.semi_axes_mm[:2]) + FOAM_GAP_MM
     outer = inner + FOAM_MM
     centre, cosine = head.centre_ct_mm, cos(HEADREST_HALF_ARC_RAD)
@@ -235,7 +235,7 @@ def ventricles(head: Head) -> tuple[Shape, ...]:
 
 
 def sinuses(head: Head) -> tuple[Shape, ...]:
-    """Return air in the forehead, the cheeks and behind the nose."""
+    """Return the air cavities of forehead, cheeks and nose."""
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
@@ -245,7 +245,7 @@ def sinuses(head: Head) -> tuple[Shape, ...]:
 def jaw_teeth(
     head: Head, generator: np.random.Generator, count: int = FILLINGS
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
-    """Return an arch of teeth in a jaw; some of them have metal fillings."""
+    """Return an arch of teeth in a jaw, and the metal fillings in some of them."""
     middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
@@ -268,7 +268,7 @@ def jaw_teeth(
 
 
 def point_at_share(head: Head, relative: Point) -> Point:
-    """Return a point given in semi-axes of the head from its centre."""
+    """Return the CT point at the given fractions of the head's semi-axes from its centre."""
     x, y, z = (
         centre + axis * part
         for centre, axis, part in zip(head.centre_ct_mm, head.semi_axes_mm, relative, strict=True)

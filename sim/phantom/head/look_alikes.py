@@ -1,4 +1,4 @@
-"""Objects of about the markers' size, made of the same polymer, that are not whole spheres.
+"""Marker-sized objects of the same polymer that are not whole spheres.
 
 Each function draws one object next to the head or on the skin, with the points at which a localizer may
 mistake it for a sphere: these are painted as precisely as markers.
@@ -27,7 +27,7 @@ STEEPEST = 0.5  # slope of a body's own direction towards the skin, so that it d
 
 @dataclass(frozen=True)
 class LookAlike:
-    """A look-alike: its kind, its bodies in painting order, and the points that may deceive a localizer."""
+    """A look-alike: its kind, bodies in painting order, and points that could deceive a localizer."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -36,7 +36,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Seat of an object: a point on the skin, its outward normal, and a generator for further draws."""
+    """Placement of an object: a skin point, its outward normal and a generator for further draws."""
 
     skin: Vector
     normal: Vector
@@ -90,13 +90,13 @@ def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: flo
 
 
 def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
-    """Orient an ellipsoid at random."""
+    """Create a randomly oriented ellipsoid."""
     a, b, c = semi_axes
     return Egg(hu, as_rounded_point(centre), (a, b, c), seat.axes())
 
 
 def capsule(seat: Seat) -> LookAlike:
-    """Return a rod round at both ends, 2 to 24 mm longer than wide."""
+    """Return a round-ended rod 2 to 24 mm longer than it is wide."""
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
     body = _capsule(seat.polymer(), middle - half, middle + half, seat.between(5.5, 6.0))
@@ -104,7 +104,7 @@ def capsule(seat: Seat) -> LookAlike:
 
 
 def round_ended_rod(seat: Seat) -> LookAlike:
-    """Return a rod with one end round, the other flat."""
+    """Return a rod with one round end and one flat end."""
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
     rod = _rod(hu, end, along, seat.between(12.0, 30.0), radius)
@@ -119,7 +119,7 @@ def egg(seat: Seat) -> LookAlike:
 
 
 def beads(seat: Seat) -> LookAlike:
-    """Return three to five balls of a marker's size in a row, on a string."""
+    """Return a string of three to five marker-sized balls."""
     count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
     first, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius = seat.between(5.6, 5.9)
@@ -136,7 +136,7 @@ def knob(seat: Seat) -> LookAlike:
 
 
 def elbow(seat: Seat) -> LookAlike:
-    """Two rods that meet in a round joint."""
+    """Return two rods joined by a round elbow."""
     joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
     arm_directions = seat.along(), seat.along()
     ends = [joint + arm_direction * seat.between(8.0, 22.0) for arm_direction in arm_directions]
@@ -144,7 +144,7 @@ def elbow(seat: Seat) -> LookAlike:
 
 
 def thumb(seat: Seat) -> LookAlike:
-    """Return a rod that narrows towards its round end."""
+    """Return a rod tapering towards its round end."""
     end, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
     steps = np.arange(0.0, 16.0, 1.0)
@@ -161,7 +161,7 @@ def dome(seat: Seat) -> LookAlike:
 
 
 def mushroom(seat: Seat) -> LookAlike:
-    """Return a cap on a stem, flat below, two thirds to nine tenths of a ball's height."""
+    """Return a flat-bottomed cap on a stem, two thirds to nine tenths of a ball in height."""
     middle, hu = seat.middle(), seat.polymer()
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
     stem = _rod(METAL_HU, middle + 2.5 * -seat.normal, -seat.normal, 24.0, 1.5)
@@ -169,7 +169,7 @@ def mushroom(seat: Seat) -> LookAlike:
 
 
 def barrel(seat: Seat) -> LookAlike:
-    """Return a cylinder as high as it is wide, with rounded edges."""
+    """Return a cylinder as tall as it is wide, with rounded edges."""
     middle, radius = seat.middle(), seat.between(5.2, 5.9)
     hu, along = seat.polymer(), as_rounded_point(seat.along())
     length, edge = seat.between(10.5, 12.5), seat.between(2.0, 4.2)
@@ -179,21 +179,21 @@ def barrel(seat: Seat) -> LookAlike:
 
 
 def button(seat: Seat) -> LookAlike:
-    """Return a lens: an ellipsoid flattened by a fifth to a half."""
+    """Return a lens-shaped ellipsoid, flattened by a fifth to a half."""
     middle, width = seat.middle(), seat.between(5.75, 6.6)
     sizes = (width, width, width * seat.between(0.5, 0.8))
     return _make_look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def hollow_ball(seat: Seat) -> LookAlike:
-    """Return a ball of a marker's size with air inside."""
+    """Return a marker-sized hollow ball filled with air."""
     middle = seat.middle()
     core = _ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
     return _make_look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def other_ball(seat: Seat) -> LookAlike:
-    """Return a whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
+    """Return a whole ball 9.5 to 10.6 mm or 12.5 to 14 mm in diameter."""
     middle = seat.middle()
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
@@ -201,13 +201,13 @@ def other_ball(seat: Seat) -> LookAlike:
 
 
 def near_ball(seat: Seat) -> LookAlike:
-    """Return a whole ball 10.6 to 11.2 mm in diameter, closer to a marker than `other_ball`."""
+    """Return a whole ball 10.6 to 11.2 mm in diameter, closer to marker size than `other_ball`."""
     middle = seat.middle()
     return _make_look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
 
 def gel(seat: Seat) -> LookAlike:
-    """Return a drop of gel with air bubbles."""
+    """Return a drop of gel containing air bubbles."""
     middle, hu = seat.middle(), seat.between(*GEL_HU)
     bubbles = []
     for _ in range(int(seat.random.integers(2, 5))):
@@ -234,21 +234,21 @@ def acrylic_teeth(seat: Seat) -> LookAlike:
 
 
 def pearl(seat: Seat) -> LookAlike:
-    """Return a ball of polymer around a metal core."""
+    """Return a polymer ball with a metal core."""
     middle = seat.middle()
     core = _ball(METAL_HU, middle, seat.between(1.0, 2.2))
     return _make_look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def threaded_ball(seat: Seat) -> LookAlike:
-    """Return a ball with a pin all the way through it."""
+    """Return a ball with a pin right through it."""
     middle, along = seat.middle(), seat.along()
     pin = _rod(METAL_HU, middle - 12.0 * along, along, 24.0, seat.between(0.8, 1.6))
     return _make_look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
 
 
 def plated_dome(seat: Seat) -> LookAlike:
-    """Return a little more than half a ball, on a plate."""
+    """Return slightly more than half a ball, on a plate."""
     middle, hu, inward = seat.middle(), seat.polymer(), -seat.normal
     below = seat.between(0.0, 3.5)
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -below)
@@ -257,7 +257,7 @@ def plated_dome(seat: Seat) -> LookAlike:
 
 
 def peanut(seat: Seat) -> LookAlike:
-    """Two balls fused into one."""
+    """Return two balls fused together."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
     balls = [_ball(hu, middle, seat.between(5.5, 5.9)), _ball(hu, middle + apart, seat.between(4.5, 5.9))]
@@ -265,7 +265,7 @@ def peanut(seat: Seat) -> LookAlike:
 
 
 def cup_electrode(seat: Seat) -> LookAlike:
-    """Return a dome of polymer over a metal disc on the skin."""
+    """Return a polymer dome over a metal disc on the skin."""
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
     cap = _dome(seat.polymer(), centre, seat.normal, seat.between(5.6, 6.0), 0.0)
     disc = _rod(METAL_HU, centre - 1.5 * seat.normal, seat.normal, 1.5, seat.between(3.0, 5.0))

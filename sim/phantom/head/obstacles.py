@@ -1,4 +1,4 @@
-"""Objects on and around the head: cushion, clamp, electrodes, bolts, bandage, distractors, x-shaped frame."""
+"""Objects on and around the head, such as cushions, clamps, electrodes, bandages and the x-shaped frame."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ ATTEMPTS = 200
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Bodies, and the streaks from the metal ones."""
+    """Bodies, with the streaks from metal ones."""
 
     shapes: tuple[Shape, ...] = ()
     streaks: tuple[Streak, ...] = ()
@@ -82,7 +82,7 @@ def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
 
 
 def cushion(head: Head) -> Obstacles:
-    """Return a flat block of foam on a board, under the back of the head."""
+    """Return a flat foam block on a board, under the back of the head."""
     back = head.centre_ct_mm[1] + head.semi_axes_mm[1] + CUSHION_GAP_MM
     x = head.centre_ct_mm[0]
     foam = Slab(FOAM_HU, (x - CUSHION_HALF_WIDTH_MM, back), (x + CUSHION_HALF_WIDTH_MM, back + CUSHION_MM))
@@ -115,7 +115,7 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
 
 
 def electrode(head: Head, direction: Vector) -> Obstacles:
-    """Return a metal cup on the skin and its lead, which runs towards the feet."""
+    """Return a metal cup on the skin, with its lead running towards the feet."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
     downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
@@ -145,7 +145,7 @@ def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:
 def distractor(
     head: Head, direction: Vector, cylinder: bool, generator: np.random.Generator
 ) -> tuple[Shape, Point]:
-    """Return a ball or a cylinder of polymer next to the head, and its centre."""
+    """Return a polymer ball or cylinder next to the head, with its centre."""
     skin, normal = skin_point(head, direction)
     middle = as_point(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
     hu = float(generator.uniform(*DISTRACTOR_HU))
@@ -181,7 +181,7 @@ def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> t
 
 
 def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
-    """Put the frame's spheres on short posts that end in the bars, and all others on individual screws."""
+    """Create the frame's spheres on short posts in its bars, and all others on individual screws."""
     flange_mm = BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM
     on_frame = [marker_on_foot(one, flange_mm, BAR_BELOW_MM, generator) for one in head.fiducials[:SPHERES]]
     return (*on_frame, *(marker_on_post(one, head, generator) for one in head.fiducials[SPHERES:]))

@@ -1,4 +1,4 @@
-"""Painting over an image: bodies, the scanner's exact blur, and the streaks of metal."""
+"""Image painting: bodies, the scanner's exact blur and metal streaks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FAINTEST = 1e-3  # value of a streak's height profile below which a slice is lef
 
 
 def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge_mm: float) -> None:
-    """Paint a body into `image` (z, y, x), sampled at `axes` = (x, y, z), each ascending.
+    """Paint a body into `image` (z, y, x), sampled at ascending coordinates `axes` = (x, y, z).
 
     Within `edge_mm` across its surface the body blends into the previous content.
     """
@@ -50,7 +50,7 @@ def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge
 def blur_weights(
     voxels_mm: NDArray[np.float64], spacing_mm: float, fine_mm: NDArray[np.float64], sigma_mm: float
 ) -> Matrix:
-    """Return the weights (voxels, fine samples) of fine samples in voxels. Each row adds up to 1.
+    """Return normalised weights (voxels, fine samples) for averaging fine samples into blurred voxels.
 
     A voxel is the average, over its box, of the object blurred by a Gaussian: the weight of a fine sample is
     the Gaussian integrated over the voxel, so the blur costs one matrix product per axis.
@@ -63,12 +63,12 @@ def blur_weights(
 
 
 def blur_spread_mm(spacing_mm: float, sigma_mm: float) -> float:
-    """Return how far beyond a voxel's centre the object still affects the voxel."""
+    """Return the distance from a voxel's centre within which an object affects it."""
     return SPREAD_SIGMAS * sigma_mm + 0.5 * spacing_mm
 
 
 def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:
-    """Return the standard deviation of an edge's blur, between that in the slice and that along z."""
+    """Return the standard deviation of edge blur, averaged over the slice plane and z."""
     plane = plane_sigma_mm**2 + BOX_VARIANCE * pixel_mm**2
     along = SLICE_SIGMA_MM**2 + BOX_VARIANCE * slice_mm**2
     return sqrt((2.0 * plane + along) / 3.0)
@@ -82,7 +82,7 @@ def _erf(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Streak:
-    """Lobes around a piece of metal. `height_mm` is the standard deviation of their extent along z."""
+    """Lobed streaks around a piece of metal, with standard deviation `height_mm` along z."""
 
     centre: Point
     hu: float
@@ -94,7 +94,7 @@ class Streak:
 
 @dataclass(frozen=True)
 class Band:
-    """A straight streak through a slice, as between two pieces of metal. Widths are standard deviations.
+    """A straight streak through a slice, as between pieces of metal, with widths as standard deviations.
 
     It passes `centre` along `angle_rad` from x, and keeps its strength up to `half_length_mm` from it.
     """
@@ -108,7 +108,7 @@ class Band:
 
 
 def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> None:
-    """Add a band to a slice; it fades along z."""
+    """Add a band to a slice, fading along z."""
     share = exp(-0.5 * ((z_mm - band.centre[2]) / band.height_mm) ** 2)
     if share < FAINTEST:
         return
@@ -128,7 +128,7 @@ def add_filling_streaks(image: Values, x: Values, y: Values, z_mm: float, fillin
 
 
 def add_streak(image: Values, x: Values, y: Values, z_mm: float, streak: Streak) -> None:
-    """Add rays to a slice; they fade smoothly along z."""
+    """Add streak lobes to a slice, fading smoothly along z."""
     share = exp(-0.5 * ((z_mm - streak.centre[2]) / streak.height_mm) ** 2)
     if share > FAINTEST:
         _add_lobes(image, x, y, streak, share * streak.hu)

@@ -1,4 +1,4 @@
-"""Solid bodies defined by their signed depth: millimetres below the surface, negative outside.
+"""Solid bodies defined by signed depth: millimetres below the surface, negative outside.
 
 Depth is exact except for ellipsoids and cables, where it is first-order near the surface. Coordinates are CT
 LPS mm; x, y and z may be any arrays that broadcast together.
@@ -21,7 +21,7 @@ Bounds = tuple[Point, Point]  # lowest and highest x, y, z
 
 
 class Shape(Protocol):
-    """A body of uniform intensity."""
+    """A body with uniform intensity."""
 
     @property
     def hu(self) -> float:
@@ -56,7 +56,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid with its axes along x, y, z."""
+    """An ellipsoid aligned with x, y and z."""
 
     hu: float
     centre: Point
@@ -71,7 +71,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class EllipsoidShell:
-    """A shell around an ellipsoid, `thickness` deep."""
+    """An ellipsoidal shell of the given `thickness`."""
 
     hu: float
     centre: Point
@@ -90,7 +90,7 @@ class EllipsoidShell:
 
 @dataclass(frozen=True)
 class Rod:
-    """A cylinder with flat ends, from `start` along the unit vector `along`."""
+    """A flat-ended cylinder, from `start` along the unit vector `along`."""
 
     hu: float
     start: Point
@@ -115,7 +115,7 @@ class Rod:
 
 @dataclass(frozen=True)
 class Trough:
-    """Part of an infinite tube along z, behind the head. `half_arc_cosine` bounds its arc."""
+    """Arc of an infinite tube along z, behind the head and bounded by `half_arc_cosine`."""
 
     hu: float
     centre: Point
@@ -138,7 +138,7 @@ class Trough:
 
 @dataclass(frozen=True)
 class Slab:
-    """An infinite bar along z; `low` and `high` are its corners in x and y."""
+    """An infinite bar along z, with corners `low` and `high` in x and y."""
 
     hu: float
     low: tuple[float, float]
@@ -156,7 +156,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class Cable:
-    """A cable that meanders along z. Its centre swings by `swing` with the given wavelength."""
+    """A cable meandering along z, its centre swinging by `swing` at the given wavelength."""
 
     hu: float
     centre: Point
@@ -180,7 +180,7 @@ class Cable:
 
 
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
-    """Return the depth below an ellipsoid, to first order near its surface: f (1 - f) / |grad f|.
+    """Return the depth below an ellipsoid's surface, to first order: f (1 - f) / |grad f|.
 
     f is the radius in semi-axes.
     """
@@ -211,7 +211,7 @@ def _around_line(start: Sequence[float], end: Sequence[float], radius: float) ->
 
 @dataclass(frozen=True)
 class Capsule:
-    """A rod with round ends: all points within `radius` of the segment from `start` to `end`."""
+    """A round-ended rod: all points within `radius` of the segment from `start` to `end`."""
 
     hu: float
     start: Point
@@ -235,7 +235,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Egg:
-    """An ellipsoid with semi-axes along the rows of `axes`. Its depth is first-order near the surface."""
+    """An ellipsoid with semi-axes along the rows of `axes`, and a first-order depth near its surface."""
 
     hu: float
     centre: Point
@@ -261,7 +261,7 @@ class Egg:
 
 @dataclass(frozen=True)
 class Barrel:
-    """A cylinder around `centre` with edges rounded by the radius `edge`."""
+    """A cylinder around `centre` with edges rounded to the radius `edge`."""
 
     hu: float
     centre: Point
@@ -285,7 +285,7 @@ class Barrel:
 
 @dataclass(frozen=True)
 class Dome:
-    """The part of a ball beyond a plane that lies `height` mm above its centre along `outward`."""
+    """Part of a ball beyond a plane `height` mm above its centre along `outward`."""
 
     hu: float
     centre: Point
@@ -305,7 +305,7 @@ class Dome:
 
 @dataclass(frozen=True)
 class Ring:
-    """A torus around an axis, with the major radius `radius` and the minor radius `tube`."""
+    """A torus around an axis, with major radius `radius` and minor radius `tube`."""
 
     hu: float
     centre: Point
@@ -334,7 +334,7 @@ def _along(x: Values, y: Values, z: Values, origin: Point, direction: np.ndarray
 def _height_and_distance(
     x: Values, y: Values, z: Values, origin: Point, axis: Point
 ) -> tuple[Values, Values]:
-    """Return the height along a unit axis through `origin`, and the distance from that axis."""
+    """Return the height along a unit axis through `origin` and the distance from the axis."""
     height = _along(x, y, z, origin, np.array(axis))
     squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
     across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))

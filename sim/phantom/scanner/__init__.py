@@ -1,1 +1,1 @@
-"""Simulated CT scanner: voxel grid, blur, noise, and the DICOM series."""
+"""Simulated CT scanner: voxel grid, blur, noise and DICOM series."""

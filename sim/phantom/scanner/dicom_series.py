@@ -1,4 +1,4 @@
-"""Writer of slices as a DICOM CT series. The same scene yields the same bytes."""
+"""Writes slices as a DICOM CT series, byte for byte reproducible for the same scene."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FILE_PATTERN = "slice-*.dcm"
 
 
 class DicomSeries:
-    """One series in a folder. Its UIDs are hashes of the whole scene and of the occasion of a later scan."""
+    """DICOM series in a folder, with UIDs hashed from the whole scene and the occasion of a later scan."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class DicomSeries:
             leftover.unlink()
 
     def write(self, number: int, stored: NDArray[np.uint16]) -> None:
-        """Write one slice of stored values. Not thread-safe."""
+        """Write one slice of stored values; not thread-safe."""
         from pydicom.dataelem import DataElement
         from pydicom.dataset import Dataset
         from pydicom.uid import UID
@@ -88,7 +88,7 @@ class DicomSeries:
         write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
-        """Return the position of the first pixel of a slice that is tilted about its middle row."""
+        """Return the first pixel's position in a slice tilted about its middle row."""
         grid, half_mm = self._grid, 0.5 * (self._grid.rows - 1) * self._grid.pixel_mm
         x, y, z = grid.origin_mm
         y += half_mm * (1.0 - cos(self._tilt_rad))
@@ -145,7 +145,7 @@ class DicomSeries:
 
 
 def _encode_elements(data: Dataset) -> dict[int, bytes]:
-    """Encode attributes as explicit VR little endian, by tag."""
+    """Encode attributes in explicit VR little endian, keyed by tag."""
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_data_element
 
@@ -159,7 +159,7 @@ def _encode_elements(data: Dataset) -> dict[int, bytes]:
 
 
 def _encode_meta(instance: UID) -> bytes:
-    """Encode the file meta information of one slice."""
+    """Encode the file meta information for one slice."""
     from pydicom.dataset import FileMetaDataset
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_file_meta_info
@@ -175,7 +175,7 @@ def _encode_meta(instance: UID) -> bytes:
 
 
 def to_stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
-    """Convert HU to stored values up to `largest`. Values beyond it saturate, as on a scanner."""
+    """Convert HU to stored values, saturating at `largest` as a scanner does."""
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 

@@ -1,4 +1,4 @@
-"""Imperfections of real scanners other than noise: misstated geometry, kernels, beam hardening.
+"""Scanner imperfections other than noise: misstated geometry, kernels and beam hardening.
 
 Every fault has a size; the default is none. The truth remains that of the scene: markers where they are.
 """
@@ -28,7 +28,7 @@ HU_PER_WATER = 1000.0
 
 @dataclass(frozen=True)
 class Kernel:
-    """A reconstruction kernel: blur in the slice, edge enhancement, and the colour of its noise.
+    """Reconstruction kernel: in-plane blur, edge enhancement and noise correlation.
 
     The point spread is (1 + enhanced) times a Gaussian minus `enhanced` times one of twice the width;
     `noise_side` is the tap next to the middle one with which noise is generated, None for that of the blur.
@@ -49,7 +49,7 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class ScannerFaults:
-    """Faults of one scan. The patient moves halfway up the markers, in a random direction and along z."""
+    """Scanner faults of one scan, with patient motion occurring halfway up the markers."""
 
     tilt_deg: float = 0.0  # of the gantry
     table_scale: float = 0.0  # true over stated table feed, minus 1
@@ -75,11 +75,11 @@ class ScannerFaults:
 
     @property
     def stated_tilt_deg(self) -> float:
-        """Gantry tilt stated in the headers."""
+        """Gantry tilt as stated in the headers."""
         return 0.0 if self.tilt_hidden else self.tilt_deg
 
     def active(self) -> dict[str, Any]:
-        """Return the faults that differ from the default, for the truth file."""
+        """Return the non-default faults for the truth file."""
         usual = asdict(ScannerFaults())
         return {name: value for name, value in asdict(self).items() if value != usual[name]}
 
@@ -88,7 +88,7 @@ NO_FAULTS = ScannerFaults()
 
 
 def hardening(image: Values, pixel_mm: float, strength: float) -> Values:
-    """Return the beam hardening to add to a slice (rows, columns), in HU. A `strength` of 1 is typical.
+    """Return the beam hardening to add to a slice (rows, columns) in HU, where `strength` 1 is typical.
 
     Dense bodies absorb the soft part of the beam, so what is in line with them is too dark. A coarse copy of
     the slice is projected in parallel beams. The loss is modelled as proportional to the path through dense
@@ -134,7 +134,7 @@ def _turns(side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def _filter_ramp(projection: Values, cell_cm: float) -> Values:
-    """Apply a ramp filter with cosine roll-off; a Shepp-Logan filter would ring at a post."""
+    """Apply a ramp filter with cosine roll-off, because a Shepp-Logan filter would ring at a post."""
     count = 2 * len(projection)
     cycles = np.fft.rfftfreq(count, cell_cm)
     roll = np.cos(0.5 * np.pi * cycles / cycles[-1])

@@ -1,4 +1,4 @@
-"""Markers and thin rods, painted on a fine grid and blurred exactly, to an accuracy of 0.01 mm.
+"""Markers and thin rods painted on a fine grid and blurred exactly, to an accuracy of 0.01 mm.
 
 The slice painter gives every edge the same width, which is wrong across a rod thinner than that.
 """
@@ -24,7 +24,7 @@ FINE_MM = 0.2  # largest sample spacing; edges are antialiased on top
 
 @dataclass(frozen=True)
 class Patch:
-    """Noise-free HU of a block (slices, rows, columns), and its position in the volume."""
+    """Noise-free HU block (slices, rows, columns) with its position in the volume."""
 
     slices: slice
     rows: slice
@@ -40,7 +40,7 @@ def paint_patch(
     kernel: Kernel,
     thickness_mm: float,
 ) -> Patch:
-    """Paint the surroundings of a marker's centre, including the parts of `shapes` inside them."""
+    """Paint the surroundings of a marker's centre, including the parts of `shapes` within."""
     ranges = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
     ]
@@ -74,7 +74,7 @@ def paint_patch(
 
 
 def _sample_positions(voxels: NDArray[np.float64], spacing: float, spread: float) -> NDArray[np.float64]:
-    """Return fine sample positions around a row of voxels, with a whole number of samples per voxel."""
+    """Return fine sample positions around a row of voxels, with a whole number per voxel."""
     per_voxel = int(np.ceil(spacing / FINE_MM))
     step = spacing / per_voxel
     outside = int(np.ceil((spread - 0.5 * spacing) / step))
@@ -116,7 +116,7 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
 
 
 def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | None:
-    """Return the centre (x, y) of a rod's part within `half_mm` of a height; None if there is none."""
+    """Return the centre (x, y) of a rod's part within `half_mm` of a height, or None if there is none."""
     part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return None
@@ -125,7 +125,7 @@ def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | No
 
 
 def _part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
-    """Return the ends of a rod's axis between two heights, widened by its radius; None if outside."""
+    """Return the axis ends of a rod clipped between two heights plus its radius, or None if outside."""
     start, along = np.array(rod.start), np.array(rod.along)
     margin_mm = rod.radius * float(np.hypot(along[0], along[1]))
     low_mm, high_mm = low_mm - margin_mm, high_mm + margin_mm

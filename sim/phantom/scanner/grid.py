@@ -1,4 +1,4 @@
-"""Voxel grid of a scan, placed so that all markers and trajectories are inside.
+"""Voxel grid of a scan, placed to include all markers and trajectories.
 
 CT frame: DICOM LPS, mm. Columns run along x, rows along y, slices along z; coordinates are voxel centres.
 """
@@ -25,7 +25,7 @@ CUT_MM = (1.5, 4.5)  # from the leftmost sphere's centre: part of it is missing
 
 @dataclass(frozen=True)
 class CtGrid:
-    """Voxel grid. `origin_mm` (x, y, z) is the centre of the first voxel of the first slice."""
+    """Voxel grid, with `origin_mm` (x, y, z) at the centre of the first voxel of the first slice."""
 
     origin_mm: tuple[float, float, float]
     pixel_mm: float
@@ -36,21 +36,21 @@ class CtGrid:
 
     @property
     def x_mm(self) -> Vector:
-        """Centres of the columns, mm."""
+        """Column centres in mm."""
         return _positions(self.origin_mm[0], self.pixel_mm, self.columns)
 
     @property
     def y_mm(self) -> Vector:
-        """Centres of the rows, mm."""
+        """Row centres in mm."""
         return _positions(self.origin_mm[1], self.pixel_mm, self.rows)
 
     @property
     def z_mm(self) -> Vector:
-        """Positions of the slices, mm."""
+        """Slice positions in mm."""
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
-        """Return the indices of voxels along x, y or z (0, 1, 2) with centres between two coordinates."""
+        """Return the indices of voxels along `axis` (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
         count = (self.columns, self.rows, self.slices)[axis]
         first = int(np.ceil((low_mm - self.origin_mm[axis]) / spacing))
@@ -59,7 +59,7 @@ class CtGrid:
 
 
 def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
-    """Return a grid centred on the patient, shifted as far as markers and trajectories require.
+    """Return a grid centred on the patient, shifted only as required to include markers and trajectories.
 
     Raises SIM-001 when they do not fit into the protocol's field.
     """
@@ -96,7 +96,7 @@ def centre_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:
 def grid_ending_at_spheres(
     grid: CtGrid, head: Head, generator: np.random.Generator
 ) -> tuple[CtGrid, dict[int, float]]:
-    """Shift the grid so that it ends close to one sphere and cuts another.
+    """Shift the grid so that it ends close to one sphere and cuts another sphere.
 
     Returns it, and for each cut sphere the share of its surface that remains.
     """

@@ -1,1 +1,1 @@
-"""Command handlers, each a function of the unit and the argument, and the table that lists them."""
+"""Command handlers, each a function of the unit and the argument, and their command table."""

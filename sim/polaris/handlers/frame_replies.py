@@ -1,4 +1,4 @@
-"""Replies to TX and BX: the same frame content as text, or as little-endian bytes.
+"""Replies to TX and BX: the same frame encoded as text or as little-endian bytes.
 
 Options are bits of `ronna_hw.wire.polaris.ReplyOption`.
 """
@@ -40,7 +40,7 @@ _U16 = struct.Struct("<H")
 
 
 def text_reply(frame: Frame, options: int, behaviour: UnitBehaviour) -> str:
-    """Compose the reply to TX, without its CRC."""
+    """Compose the TX reply without its CRC."""
     parts = [f"{len(frame.tools):02X}"]
     for port, tracked in frame.tools:
         parts.append(f"{port.handle:02X}")
@@ -94,14 +94,14 @@ def _position_text(position_mm: Point) -> str:
 
 
 def _markers_text(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> str:
-    """Format the marker count, the out-of-volume flags, and the positions to send."""
+    """Format the marker count, out-of-volume flags and positions to send."""
     outside = [not inside for _, inside in markers]
     bits = _format_bits(outside, first_is_high=behaviour.first_stray_is_high_bit)
     return f"{len(markers):02X}{bits}" + "".join(map(_position_text, sent_mm))
 
 
 def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
-    """Format flags in hexadecimal: as one number with flag 0 highest, or as four flags per digit in order."""
+    """Format flags in hexadecimal, as one number with flag 0 highest or in order, four flags per digit."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
         return ""
@@ -113,7 +113,7 @@ def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
 
 
 def binary_body(frame: Frame, options: int, behaviour: UnitBehaviour) -> bytes:
-    """Compose the body of the reply to BX."""
+    """Compose the body of the BX reply."""
     parts = [bytes([len(frame.tools)])]
     for port, tracked in frame.tools:
         if port.enabled and port.occupied:
@@ -149,7 +149,7 @@ def _tool_bytes(
 
 
 def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> bytes:
-    """Encode marker count, out-of-volume flags (eight to a byte, in this unit's bit order), and positions."""
+    """Encode the marker count, out-of-volume flags (eight per byte, in unit bit order) and positions."""
     number = sum(1 << k for k, (_, inside) in enumerate(markers) if not inside)
     flags = number.to_bytes(-(-len(markers) // 8), "little")
     flags = flags if behaviour.first_stray_is_low_bit else flags.translate(MIRRORED)
@@ -157,7 +157,7 @@ def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavi
 
 
 def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehaviour) -> Tracked | None:
-    """Omit what neither the request nor the unit's settings report for a tool outside the volume."""
+    """Strip out-of-volume tool data enabled neither by the request nor by the unit's settings."""
     if tracked is None or not tracked.volume_status:
         return tracked
     outside = bool(options & OUT_OF_VOLUME)
@@ -165,7 +165,7 @@ def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehavi
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:
-    """Return the port status, including the bits that depend on the frame."""
+    """Return the port status, including the frame-dependent bits."""
     return port.status.value | (tracked.volume_status.value if tracked is not None else 0)
 
 
@@ -175,14 +175,14 @@ def information(tracked: Tracked | None) -> int:
 
 
 def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
-    """Return the status digits of the markers, 20 in all."""
+    """Return all 20 marker status digits."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
     digits = digits.ljust(MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
 
 
 def list_markers(tracked: Tracked | None) -> Markers:
-    """Return the position of each measured marker of a tool, and whether it is inside the volume."""
+    """Return each measured marker's position and whether it is inside the volume."""
     if tracked is None:
         return []
     pairs = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
@@ -190,7 +190,7 @@ def list_markers(tracked: Tracked | None) -> Markers:
 
 
 def _select_strays(strays: tuple[Stray, ...], options: int) -> tuple[Markers, list[Point]]:
-    """Return all strays, and the positions to send: those inside the volume, or all with option 0800."""
+    """Return all strays, and the positions to send: only those in the volume unless option 0800 is set."""
     whole = bool(options & OUT_OF_VOLUME)
     markers = [(stray.position_mm, stray.inside) for stray in strays]
     return markers, [position for position, inside in markers if inside or whole]

@@ -1,4 +1,4 @@
-"""Commands on port handles: PHSR, PHRQ, PHF, PINIT, PENA, PDIS, PHINF, PFSEL.
+"""Port handle commands: PHSR, PHRQ, PHF, PINIT, PENA, PDIS, PHINF, PFSEL.
 
 Before PINIT, PHINF knows the port status only.
 """
@@ -105,7 +105,7 @@ def disable(unit: Unit, argument: str) -> None:
 
 
 def information(unit: Unit, argument: str) -> str:
-    """PHINF hh oooo: the parts of all requested options, lowest bit first"""
+    """PHINF hh oooo: all requested parts, lowest option bit first"""
     requested_port = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
     if not requested_port or requested_port & ~sum(PORT_INFORMATION):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
@@ -116,7 +116,7 @@ def information(unit: Unit, argument: str) -> str:
 
 
 def select_faces(unit: Unit, argument: str) -> None:
-    """PFSEL hhmm: track these faces only"""
+    """PFSEL hhmm: track only the selected faces"""
     faces = hexadecimal(argument[HANDLE_DIGITS:])
     if not 0 < faces <= ALL_FACES:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
@@ -154,7 +154,7 @@ def _request_wireless(unit: Unit, number: str, load: str) -> Port:
 
 
 def _request_wired(unit: Unit, number: str, load: str) -> Port:
-    """Request a handle for a socket by number, or for the first socket without one."""
+    """Allocate a handle for the numbered socket, or for the first socket without a handle."""
     sockets = range(1, unit.wired.count + 1)
     if number == ANY_PORT:
         free_ones = [socket for socket in sockets if unit.ports.find_by_socket(socket) is None]

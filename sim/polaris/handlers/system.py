@@ -1,4 +1,4 @@
-"""Handlers of commands for the unit and its settings.
+"""Handlers for commands concerning the unit and its settings.
 
 INIT, RESET, VER, APIREV, BEEP, COMM, ECHO; GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG; SFLIST, SSTAT.
 """
@@ -93,7 +93,7 @@ def beep(unit: Unit, argument: str) -> str:
 
 
 def communication(unit: Unit, argument: str) -> None:
-    """COMM: the reply still has the old settings."""
+    """COMM: the reply is still sent with the old settings."""
     try:
         settings = LineSettings.from_argument(argument)
     except KeyError:
@@ -110,7 +110,7 @@ def echo(unit: Unit, argument: str) -> str:
 
 
 def absent(unit: Unit, _argument: str) -> str:
-    """Refuse a command that real units support in a format that is not public."""
+    """Refuse a command for which real units use an undocumented format."""
     raise Refusal(unit.behaviour.absent_command)
 
 
@@ -140,7 +140,7 @@ def set_default(unit: Unit, argument: str) -> None:
 
 
 def save(unit: Unit, _argument: str) -> None:
-    """SAVE: the settings survive a reset."""
+    """SAVE: keep the settings across a reset."""
     unit.user_parameters.save()
 
 

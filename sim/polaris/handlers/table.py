@@ -1,4 +1,4 @@
-"""Command table: name, handler, form of the argument, and the modes in which a command is allowed."""
+"""Command table: name, handler, argument format and permitted modes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ANYTHING = range(sys.maxsize)
 
 
 class Group(Enum):
-    """Groups of commands, each allowed in the same modes."""
+    """Groups of commands allowed in the same modes."""
 
     RESTART = auto()  # INIT, RESET
     READING = auto()  # APIREV, GET, GETINFO, ECHO, BEEP
@@ -41,7 +41,7 @@ class Group(Enum):
 
 @dataclass(frozen=True)
 class Command:
-    """A command. `carry_out` returns text without CRC, a complete reply in bytes, or None for OKAY."""
+    """A command, whose `carry_out` returns text without CRC, a complete reply in bytes, or None for OKAY."""
 
     carry_out: CarryOut
     group: Group
@@ -51,7 +51,7 @@ class Command:
     restarts_line: bool = False  # the reply has the new line settings
 
     def check(self, argument: str) -> None:
-        """Check the form of an argument; raises Refusal if it is wrong."""
+        """Check the format of an argument; raises Refusal if it is wrong."""
         length = len(argument.strip() if self.lengths is NOTHING else argument)
         if length not in self.lengths:
             raise Refusal(ErrorCode.PARAMETER_COUNT)
@@ -121,12 +121,12 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 
 @cache
 def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
-    """Return the modes in which each command is allowed, by command name."""
+    """Return the permitted modes of each command, by name."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}
 
 
 def modes_of(group: Group, behaviour: UnitBehaviour) -> frozenset[Mode]:
-    """Return modes in which the commands of a group are allowed."""
+    """Return the modes in which a group's commands are allowed."""
     early = {Mode.NOT_INITIALISED} if behaviour.answers_before_init else set()
     settings = {Mode.DIAGNOSTIC} if behaviour.settings_in_diagnostic else set()
     settings |= {Mode.TRACKING} if behaviour.settings_while_tracking else set()

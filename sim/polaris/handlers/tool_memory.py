@@ -1,4 +1,4 @@
-"""Handlers of commands for the memory and outputs of a tool.
+"""Handlers for commands concerning the memory and outputs of a tool.
 
 PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST, LED, PSOUT.
 """
@@ -22,7 +22,7 @@ OUTPUT_STATES = frozenset("NSPO")  # no change, solid, pulse, off
 
 
 def write_virtual(unit: Unit, argument: str) -> None:
-    """PVWR hh aaaa and 64 bytes: loaded unchecked, PINIT checks the content"""
+    """PVWR hh aaaa and 64 bytes: load without checking, which PINIT does later"""
     address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
     port = unit.ports.require_port(argument)
     if port.unoccupied:
@@ -34,7 +34,7 @@ def write_virtual(unit: Unit, argument: str) -> None:
 
 
 def read(unit: Unit, argument: str) -> str:
-    """PPRD hh aaaa: 64 bytes of a wired tool's memory"""
+    """PPRD hh aaaa: read 64 bytes of a wired tool's memory"""
     address = _parse_address(argument, wire.PVWR_SPACE_BYTES)
     tool = _require_tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
     if tool.memory is None:
@@ -43,7 +43,7 @@ def read(unit: Unit, argument: str) -> str:
 
 
 def write(unit: Unit, argument: str) -> None:
-    """PPWR hh aaaa and 64 bytes: stored in the tool"""
+    """PPWR hh aaaa and 64 bytes: store in the tool"""
     address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
     tool = _require_tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     if tool.memory is None:
@@ -67,7 +67,7 @@ def write_user_area(unit: Unit, argument: str) -> None:
 
 
 def search(unit: Unit, argument: str) -> str:
-    """PSRCH hh: number and identifiers of the tool's memory devices"""
+    """PSRCH hh: count and identifiers of the tool's memory devices"""
     tool = unit.ports.require_wired(argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
 
@@ -82,7 +82,7 @@ def select(unit: Unit, argument: str) -> None:
 
 
 def use_test_definition(unit: Unit, argument: str) -> None:
-    """TTCFG hh: load the test definition, for a tool without memory"""
+    """TTCFG hh: load the test definition for a tool without memory"""
     port = unit.ports.require_wired(argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
@@ -92,7 +92,7 @@ def use_test_definition(unit: Unit, argument: str) -> None:
 
 
 def test_current(unit: Unit, argument: str) -> None:
-    """TCTST hh: test the markers' current; PHINF 0002 reads the result"""
+    """TCTST hh: test the marker current, with the result read by PHINF 0002"""
     port = unit.ports.require_wired(argument)
     definition = unit.ports.require_initialised(argument).definition
     if definition is None:  # a dummy draws no current

@@ -1,4 +1,4 @@
-"""Measuring commands: TSTART, TSTOP, TX, BX; in diagnostic mode DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
+"""Measurement commands: TSTART, TSTOP, TX, BX; in diagnostic mode DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def fire(unit: Unit, argument: str) -> None:
 
 
 def markers(unit: Unit, argument: str) -> str:
-    """3D hh n: every marker in view, of a tool or stray"""
+    """3D hh n: all markers in view, tool or stray"""
     if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     port = unit.ports.require_initialised(argument)
@@ -118,7 +118,7 @@ def prepare_infrared_check(unit: Unit, _argument: str) -> None:
 
 
 def check_infrared(unit: Unit, argument: str) -> str:
-    """IRCHK [oooo]: whether and where there is ambient infrared light"""
+    """IRCHK [oooo]: presence and location of ambient infrared light"""
     requested_options = hexadecimal(argument) if argument else DETECTED
     if not requested_options or requested_options & ~(DETECTED | SOURCES):
         raise Refusal(ErrorCode.OUT_OF_RANGE)

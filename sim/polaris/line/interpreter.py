@@ -1,4 +1,4 @@
-"""Interpreter of command lines, which returns the unit's replies.
+"""Command interpreter: executes command lines and returns the unit's replies.
 
 Checks run in a fixed order: length and CRC of the line, known name, initialised, mode, then the command's own
 checks of its arguments and handle. A refused command has no effect.
@@ -20,7 +20,7 @@ POLL_S = 0.1  # between checks for events that need no command
 
 
 class CommandInterpreter:
-    """Executor of command lines from all hosts, one after another."""
+    """Executes command lines from successive hosts."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
@@ -35,7 +35,7 @@ class CommandInterpreter:
         self._starts_s: float | None = None  # host time at which a restarting unit sends RESET
 
     def reply(self, line: bytes) -> bytes:
-        """Execute one command line (without its CR) and return the reply, which is empty without power."""
+        """Execute a command line (without CR) and return the reply, which is empty without power."""
         if self._watch_dog_ns:
             self._check_watch_dog()
             self._heard_ns = self.unit.clock.now_ns()
@@ -54,18 +54,18 @@ class CommandInterpreter:
         return ascii_reply(reply) if isinstance(reply, str) else reply
 
     def restart(self, after_s: float | None = None) -> None:
-        """Restart after a break or at power-up: restore saved settings now, send RESET `after_s` later."""
+        """Restart after a break or at power-up: restore saved settings now and send RESET after `after_s`."""
         self.unit.reset()
         self._replies.clear()
         self._watch_dog_ns = 0
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
     def note_possible_break(self) -> None:
-        """Note a flush of both directions, which was a break if silence follows."""
+        """Record a flush of both directions, which counts as a break if silence follows."""
         self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
 
     def dismiss_break(self) -> None:
-        """Drop the suspicion of a break, since the host has sent more."""
+        """Discard a suspected break, because the host has sent more data."""
         self._break_s = None
 
     def host_left(self) -> None:
@@ -74,12 +74,12 @@ class CommandInterpreter:
             self.unit.line = DEFAULT_LINE
 
     def due_s(self) -> float:
-        """Return the host time at which `unsolicited_bytes` should be called again."""
+        """Return the host time at which to call `unsolicited_bytes` again."""
         moments_s = (time.monotonic() + POLL_S, self._break_s, self._starts_s)
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 
     def unsolicited_bytes(self) -> bytes:
-        """Return the bytes that the unit now sends unprompted: RESET after a restart, otherwise nothing."""
+        """Return any unsolicited output now due, such as RESET after a restart."""
         if self._watch_dog_ns:
             self._check_watch_dog()
         if self._faults.any_active:
@@ -121,7 +121,7 @@ class CommandInterpreter:
         return reply
 
     def _cache(self, line: bytes, reply: bytes) -> None:
-        """Cache a reply, for identical requests that follow for the same frame."""
+        """Cache a reply for identical requests within the same frame."""
         number = self.unit.frames.last
         if number != self._replies_frame:
             self._replies.clear()
@@ -129,7 +129,7 @@ class CommandInterpreter:
         self._replies[line] = reply
 
     def _check_watch_dog(self) -> None:
-        """Trip the watchdog if the host has been silent longer than allowed."""
+        """Trip the watchdog if the host has been silent for too long."""
         if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
             self._trip_watch_dog()
 

@@ -1,4 +1,4 @@
-"""A serial line as a pseudo-terminal.
+"""Serial line simulated by a pseudo-terminal.
 
 The unit keeps the host's end open, so hosts may connect, disconnect and be killed. A pseudo-terminal
 lacks three signals of a real line; their substitutes:
@@ -77,7 +77,7 @@ class PseudoTerminal:
 
     @property
     def endpoint(self) -> str:
-        """Address for hosts: path of the pseudo-terminal."""
+        """Address for hosts: the pseudo-terminal's path."""
         return f"serial://{self._path}"
 
     def files(self) -> tuple[int, ...]:
@@ -143,14 +143,14 @@ class PseudoTerminal:
             self._spoken_to = False
 
     def _suspects_break(self) -> bool:
-        """Return whether the host seems to have sent a break while its command was executed."""
+        """Return whether the host appears to have sent a break during its command."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
             suspected = self._handle_flush(os.read(self._master, 1)[0]) or suspected
         return suspected and not events  # a host that has sent more since did not send a break
 
     def _handle_flush(self, control: int) -> bool:
-        """Handle a control byte of packet mode. Return whether it suggests a break.
+        """Handle a packet mode control byte and return whether it suggests a break.
 
         Hosts flush input alone before a command, and both directions before a break.
         """
@@ -179,7 +179,7 @@ class PseudoTerminal:
 
 
 class HostLine:
-    """Line settings on the host's side, as far as a pseudo-terminal stores them."""
+    """Host-side line settings, as far as a pseudo-terminal stores them."""
 
     def __init__(self, master: int) -> None:
         self._master = master
@@ -187,7 +187,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """Return whether host and unit may understand each other; False only if that is impossible."""
+        """Return whether the line settings of host and unit could be compatible."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)
@@ -199,7 +199,7 @@ class HostLine:
 
 
 class HostSideWatch:
-    """Counter of opens on the host's side, by inotify and without the unit's own descriptor."""
+    """Detects opens and closes on the host side by inotify, excluding the unit's own descriptor."""
 
     def __init__(self, path: str) -> None:
         library = ctypes.CDLL(None, use_errno=True)
@@ -210,7 +210,7 @@ class HostSideWatch:
         self._holders = 0
 
     def events(self) -> tuple[bool, bool]:
-        """Return whether the host side was opened, and whether the last host left, since the last call."""
+        """Return whether, since the last call, the host side was opened and the last host left."""
         try:
             content = os.read(self.file, EVENTS_BYTES)
         except BlockingIOError:

@@ -1,4 +1,4 @@
-"""Server of one host at a time, over a serial line or TCP, until the process is told to end."""
+"""Server for one host at a time, over a serial line or TCP, until the process is told to end."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Channel(Protocol):
         ...
 
     def receive(self, ready: Ready) -> bytes | None:
-        """Read the ready descriptors. Return the bytes, possibly none; None if the host is gone."""
+        """Read the ready descriptors and return the bytes (possibly none), or None if the host has left."""
         ...
 
     def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
-        """Wait as long as this many bytes take to arrive with these line settings."""
+        """Wait for as long as the bytes would take to arrive with these line settings."""
         ...
 
     def send(self, data: bytes, line: LineSettings) -> None:
@@ -48,7 +48,7 @@ class Channel(Protocol):
 
 
 class Connection:
-    """One TCP connection, without line settings. A host that accepts no reply for `patience_s` is gone."""
+    """TCP connection to a host, treated as lost if it accepts no reply for `patience_s`."""
 
     def __init__(self, peer: socket.socket, patience_s: float) -> None:
         self._peer = peer
@@ -68,7 +68,7 @@ class Connection:
             return None
 
     def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
-        """Return without waiting, since a network has no baud rate."""
+        """Return at once, because a network has no baud rate."""
 
     def send(self, data: bytes, line: LineSettings) -> None:
         try:
@@ -84,14 +84,14 @@ class Connection:
 
 
 class EndSignal:
-    """Signal that wakes a waiting server, from a signal handler or another thread."""
+    """Wakes a waiting server from a signal handler or another thread."""
 
     def __init__(self) -> None:
         self._reader, self._writer = os.pipe()
         self.given = False
 
     def give(self) -> None:
-        """Ask the server to end. Safe in a signal handler."""
+        """Ask the server to end; safe in a signal handler."""
         self.given = True
         os.write(self._writer, b"\0")
 
@@ -100,7 +100,7 @@ class EndSignal:
 
 
 class Server:
-    """Carrier of bytes between hosts and the command interpreter."""
+    """Transfers bytes between hosts and the command interpreter."""
 
     def __init__(self, interpreter: CommandInterpreter, end: EndSignal) -> None:
         self._interpreter = interpreter
@@ -110,7 +110,7 @@ class Server:
         self._silent_until_s = inf  # host time from which a silent host yields to a waiting one
 
     def serve_network(self, listener: socket.socket) -> None:
-        """Serve connections one after another. The unit keeps its state in between."""
+        """Serve connections one after another, preserving the unit's state between them."""
         self._listener = listener
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
@@ -125,7 +125,7 @@ class Server:
                 connection.close()
 
     def serve_channel(self, channel: Channel) -> None:
-        """Serve one host until it is gone. On a serial line, which hosts open and close, serve for ever."""
+        """Serve one host until it leaves, or indefinitely on a serial line, which hosts open and close."""
         interpreter = self._interpreter
         faults = LineFaults(interpreter.unit)
         lines = LineBuffer(interpreter.unit.model.longest_command)
@@ -152,12 +152,12 @@ class Server:
                     channel.send(reply, interpreter.reply_line)
 
     def _restart_silence(self) -> None:
-        """Restart the silence limit, since the host has connected or sent a valid command."""
+        """Restart the silence limit, because the host has connected or sent a valid command."""
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 
     def _must_yield(self) -> bool:
-        """Return whether a silent network host must yield to one waiting to connect."""
+        """Return whether a silent network host must yield to another waiting host."""
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:
             return False
@@ -171,7 +171,7 @@ class Server:
         return poll
 
     def _wait(self, poll: select.poll) -> Ready | None:
-        """Wait for a host, or until the unit has something to send. Return None when asked to end."""
+        """Wait for a host or until the unit has output; return None when asked to end."""
         until_s = min(self._interpreter.due_s(), self._silent_until_s)
         wait_ms = max(0.0, until_s - time.monotonic()) * 1000.0
         ready = poll.poll(wait_ms)
@@ -179,7 +179,7 @@ class Server:
 
 
 def listen(address: Endpoint) -> socket.socket:
-    """Listen on the address; raises SIM-004 if it is in use."""
+    """Listen on an address; raises SIM-004 if it is in use."""
     try:
         return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:

@@ -1,1 +1,1 @@
-"""Measurement: from the visible markers to one frame of tool poses and strays."""
+"""Measurement: from visible markers to a frame of tool poses and strays."""

@@ -1,4 +1,4 @@
-"""Measurement of a frame: every enabled tool and every stray, marker by marker.
+"""Frame measurement, marker by marker, of all enabled tools and strays.
 
 Noise is a function of the scene's seed, the tracking session and the frames since its start, so requesting a
 frame again, or skipping others, changes nothing.
@@ -53,7 +53,7 @@ class Stray:
 
 @dataclass(frozen=True)
 class Frame:
-    """Everything that a reply can report. `tools` pairs each enabled port with its result."""
+    """Reportable data of one frame, with `tools` pairing each enabled port with its result."""
 
     number: int
     tools: tuple[tuple[Port, Tracked | None], ...]  # None: no result
@@ -62,7 +62,7 @@ class Frame:
 
 
 class Measurer:
-    """Measurement of a world's scene by a unit with these volumes."""
+    """Measures a world's scene with a unit's sensors and volumes."""
 
     def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
         truth = world.scene.tracker
@@ -84,7 +84,7 @@ class Measurer:
         return port.definition is not None and self._scene.is_mount_frame(port.definition)
 
     def begin_tracking(self) -> None:
-        """Start a tracking session. Each later session has its own noise.
+        """Start a tracking session with its own noise.
 
         A guard that reads the tracker between two steps therefore changes no number of the case, and does not
         repeat the noise of an earlier session.
@@ -94,7 +94,7 @@ class Measurer:
             self._noise = ReusedNoise(self._seed, f"{DEVICE}, session {self._sessions}")
 
     def forget_tools(self) -> None:
-        """Drop the caches after tools were loaded, freed or enabled."""
+        """Drop the caches after tools have been loaded, freed or enabled."""
         self._visibility.forget()
         self._faces.clear()
 
@@ -185,7 +185,7 @@ def _as_triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
 
 @dataclass(frozen=True)
 class Group:
-    """Markers of one tool or kind: mean positions, noise, and the rows that both sensors see."""
+    """Markers of one tool or kind: mean positions, noise, and rows seen by both sensors."""
 
     sight: Sight
     seen: list[int]
@@ -194,7 +194,7 @@ class Group:
 
 @dataclass(frozen=True)
 class VisibleMarkers:
-    """All markers in view. `tools` is by handle; None for a tool without markers or not in the room."""
+    """All visible markers, with `tools` by handle and None for a tool that is absent or has no markers."""
 
     tools: dict[int, Group | None]
     frame: Group | None  # reference frame M, unless loaded under a handle
@@ -203,7 +203,7 @@ class VisibleMarkers:
 
 
 class MarkerVisibility:
-    """Visibility of markers, cached while nothing moves."""
+    """Marker visibility, cached while nothing moves."""
 
     def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
         self._scene = scene
@@ -216,11 +216,11 @@ class MarkerVisibility:
         self._fixed: tuple[object, TrueTool, Sight] | None = None  # as last disturbed; the arm moves none
 
     def forget(self) -> None:
-        """Drop the cache after a change of handles."""
+        """Drop the cache when handles change."""
         self._kept = None
 
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
-        """Return the markers now visible with these ports enabled."""
+        """Return the markers currently visible with the given ports enabled."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
         key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
         if self._kept is None or key != self._key:
@@ -278,7 +278,7 @@ class MarkerVisibility:
         )
 
     def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
-        """Return spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
+        """Return the spheres of no tool: strays, plus fiducials unless they form a tool (`as_tool`)."""
         key = (disturbance, as_tool)
         if self._fixed is None or self._fixed[0] != key:
             spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)

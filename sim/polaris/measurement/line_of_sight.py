@@ -47,7 +47,7 @@ SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints at the ends of upper arm and forearm
 def visible(
     eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...], past_mount: Flags | None = None
 ) -> Flags:
-    """Return flags (m, n): whether each eye (m, 3) sees each point (n, 3) past all bodies.
+    """Return flags (m, n) for whether each eye (m, 3) sees each point (n, 3) past all bodies.
 
     `past_mount` (n,) marks the points that the mount never hides.
     """
@@ -62,12 +62,12 @@ class Body(Protocol):
     """An opaque body."""
 
     def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
-        """Return flags (m, n): whether the body hides each point (n, 3) from each eye (m, 3)."""
+        """Return flags (m, n) for whether the body hides each point (n, 3) from each eye (m, 3)."""
         ...
 
 
 def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> Ellipsoid:
-    """Return a scene's head as an ellipsoid in the tracker frame."""
+    """Return the scene's head as an ellipsoid in the tracker frame."""
     ct_from_tracker = inverse(tracker_from_robot @ matrix_of(head.robot_from_ct))
     unit_from_ct = np.diag([*(1.0 / np.array(head.semi_axes_mm)), 1.0])
     unit_from_ct[:3, 3] = -np.array(head.centre_ct_mm) / head.semi_axes_mm
@@ -76,7 +76,7 @@ def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> Ellipsoid:
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """A head, with `unit_from_tracker` (4, 4) mapping it to the unit sphere."""
+    """Head ellipsoid, mapped to the unit sphere by `unit_from_tracker` (4, 4)."""
 
     unit_from_tracker: Matrix
 
@@ -95,7 +95,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class Capsules:
-    """Links of an arm: c segments between points (c, 3), each with a radius from `radii_mm` (c,).
+    """Arm links: c segments between points (c, 3), with radii `radii_mm` (c,).
 
     `of_mount` (c,) marks those of the mount.
     """
@@ -115,7 +115,7 @@ class Capsules:
         return found
 
     def _reach_rays(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
-        """Return flags (m, n, c): whether each segment eye-point enters each capsule.
+        """Return flags (m, n, c) for whether each eye-point segment enters each capsule.
 
         (Ericson 2005, 5.1.9)
         """
@@ -140,7 +140,7 @@ class Capsules:
         return reached
 
     def _hold(self, points_mm: Vectors) -> Flags:
-        """Return flags (n, c): whether each point is within each capsule."""
+        """Return flags (n, c) for whether each point is inside each capsule."""
         along = self.ends_mm - self.starts_mm
         a = _squares(along)
         offsets = points_mm[:, None] - self.starts_mm
@@ -162,7 +162,7 @@ def _share(values: Vectors) -> Vectors:
 
 
 class ArmBody:
-    """Body of a scene's arm with either tool."""
+    """Occluding body of the arm with any of its tools."""
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
@@ -182,7 +182,7 @@ class ArmBody:
         }
 
     def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix) -> Capsules:
-        """Return the capsules in the tracker frame."""
+        """Return the arm's capsules in the tracker frame."""
         flange = arm.robot_from_flange
         joints = apply(tracker_from_robot, np.array([*self._joints_mm(arm), flange[:3, 3]]))
         limbs = self._carried.get(mounted_tool, self._bare)
@@ -195,7 +195,7 @@ class ArmBody:
         )
 
     def _joints_mm(self, arm: ArmState) -> tuple[Vector, Vector, Vector]:
-        """Return shoulder, elbow and wrist in the robot frame, mm."""
+        """Return the shoulder, elbow and wrist positions in the robot frame, mm."""
         sines = np.array([math.sin(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
         versines = np.array([1.0 - math.cos(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
         turns = np.eye(3) + sines * self._once + versines * self._twice
@@ -209,7 +209,7 @@ class ArmBody:
 
 
 class _LimbsOnTool:
-    """Limbs of the mount and of its tool, each as a pair of ends in the tool frame.
+    """Limbs of the mount and its tool, each given by two end points in the tool frame.
 
     Radii and flags are those of the whole arm, whose own limbs come first.
     """
@@ -226,7 +226,7 @@ class _LimbsOnTool:
 
 
 def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
-    """Return plate and riser, and the end of the riser, in the tool frame."""
+    """Return the mount's plate and riser, and the top of the riser, in the tool frame."""
     away_mm = float(np.linalg.norm(flange_mm[:2]))
     # A tool on the flange's axis may have its riser on any side.
     towards = flange_mm[:2] / away_mm if away_mm > 0.0 else np.array([-1.0, 0.0])
@@ -236,14 +236,14 @@ def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
 
 
 def _guide(mount: Mount, top: Vector) -> tuple[list[Limb], list[Limb]]:
-    """Return the bridge to the upper end (part of the mount) and the tube, in the tool frame."""
+    """Return the bridge to the guide's upper end (part of the mount) and the tube, in the tool frame."""
     ends = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
     lower, upper = apply(matrix_of(mount.tool_from_tip_true), ends)
     return [(top, upper, MOUNT_RADIUS_MM)], [(upper, lower, GUIDE_RADIUS_MM)]
 
 
 def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
-    """Return bridge and camera beam (parts of the mount) and the cameras, in the tool frame."""
+    """Return the bridge and camera beam (parts of the mount) and the cameras, in the tool frame."""
     ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]  # the lens' centre, the back of the housing
     left, right = (apply(inverse(matrix_of(one.camera_from_tool)), ends) for one in (scene.left, scene.right))
     beam = (left.mean(axis=0), right.mean(axis=0))
@@ -252,7 +252,7 @@ def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
 
 
 def _rodrigues_terms(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:
-    """Return the matrices that Rodrigues' formula multiplies by sine and by 1 - cosine, for an axis."""
+    """Return the sine and 1 - cosine matrices of Rodrigues' formula for an axis."""
     x, y, z = np.array(axis) / np.linalg.norm(axis)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return skew, skew @ skew

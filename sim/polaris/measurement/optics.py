@@ -1,4 +1,4 @@
-"""Measurement errors of the tracker: noise and bias of single markers, phantom markers, additional strays.
+"""Tracker measurement errors: noise and bias of single markers, phantom markers and additional strays.
 
 Tracker frame, mm. The stereo base is half a metre. The error in depth is three to four times that of the
 other two axes; all grow with the square of the distance. Phantom markers are intersections of the
@@ -43,19 +43,19 @@ SPHERES, REFLECTIONS = "tracker extra spheres", "tracker reflections"
 
 @dataclass(frozen=True)
 class Sight:
-    """Mean and standard deviation of the measurements of n points, both (n, 3)."""
+    """Mean and standard deviation of n measured points, both (n, 3)."""
 
     mean_mm: Vectors
     sigma_mm: Vectors
 
     def measured(self, standard_normal: Vectors) -> Vectors:
-        """Return one measurement (n, 3), given standard normal numbers (n, 3)."""
+        """Return one measurement (n, 3), given standard normal deviates (n, 3)."""
         points: Vectors = self.mean_mm + self.sigma_mm * standard_normal
         return points
 
 
 class Optics:
-    """Pair of sensors. The scene's noise applies at the centre of the unit's first volume."""
+    """Sensor pair, with the scene's noise stated for the centre of the unit's first volume."""
 
     def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
@@ -64,7 +64,7 @@ class Optics:
         self.bias_field = bias_field(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
 
     def sight(self, points_mm: Vectors) -> Sight:
-        """Return mean and noise of the markers at `points_mm` (n, 3)."""
+        """Return the mean and noise of markers at `points_mm` (n, 3)."""
         if not len(points_mm):
             return Sight(points_mm, points_mm)
         growth = (points_mm[:, 2:] / self._middle_mm) ** 2
@@ -72,7 +72,7 @@ class Optics:
 
 
 def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
-    """Return flags (n,): whether each point (n, 3) is in the field of view of both sensors."""
+    """Return flags (n,) for whether each point (n, 3) is in both sensors' field of view."""
     x, y, z = points_mm.T
     nearest, farthest = FIELD_DEPTHS_MM
     slope_x, slope_y = FIELD_SLOPES
@@ -83,7 +83,7 @@ def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
 
 
 def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_mm: float) -> Vectors:
-    """Return phantoms (m, 3) of markers at `points_mm` (n, 3); `seen` (2, n) is per sensor and marker.
+    """Return phantoms (m, 3) of markers (n, 3), with `seen` (2, n) per sensor and marker.
 
     Rays closer than `line_separation_mm` intersect, midway between them.
     """
@@ -112,18 +112,18 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
 
 @lru_cache(maxsize=8)
 def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
-    """Return positions (n, 3) of spheres added by a fault. A larger count keeps the earlier positions."""
+    """Return positions (n, 3) of fault-induced spheres, keeping earlier positions as the count grows."""
     return _draw_places(seed, SPHERES, count, volume)
 
 
 @lru_cache(maxsize=8)
 def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
-    """Return positions (n, 3) of reflecting surfaces, which flicker."""
+    """Return positions (n, 3) of flickering reflective surfaces."""
     return _draw_places(seed, REFLECTIONS, count, volume)
 
 
 def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
-    """Return reflections (m, 3) seen in one frame."""
+    """Return the reflections (m, 3) seen in one frame."""
     shines = generator.random(len(places_mm)) < REFLECTION_PRESENCE
     wandered = places_mm + generator.normal(0.0, REFLECTION_SPREAD_MM, places_mm.shape)
     found: Vectors = wandered[shines]
@@ -143,7 +143,7 @@ def _draw_places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
 
 
 class BiasField:
-    """Systematic error of the unit, as a fixed smooth field over the volume.
+    """Systematic error of the unit: a fixed, smooth field over the volume.
 
     A sum of plane waves drawn from the seed, times a power of the depth. Amplitude and power give the field
     the stated rms length over each of two volumes: what data sheets call volumetric accuracy, the mean error
@@ -151,7 +151,7 @@ class BiasField:
     """
 
     def __init__(self, seed: int, stated: tuple[tuple[Volume, float], ...]) -> None:
-        """`stated` pairs one or two volumes, smaller first, with the rms length of their error in mm."""
+        """Fit to `stated`: one or two volumes, smaller first, each with its rms error length in mm."""
         generator = noise(seed, "tracker bias", 0)
         directions = generator.standard_normal((WAVES, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -181,12 +181,12 @@ class BiasField:
 
 @cache
 def bias_field(seed: int, stated: tuple[tuple[Volume, float], ...]) -> BiasField:
-    """Return the cached bias field. Fitting its power takes longer than the rest of a unit's start."""
+    """Return the bias field, cached because fitting its power dominates a unit's start-up time."""
     return BiasField(seed, stated)
 
 
 class _Sizes:
-    """Rms length, over a volume, of a field scaled by a power of the depth."""
+    """Rms length, over a volume, of a field scaled by a power of depth."""
 
     def __init__(self, field: Vectors, depths: Vectors) -> None:
         self._squares = (field * field).sum(axis=1)
@@ -197,7 +197,7 @@ class _Sizes:
 
 
 def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
-    """Return the power of depth that yields this ratio of the two rms lengths, found by bisection."""
+    """Find by bisection the power of depth that yields the given ratio of rms lengths."""
     low, high = POWER_RANGE
     for _ in range(POWER_STEPS):
         middle = (low + high) / 2.0
@@ -210,7 +210,7 @@ def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
 
 @cache
 def _grid(volume: Volume) -> Vectors:
-    """Return points (n, 3) spread evenly over the volume, read-only."""
+    """Return read-only points (n, 3) spread evenly over the volume."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)
     middles = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS

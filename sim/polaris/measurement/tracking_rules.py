@@ -1,4 +1,4 @@
-"""Rules by which the unit derives a tool's pose from measured markers, or the reason for having none.
+"""Rules for deriving a tool's pose from measured markers, or the reason why it has none.
 
 In the unit's order: choose the face, fit at least three markers, drop markers beyond the maximum angle, out
 of the volume or beyond the maximum 3D error, test the spread of the rest. Enough markers must remain
@@ -36,7 +36,7 @@ OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 @dataclass(frozen=True)
 class ToolPose:
-    """Pose tracker <- tool (quaternion, scalar first) and rms distance of the fitted markers."""
+    """Pose tracker <- tool (scalar-first quaternion) and rms distance of the fitted markers."""
 
     quaternion: tuple[float, float, float, float]
     position_mm: tuple[float, float, float]
@@ -45,7 +45,7 @@ class ToolPose:
 
 @dataclass(frozen=True)
 class Tracked:
-    """Result for one tool in one frame, inside the volume or not."""
+    """Result for one tool in one frame, regardless of whether it is inside the volume."""
 
     pose: ToolPose | None
     volume_status: PortStatus  # bits that the frame adds to the port status
@@ -58,7 +58,7 @@ class Tracked:
 
     @property
     def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
-        """Measured position of each marker in the definition; None for a marker not seen."""
+        """Measured position of each marker in the definition, or None for an unseen marker."""
         places = dict(zip(self.seen, self.measured_mm, strict=True))
         return tuple(places.get(number) for number in range(len(self.marker_digits)))
 
@@ -77,7 +77,7 @@ def track(
     previous_face: int = 0,
     allowed_faces: int = ALL_FACES,
 ) -> Tracked:
-    """Apply the rules. `seen` holds the marker index of each row of `measured_mm` (n, 3)."""
+    """Apply the tracking rules, with `seen` as the marker indices of the rows of `measured_mm` (n, 3)."""
     judge = _Judge(definition, seen, measured_mm, inside)
     return judge.tracked(
         best_face(definition, seen, measured_mm, previous_face, allowed_faces), previous_face
@@ -85,7 +85,7 @@ def track(
 
 
 def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
-    """Return the result with the pose of an out-of-volume tool hidden unless it was requested.
+    """Return the result, hiding the pose of an out-of-volume tool unless it was requested.
 
     `outside`: such tools were requested. `partially_outside`: the unit reports them unrequested if some
     markers, but fewer than the minimum, are inside.
@@ -101,7 +101,7 @@ def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) ->
 
 
 class _Judge:
-    """Application of the rules to one tool in one frame, with the status digit of each marker."""
+    """Applies the rules to one tool in one frame and records each marker's status digit."""
 
     def __init__(
         self, definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]
@@ -146,7 +146,7 @@ class _Judge:
         return self._build_verdict(_as_tool_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _keep(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
-        """Keep the markers that pass a rule. The others get the digit of that rule."""
+        """Keep the markers that pass a rule, and assign the rule's digit to the others."""
         for k in numbers:
             if not keep[k]:
                 self._digits[markers[k]] = int(digit)
@@ -177,7 +177,7 @@ def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus
 
 
 def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Return whether the used markers are spread enough along each of their principal axes.
+    """Return whether the used markers spread far enough along each of their principal axes.
 
     NDI's measure is not public; this one is the distance between the outermost markers.
     """
@@ -197,7 +197,7 @@ def _as_tool_pose(fit: RigidFit) -> ToolPose:
 
 @dataclass(frozen=True)
 class FittedFace:
-    """Visible markers of one face: indices, rows in the measurement, and fit."""
+    """Visible markers of one face: indices, measurement rows and fit."""
 
     face: int
     markers: list[int]
@@ -212,7 +212,7 @@ def best_face(
     previous: int = 0,
     allowed: int = ALL_FACES,
 ) -> FittedFace | None:
-    """Choose the face to track. Return None if no face has enough visible markers for a fit.
+    """Choose the face to track, or return None if no face has enough visible markers for a fit.
 
     The face turned most directly to the sensor, with hysteresis in favour of `previous`, the face of the last
     frame. `seen` as in `track`; `allowed` has one bit per face that may be tracked, lowest bit for face 1.
@@ -254,7 +254,7 @@ def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> floa
 
 
 class RigidFit(NamedTuple):
-    """Fitted pose tracker <- tool: rotation (3, 3), translation (3,), and residuals (n,) of the markers."""
+    """Fitted pose tracker <- tool: rotation (3, 3), translation (3,) and marker residuals (n,)."""
 
     rotation: Vectors
     translation_mm: Vectors
@@ -262,7 +262,7 @@ class RigidFit(NamedTuple):
 
 
 def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
-    """Fit markers (n, 3) to their measured positions (n, 3), paired by row; n >= 3.
+    """Fit markers (n, 3), n >= 3, to their measured positions (n, 3), paired by row.
 
     Orthogonal Procrustes by SVD (Arun 1987) with Umeyama's sign, so that a mirror image is never returned.
     """

@@ -33,7 +33,7 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrueTool:
-    """A tool in the room: its names, marker positions (n, 3), and covered markers."""
+    """A tool in the room: names, marker positions (n, 3) and covered markers."""
 
     names: frozenset[str]
     markers_mm: Vectors
@@ -41,7 +41,7 @@ class TrueTool:
 
 
 class TrueScene:
-    """The scene without noise. Static parts are computed once; the arm is read for each frame."""
+    """Noise-free scene, with static parts computed once and the arm read for each frame."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -73,7 +73,7 @@ class TrueScene:
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
-        """Return the state of the arm; None if the world has none."""
+        """Return the arm's state, or None if the world has no arm."""
         arm = self._world.arm()
         return arm if arm.robot_from_flange[:3].any() else None
 
@@ -82,7 +82,7 @@ class TrueScene:
         return self._world.mounted_tool()
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
-        """Return fiducials (n, 3), displaced by the room's faults."""
+        """Return the fiducials (n, 3), displaced by the room's faults."""
         return apply(
             self._tracker_from(room), room.displace_spheres_mm(self._centres_mm, self.fiducial_numbers)
         )
@@ -90,24 +90,24 @@ class TrueScene:
     def bodies(
         self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
     ) -> tuple[Body, ...]:
-        """Return the opaque bodies: the head at its place in the scene, and the arm."""
+        """Return the opaque bodies: the head at its scene position, and the arm."""
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
         return (*head, self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room)))
 
     def is_mount_frame(self, definition: ToolDefinition) -> bool:
-        """Return whether this is the reference frame M and there is an arm to carry it."""
+        """Return whether the definition is the reference frame M and an arm is present to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
     def is_on_mount(self, tool: TrueTool) -> bool:
-        """Return whether a tool sits on posts on the arm's mount or guide, where the mount never hides it."""
+        """Return whether a tool sits on posts on the arm's mount or guide, which cannot hide it."""
         return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
     def tool(
         self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """Return the tool in the room for a loaded definition, from which it may differ; None if absent."""
+        """Return the actual tool for a loaded definition, from which it may differ, or None if absent."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
@@ -122,11 +122,11 @@ class TrueScene:
         return _disturb(names, self._places[place], markers, disturbance)
 
     def is_head_frame(self, definition: ToolDefinition) -> bool:
-        """Return whether this is the x-shaped frame and its spheres are on the head."""
+        """Return whether the definition is the x-shaped frame and its spheres are on the head."""
         return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
 
     def _frame_on_head(self, disturbance: Disturbance) -> TrueTool:
-        """Return the x-shaped frame with its refitted spheres. A missing sphere is never seen."""
+        """Return the x-shaped frame with its refitted spheres, treating missing spheres as covered."""
         names = frozenset({X_FRAME_NAME, X_FRAME_PART_NUMBER})
         places = self.fiducials_at(disturbance.room)
         there = [row for row in self._frame_rows if row is not None]
@@ -141,7 +141,7 @@ class TrueScene:
         return TrueTool(names, markers, tuple(hidden))
 
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
-        """Return the reference frame M on the mount, whether or not a host has loaded it."""
+        """Return the reference frame M on the mount, even if no host has loaded it."""
         tool = self.frame_on_mount
         flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
@@ -151,7 +151,7 @@ class TrueScene:
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """Return the frame on the mounted guide, which shares the guide's seating but not its bend."""
+        """Return the frame on the mounted guide, sharing its seating but not its bend."""
         if arm is None or self.mounted_tool() != self._world.scene.mount.tool_number_guide:
             return None
         pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
@@ -166,7 +166,7 @@ class TrueScene:
 
 
 def _disturb(names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance) -> TrueTool:
-    """Apply the faults that name a tool."""
+    """Apply the faults that affect a tool."""
     for name, push_mm in disturbance.bent:
         if name in names:
             outwards = markers_mm[-1] - markers_mm.mean(axis=0)
@@ -189,7 +189,7 @@ def _disturb(names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturba
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Effects of the active faults on markers and light. Comparable between frames.
+    """Effects of active faults on markers and light, comparable between frames.
 
     Tools are given by name or part number.
     """
@@ -212,14 +212,14 @@ UNDISTURBED = Disturbance()
 
 
 class Disturbances:
-    """Collector of the effects of active tracker and room faults."""
+    """Combines the effects of active tracker and room faults."""
 
     def __init__(self, board: FaultBoard, room: ShiftedRoom) -> None:
         self._board = board
         self._room = room
 
     def now(self) -> Disturbance:
-        """Return the current effects. Without faults, `UNDISTURBED` after a single look-up."""
+        """Return the current effects, or `UNDISTURBED` after a single look-up if there are none."""
         board, room = self._board, self._room.now()
         if board.empty and room is NOTHING_MOVED:
             return UNDISTURBED

@@ -1,1 +1,1 @@
-"""State of the tracker unit: model, mode, settings, alerts and faults."""
+"""Tracker unit state: model, mode, settings, alerts and faults."""

@@ -1,4 +1,4 @@
-"""Unit behaviour that public sources leave open, each aspect as a named parameter.
+"""Named parameters for unit behaviour that public sources leave open.
 
 Defaults are best estimates. A driver must work with every alternative; `ronna-sim polaris --set NAME=VALUE`
 selects one.
@@ -17,7 +17,7 @@ from sim.polaris.unit.refusal import ErrorCode
 
 @dataclass(frozen=True, kw_only=True)
 class UnitBehaviour:
-    """Behaviour of the unit on which public sources are silent or disagree."""
+    """Unit behaviour on which public sources are silent or disagree."""
 
     # line
     enforces_line: Annotated[

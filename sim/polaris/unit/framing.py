@@ -1,4 +1,4 @@
-"""Framing of requests and replies, and settings of the serial line.
+"""Request and reply framing, and serial line settings.
 
 A request is `NAME:args` + CRC, `NAME args`, or the bare name; all end in CR.
 """
@@ -25,7 +25,7 @@ _HEADER = struct.Struct("<HH")
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Baud rate, bits, parity, stop bits and handshake (COMM). A TCP connection ignores them."""
+    """Baud rate, bits, parity, stop bits and handshake (COMM), ignored on a TCP connection."""
 
     baud: int
     data_bits: int = 8
@@ -47,7 +47,7 @@ class LineSettings:
 
     @property
     def seconds_per_byte(self) -> float:
-        """Transfer time of one byte in seconds: start bit, data, parity, stop bits."""
+        """Transfer time of one byte in seconds, including start, parity and stop bits."""
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baud
 
 
@@ -56,18 +56,18 @@ DEFAULT_LINE = LineSettings.from_argument(wire.COMM_DEFAULT_ARGUMENT)
 
 @dataclass(frozen=True)
 class Request:
-    """One command. Its argument is everything after the separator, without the CRC."""
+    """One command, with everything after the separator except the CRC as its argument."""
 
     name: str
     argument: str
 
 
 class Overlong(bytes):
-    """Start of a line that is longer than any command."""
+    """Prefix of an over-long command line."""
 
 
 class LineBuffer:
-    """Buffer that assembles lines from fragments."""
+    """Assembles lines from fragments."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -76,7 +76,7 @@ class LineBuffer:
         self._overlong = False
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
-        """Return the lines that `data` completes, without CR. An overlong line becomes Overlong."""
+        """Return the lines completed by `data`, without CR and with over-long lines as Overlong."""
         if now_s - self._fed_s > STALE_S:
             self._pending = b""
             self._overlong = False
@@ -93,7 +93,7 @@ class LineBuffer:
 
 
 def parse_request(line: bytes) -> Request:
-    """Parse one line; raises Refusal for a wrong length or CRC."""
+    """Parse one line; raises Refusal if its length or CRC is wrong."""
     if isinstance(line, Overlong):
         raise Refusal(ErrorCode.TOO_LONG)
     line = line.lstrip(STRAY_LINE_FEED)
@@ -115,13 +115,13 @@ def parse_request(line: bytes) -> Request:
 
 
 def ascii_reply(text: str) -> bytes:
-    """Frame an ASCII reply: text, CRC in four upper-case digits, CR."""
+    """Frame an ASCII reply: text, four upper-case CRC digits and CR."""
     content = text.encode("latin-1")
     return b"%b%04X\r" % (content, crc16(content))
 
 
 def binary_reply(body: bytes) -> bytes:
-    """Frame a binary reply: start sequence, length, header CRC, body, body CRC; no CR."""
+    """Frame a binary reply: start sequence, length, header CRC, body and body CRC, without CR."""
     return _header(len(body)) + body + _U16.pack(crc16(body))
 
 

@@ -1,4 +1,4 @@
-"""Models of the unit: identity, ports, limits, measuring volumes. The serial numbers are invented.
+"""Unit models: identity, ports, limits and measuring volumes, with invented serial numbers.
 
 Tracker frame: origin at the sensor, z backwards, so everything in view has negative z. A volume is a pyramid
 with a knee, given by the ten numbers of the feature list (SFLIST 03) in its own units: lengths in 1/100 mm,
@@ -36,13 +36,13 @@ class Volume:
 
     @cached_property
     def depths_mm(self) -> tuple[float, float]:
-        """Nearest and farthest distance from the sensor along its axis."""
+        """Nearest and farthest distances from the sensor along its axis."""
         far, _, near, *_ = self.dimensions
         return -near / SFLIST_DIMENSION_SCALE, -far / SFLIST_DIMENSION_SCALE
 
     @property
     def middle_depth_mm(self) -> float:
-        """Mean of the nearest and farthest distance."""
+        """Mean of the nearest and farthest distances."""
         return sum(self.depths_mm) / 2.0
 
     def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
@@ -57,13 +57,13 @@ class Volume:
 
     @cached_property
     def _lengths_mm(self) -> tuple[float, float, float, float, float]:
-        """Distance of the knee, half extents there in y and x, and largest half extents in y and x, mm."""
+        """Distance of the knee, half extents there in y and x, and largest half extents in y and x, in mm."""
         _, knee, _, y_knee, x_knee, _, _, _, y_cap, x_cap = self.dimensions
         scale = SFLIST_DIMENSION_SCALE
         return knee / scale, y_knee / scale, x_knee / scale, y_cap / scale, x_cap / scale
 
     def feature_line(self) -> str:
-        """Return the record in the feature list: 74 characters, the last a line feed."""
+        """Return the volume's feature list record: 74 characters ending in a line feed."""
         numbers = "".join(f"{value:+07d}" for value in self.dimensions)
         return f"{self.shape}{numbers}{WAVELENGTHS}{LF}"
 
@@ -88,7 +88,7 @@ VICRA_VOLUME = Volume(
 
 @dataclass(frozen=True)
 class UnitModel:
-    """One model of the unit."""
+    """A model of the unit."""
 
     name: str
     serial_number: str

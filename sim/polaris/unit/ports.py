@@ -1,4 +1,4 @@
-"""Port handles, which the host requests, loads, initialises and enables; wired tools and sockets."""
+"""Port handles for the host to request, load, initialise and enable; wired tools and sockets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STATUSES = {  # a table, because joining flags is slow and every reply needs th
 
 @dataclass
 class Port:
-    """One port handle."""
+    """A port handle."""
 
     handle: int
     dummy: bool = False  # without markers: only makes the illuminators fire
@@ -52,12 +52,12 @@ class Port:
 
     @property
     def occupied(self) -> bool:
-        """Whether the handle has a tool. Passive tools cannot be unplugged."""
+        """Whether the handle has a tool; passive tools cannot be unplugged."""
         return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
 
     @property
     def reflects(self) -> bool:
-        """Whether the unit's illuminators light the tool."""
+        """Whether the tool is lit by the unit's illuminators."""
         return self.wired_port == 0 and not self.active_wireless
 
     @property
@@ -67,7 +67,7 @@ class Port:
 
 
 class PortTable:
-    """Table of all port handles. A new handle gets the lowest free number."""
+    """Table of all port handles, which allocates the lowest free number."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -95,7 +95,7 @@ class PortTable:
         raise Refusal(ErrorCode.NO_HANDLES_LEFT)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
-        """Allocate a handle for a socket; raises Refusal if the socket has one already or none is left."""
+        """Allocate a handle for a socket; raises Refusal if the socket already has one or none is left."""
         if self.find_by_socket(number) is not None:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE)
         port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
@@ -105,29 +105,29 @@ class PortTable:
         return port
 
     def find_by_socket(self, number: int) -> Port | None:
-        """Return the port of a socket; None without one, or if its tool has been unplugged."""
+        """Return a socket's port, or None if it has no port or its tool has been unplugged."""
         return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
 
     def unplug(self, number: int) -> None:
-        """Mark the tool of a socket as unplugged. Its handle stays until freed."""
+        """Mark a socket's tool as unplugged, keeping its handle until freed."""
         port = self.find_by_socket(number)
         if port is not None:
             port.unoccupied = True
             port.tool = None
 
     def port(self, handle: int) -> Port:
-        """Return the port of a handle; raises Refusal if the handle is not allocated."""
+        """Return the port for a handle; raises Refusal if the handle is not allocated."""
         try:
             return self._ports[handle]
         except KeyError:
             raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def require_port(self, argument: str) -> Port:
-        """Return the port whose handle starts a command's argument; raises Refusal for an invalid handle."""
+        """Return the port addressed by a command's argument; raises Refusal for an invalid handle."""
         return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
 
     def require_occupied(self, argument: str) -> Port:
-        """Return the addressed port; raises Refusal if its tool was unplugged or never plugged in."""
+        """Return the addressed port; raises Refusal if it has no tool plugged in."""
         port = self.require_port(argument)
         if port.unoccupied:
             raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
@@ -143,7 +143,7 @@ class PortTable:
         return port
 
     def require_wired(self, argument: str) -> Port:
-        """Return the addressed port; raises Refusal unless a wired tool occupies it."""
+        """Return the addressed port; raises Refusal unless it is occupied by a wired tool."""
         port = self.require_occupied(argument)
         if not port.wired_port:
             raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
@@ -158,16 +158,16 @@ class PortTable:
         self._ports.clear()
 
     def enabled(self) -> tuple[Port, ...]:
-        """Return the enabled ports in the order of their handles."""
+        """Return the enabled ports in handle order."""
         return tuple(port for port in self if port.enabled)
 
     def free_place(self) -> int:
-        """Return the lowest place in the scene without a loaded tool."""
+        """Return the lowest place in the scene not taken by a loaded tool."""
         occupied_places = {port.place for port in self._ports.values()}
         return next(place for place in range(self._size + 1) if place not in occupied_places)
 
     def list_matching(self, query: HandleQuery) -> tuple[Port, ...]:
-        """Return ports that a PHSR option lists."""
+        """Return the ports matching a PHSR option."""
         if query is HandleQuery.ALL:
             return tuple(self)
         if query is HandleQuery.TO_BE_FREED:
@@ -182,7 +182,7 @@ class PortTable:
 
 @dataclass
 class WiredTool:
-    """A tool on a cable. Without `memory` it needs TTCFG or PVWR."""
+    """A cabled tool, which needs TTCFG or PVWR if it has no `memory`."""
 
     memory: bytearray | None
     user_memory: bytearray
@@ -190,7 +190,7 @@ class WiredTool:
 
     @classmethod
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
-        """Create a tool with `content` in its memory; raises PSU-002 for a wrong length."""
+        """Create a tool with `content` as its memory; raises PSU-002 if the length is wrong."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
@@ -202,7 +202,7 @@ class WiredTool:
 
 @dataclass
 class WiredPorts:
-    """Sockets of the tool interface, numbered from 1. `count` is 0 without an interface."""
+    """Tool interface sockets, numbered from 1, with a `count` of 0 if there is no interface."""
 
     count: int
     tools: dict[int, WiredTool] = field(default_factory=dict)  # all available ones, plugged in or not
@@ -217,12 +217,12 @@ class WiredPorts:
         self.plugged.add(number)
 
     def tool(self, number: int) -> WiredTool | None:
-        """Return the tool plugged into a socket; None if it is empty."""
+        """Return the tool plugged into a socket, or None if it is empty."""
         return self.tools.get(number) if number in self.plugged else None
 
 
 def plug_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
-    """Plug in one wired tool per definition file; without any, the unit has no sockets. Raises PSU-002."""
+    """Plug in one wired tool per definition file, or create no sockets if there are none; raises PSU-002."""
     sockets = WiredPorts(ports if definitions else 0)
     for number, path in enumerate(definitions, start=1):
         try:

@@ -1,4 +1,4 @@
-"""Error and warning codes of the unit, refused commands, and checks of numeric arguments."""
+"""Error and warning codes of the unit, command refusal and numeric argument checks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _HEXADECIMAL = frozenset(string.hexdigits)
 
 
 class ErrorCode(IntEnum):
-    """Codes sent by this unit; their meanings are in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
+    """Error codes sent by this unit, explained in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
 
     UNKNOWN_COMMAND = 0x01
     TOO_LONG = 0x02
@@ -60,7 +60,7 @@ class ErrorCode(IntEnum):
 
 
 class WarningCode(IntEnum):
-    """Codes of `WARNINGhh`; their meanings are in `ronna_hw.wire.polaris.WARNING_MEANINGS`."""
+    """`WARNINGhh` codes, explained in `ronna_hw.wire.polaris.WARNING_MEANINGS`."""
 
     HARDWARE = 0x01
     GEOMETRY_NOT_UNIQUE = 0x02
@@ -70,7 +70,7 @@ class WarningCode(IntEnum):
 
 
 class Refusal(Exception):
-    """The command is refused and has no effect."""
+    """The command was refused and has no effect."""
 
     def __init__(self, code: ErrorCode) -> None:
         super().__init__(code.name)
@@ -78,14 +78,14 @@ class Refusal(Exception):
 
 
 def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
-    """Parse hexadecimal digits of either case; raises `refusal` for anything else."""
+    """Parse hexadecimal digits in either case; raises `refusal` for anything else."""
     if not text or not _HEXADECIMAL.issuperset(text):
         raise Refusal(refusal)
     return int(text, 16)
 
 
 def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
-    """Parse one decimal digit between `low` and `high`; raises `refusal` for anything else."""
+    """Parse a decimal digit from `low` to `high`; raises `refusal` for anything else."""
     if argument not in string.digits or not low <= int(argument) <= high:
         raise Refusal(refusal)
     return int(argument)

@@ -1,4 +1,4 @@
-"""Tool definitions: parsed by the unit, written as by a tool maker, and checked for unique geometry.
+"""Tool definitions: parsing, writing, and checking for unique geometry.
 
 Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame. Segment
 lengths distinguish a tool from its mirror image and from other tools.
@@ -45,7 +45,7 @@ WAVELENGTH_BITS = 0x07  # in the marker type
 
 
 class BadDefinition(Exception):
-    """Raised for an invalid tool definition; with `limits`, for a wrong count of markers, faces or groups."""
+    """The tool definition is invalid, for its count of markers, faces or groups if `limits` is set."""
 
     def __init__(self, what: str, *, limits: bool = False) -> None:
         super().__init__(what)
@@ -79,12 +79,12 @@ class ToolDefinition:
 
     @cached_property
     def different_faces(self) -> tuple[int, ...]:
-        """Numbers of the faces in ascending order; empty if there is only one."""
+        """Face numbers in ascending order, or none if there is only one face."""
         return tuple(sorted(set(self.faces)))
 
 
 def parse_definition(content: bytes) -> ToolDefinition:
-    """Parse the memory of a port handle; raises BadDefinition with the first error."""
+    """Parse a port handle's memory; raises BadDefinition with the first error."""
     if len(content) < rom.ROM_BYTES:
         raise BadDefinition(f"{len(content)} bytes, a definition has {rom.ROM_BYTES}")
     if content[: len(rom.ROM_MAGIC)] != rom.ROM_MAGIC:
@@ -132,7 +132,7 @@ def parse_definition(content: bytes) -> ToolDefinition:
 
 
 def write_definition(tool: TrackerTool) -> bytes:
-    """Write the definition file (752 bytes) of a passive tool with one face."""
+    """Write the 752-byte definition file of a passive tool with one face."""
     count = len(tool.markers_mm)
     content = bytearray(rom.ROM_BYTES)
     content[: len(rom.ROM_MAGIC)] = rom.ROM_MAGIC
@@ -166,13 +166,13 @@ def write_definition(tool: TrackerTool) -> bytes:
 
 
 def build_test_definition() -> bytes:
-    """Build the test definition that TTCFG loads for a wired tool without memory."""
+    """Build the test definition loaded by TTCFG for a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
 
 
 def checksum(content: bytes) -> int:
-    """Return the checksum of a definition, which zero padding does not change."""
+    """Return the checksum of a definition, unaffected by zero padding."""
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
@@ -203,7 +203,7 @@ def _put_text(content: bytearray, offset: int, length: int, text: str) -> None:
 def warning_of(
     tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
 ) -> WarningCode | None:
-    """Return the PINIT warning for a tool in the presence of others; None for a valid tool."""
+    """Return the PINIT warning for a tool among others, or None for a valid tool."""
     unique = _has_unique_segments(tool, behaviour)
     conflicts = any(_conflicts(tool, other, behaviour) for other in others)
     if not unique:
@@ -214,7 +214,7 @@ def warning_of(
 
 
 def wavelength_of(tool: ToolDefinition) -> int:
-    """Return the wavelength code of a tool's markers."""
+    """Return the wavelength code for a tool's markers."""
     return tool.marker_type & WAVELENGTH_BITS
 
 
@@ -250,7 +250,7 @@ def _segments_mm(tool: ToolDefinition) -> dict[tuple[int, int], float]:
 
 
 def _triangles_mm(segments_mm: dict[tuple[int, int], float], markers: int) -> list[list[float]]:
-    """Return the side lengths of every triangle of markers, shortest first."""
+    """Return the ascending side lengths of every triangle of markers."""
     return [
         sorted((segments_mm[a, b], segments_mm[a, c], segments_mm[b, c]))
         for a, b, c in combinations(range(markers), 3)

@@ -1,4 +1,4 @@
-"""User parameters (GET, GETINFO, SET, DFLT, SAVE), and the alerts that hosts read and clear with them."""
+"""User parameters (GET, GETINFO, SET, DFLT, SAVE), including alerts that hosts read and clear."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ATTRIBUTE_READ, ATTRIBUTE_WRITE = "1", "3"
 
 
 class UserParameters:
-    """All parameters of a unit. Values stored by SAVE survive `reset`."""
+    """All parameters of a unit, with those stored by SAVE surviving `reset`."""
 
     def __init__(
         self, model: UnitModel, wired_ports: int, alerts: Alerts, mode_name: Callable[[], str]
@@ -61,17 +61,17 @@ class UserParameters:
         }
 
     def value(self, name: str) -> str:
-        """Return the value of a parameter; raises Refusal for an unknown name."""
+        """Return a parameter's value; raises Refusal if the name is unknown."""
         known = self._require_parameter(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
     def number(self, name: str) -> int:
-        """Return the value of an integer parameter."""
+        """Return an integer parameter's value."""
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """Return the parameters selected by a name, or by a prefix and `*`; raises Refusal if none match."""
+        """Return the parameters matching a name or a prefix and `*`; raises Refusal if none match."""
         if not pattern.endswith(WILDCARD):
             return (self._require_parameter(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -81,7 +81,7 @@ class UserParameters:
         return found
 
     def information(self, parameter: Parameter) -> str:
-        """Return one line of GETINFO, with seven fields."""
+        """Return a parameter's GETINFO line, with seven fields."""
         low, high = parameter.limits or ("", "")
         kind = TYPE_INTEGER if parameter.limits else TYPE_TEXT
         attribute = ATTRIBUTE_WRITE if parameter.writable else ATTRIBUTE_READ
@@ -90,7 +90,7 @@ class UserParameters:
         return ";".join(fields)
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Set a parameter; raises Refusal if it is unknown or read-only, or the value is invalid."""
+        """Set a parameter; raises Refusal if it is unknown or read-only, or if the value is invalid."""
         parameter = self._require_writable(name, tracking=tracking)
         if parameter.limits is not None:
             value = str(_parse_number_within(value, parameter.limits))
@@ -99,7 +99,7 @@ class UserParameters:
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
-        """Restore factory values. A wildcard skips read-only parameters."""
+        """Restore factory values, with a wildcard skipping parameters that cannot be written now."""
         if not pattern.endswith(WILDCARD):
             parameter = self._require_writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
@@ -109,7 +109,7 @@ class UserParameters:
                 self._store(parameter, parameter.default)
 
     def save(self) -> None:
-        """Store the current settings, which a reset restores."""
+        """Store the current settings, to be restored by a reset."""
         self._saved = {name: self._values[name] for name, p in self._parameters.items() if p.kept}
 
     def save_value(self, name: str, value: str) -> None:
@@ -162,7 +162,7 @@ def _parse_number_within(value: str, limits: tuple[int, int]) -> int:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: an integer if it has `limits`, otherwise text.
+    """A parameter: an integer if it has `limits`, otherwise text.
 
     SAVE stores `kept` parameters; `options` names the values of an enumeration.
     """
@@ -178,7 +178,7 @@ class Parameter:
 
 
 def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
-    """Return all parameters with factory values, in the order in which a wildcard lists them."""
+    """Return all parameters with factory values, in wildcard listing order."""
     return (*_feature_parameters(model, wired_ports), *_setting_parameters(model), *_status_parameters(model))
 
 
@@ -261,14 +261,14 @@ def _number_parameter(
     options: str = "",
     while_tracking: bool = False,
 ) -> Parameter:
-    """Define an integer parameter that hosts may set and SAVE stores."""
+    """Define an integer parameter that hosts may set and save."""
     return Parameter(
         name, str(default), description, True, while_tracking, limits, kept=True, options=options
     )
 
 
 class Alerts:
-    """Present alerts, and new alerts, which reading clears.
+    """Current alerts, and new alerts that are cleared by reading.
 
     Three sources: simulated by the host, actual lasting problems, and a bump, which stays until cleared.
     """
@@ -283,22 +283,22 @@ class Alerts:
         self._raised = Alert(0)
 
     def reset(self) -> None:
-        """Clear bump and simulated alerts at power-up. Lasting alerts are detected again."""
+        """Clear bump and simulated alerts at power-up, leaving lasting alerts to be redetected."""
         self._simulated = self._raised = self._new = self.current = Alert(0)
         self._update()
 
     def simulate(self, bits: int) -> None:
-        """Set the alerts that the host simulates (`Param.Simulated Alerts`)."""
+        """Set the alerts simulated by the host (`Param.Simulated Alerts`)."""
         self._simulated = Alert(bits & ALL_ALERTS)
         self._update()
 
     def set_lasting(self, bits: int) -> None:
-        """Set the alerts of the present lasting problems."""
+        """Set the alerts for ongoing problems."""
         self._lasting = Alert(bits & ALL_ALERTS)
         self._update()
 
     def raise_alert(self, alert: Alert) -> None:
-        """Raise an alert until the host clears it. A bump counts only if its detection is on."""
+        """Raise an alert until the host clears it, ignoring bumps if their detection is off."""
         if alert is Alert.BUMP and not self.detects_bumps:
             return
         self._new |= alert  # a second bump is also a new alert
@@ -306,14 +306,14 @@ class Alerts:
         self._update()
 
     def clear_bump(self) -> None:
-        """Clear the bump."""
+        """Clear the bump alert."""
         self._raised &= ~Alert.BUMP
         self._simulated &= ~Alert.BUMP
         self._new &= ~Alert.BUMP
         self._update()
 
     def read_new(self) -> int:
-        """Return the alerts that have not been read yet. Reading clears them."""
+        """Return and clear the unread alerts."""
         new = int(self._new)
         self._new = Alert(0)
         self._update()

@@ -1,4 +1,4 @@
-"""Faults of the theatre, scripted or injected live.
+"""Theatre faults, scripted or injected live.
 
 Each device has a module with its kinds of fault, and queries its own board for the active ones.
 """

@@ -1,4 +1,4 @@
-"""Fault script of a running theatre: the faults now acting on a device, and edits of the script."""
+"""Fault script of a running theatre: active faults of a device, and script edits."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
 
 
 class FaultBoard:
-    """Active faults of one device, cheap to query if there are none."""
+    """Active faults of a device, cheap to query if there are none."""
 
     def __init__(self, world: World, device: str, cycle: Callable[[], int] | None = None) -> None:
-        """`cycle` returns the current cycle of a device that counts cycles."""
+        """Use `cycle` to read the current cycle of a device that counts cycles."""
         self._world = world
         self._device = device
         self._cycle = cycle
@@ -30,12 +30,12 @@ class FaultBoard:
 
     @property
     def empty(self) -> bool:
-        """Whether the script has no fault of this device. This is the cheapest query."""
+        """Whether the script has no faults of this device; the cheapest query."""
         self._refresh()
         return not self._faults
 
     def active(self, kind: str) -> tuple[Fault, ...]:
-        """Return the active lasting faults of one kind."""
+        """Return the active lasting faults of a kind."""
         return tuple(fault for fault in self.acting() if fault.kind.name == kind)
 
     def acting(self) -> tuple[Fault, ...]:
@@ -43,7 +43,7 @@ class FaultBoard:
         return tuple(fault for fault, _ in self.acting_since())
 
     def acting_since(self) -> tuple[tuple[Fault, float], ...]:
-        """Return the active lasting faults, each with the theatre time of its onset."""
+        """Return the active lasting faults with the theatre time of each onset."""
         now_s = self._world.clock.now_s()
         return tuple(
             (fault, onset_s)
@@ -52,7 +52,7 @@ class FaultBoard:
         )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:
-        """Report momentary faults of this kind that have become due since the last call, each only once.
+        """Return each momentary fault of this kind that has become due since the last call.
 
         A fault bound to a step happens once each time the step is entered.
         """
@@ -66,7 +66,7 @@ class FaultBoard:
         return tuple(due)
 
     def _list_onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
-        """Yield each fault with the theatre time of its onset."""
+        """Yield each fault and the theatre time of its onset."""
         self._refresh()
         if not self._faults:
             return
@@ -90,7 +90,7 @@ class FaultBoard:
 
 
 def format_beginning(now_s: float) -> str:
-    """Format the beginning of a script line that acts from a theatre time on, to the nanosecond.
+    """Format the start of a script line for a fault beginning at a theatre time, to the nanosecond.
 
     Coarser rounding could place it ahead of a clock that stands still until someone advances it.
     """
@@ -98,7 +98,7 @@ def format_beginning(now_s: float) -> str:
 
 
 def begin_now(line: str, now_s: float) -> str:
-    """Replace `now`, or a missing beginning, with the present theatre time."""
+    """Replace `now`, or a missing start time, with the present theatre time."""
     if not has_beginning(line):
         return f"{format_beginning(now_s)}: {line}"
     trigger, colon, rest = line.partition(":")
@@ -106,7 +106,7 @@ def begin_now(line: str, now_s: float) -> str:
 
 
 def begin_with_step(text: str, step: str, now_s: float) -> str:
-    """Start the faults scripted `since` that step, at the present theatre time plus their delay."""
+    """Start the faults scripted `since` a step at the present theatre time plus their delay."""
     lines = text.split("\n")
     for fault in parse_faults(text):
         if fault.lasts and fault.begins_in(step):
@@ -116,7 +116,7 @@ def begin_with_step(text: str, step: str, now_s: float) -> str:
 
 
 def without_fault(text: str, line: str) -> str:
-    """Remove a fault from the script, whatever its beginning; raises SIM-003 if there is no such fault."""
+    """Remove a fault from the script regardless of when it begins; raises SIM-003 if it is not there."""
     phrase = parse_request(line).phrase
     faults = parse_faults(text)
     ended = {fault.line for fault in faults if fault.phrase == phrase}

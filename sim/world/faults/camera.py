@@ -1,4 +1,4 @@
-"""Kinds of fault of the cameras: view, stream, control channel, triggers and clocks, lens."""
+"""Camera fault kinds: view, stream, control channel, triggers and clocks, lens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults in a script, and kinds of fault: phrase, checks against a scene, meaning."""
+"""Scripted faults and fault kinds: phrase, checks against a scene, and meaning."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault in a script. `at_s`, `step` or `cycle` determines when it begins."""
+    """A scripted fault, whose start is given by `at_s`, `step` or `cycle`."""
 
     kind: FaultKind
     arguments: Arguments
@@ -37,12 +37,12 @@ class Fault:
 
     @property
     def argument(self) -> str:
-        """First argument; empty for a fault without arguments."""
+        """First argument, or an empty string if there are none."""
         return self.arguments[0] if self.arguments else ""
 
     @property
     def phrase(self) -> str:
-        """The fault as written in a script, without its beginning and duration."""
+        """The fault as written in a script, without its start and duration."""
         words = iter(self.arguments)
         return " ".join(
             next(words) if word in TERMINALS else word
@@ -51,7 +51,7 @@ class Fault:
 
     @property
     def effect(self) -> str:
-        """Effect and timing in words, for the person injecting the fault."""
+        """Description of effect and timing for the person injecting the fault."""
         begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
             later = f"{self.after_s:g} s after " if self.after_s else "when "
@@ -65,7 +65,7 @@ class Fault:
         return f"{self.phrase}, {begins}, {duration}. {self.kind.meaning}"
 
     def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
-        """Return the theatre time of the onset; infinite before its step runs, or before its cycle."""
+        """Return the theatre time of the onset, infinite until its step or cycle has begun."""
         if self.at_s is not None:
             return self.at_s
         if self.cycle is not None:
@@ -75,17 +75,17 @@ class Fault:
         return math.inf
 
     def same_as(self, other: Fault) -> bool:
-        """Whether both are the same fault, wherever they stand in the script."""
+        """Return whether two faults are the same, regardless of their script lines."""
         return replace(self, line=other.line) == other
 
     def begins_in(self, step: str) -> bool:
-        """Return whether the fault begins with that step."""
+        """Return whether the fault begins with the given step."""
         return self.step in (step, step.partition(":")[0])
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One kind of fault that a device can have.
+    """A kind of fault that a device can have.
 
     `phrase` is the text between the device's name and `for`: words verbatim, arguments as terminals of the
     grammar (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or until cleared
@@ -102,18 +102,18 @@ class FaultKind:
 
     @cached_property
     def usage(self) -> str:
-        """Phrase with arguments in readable form."""
+        """Phrase with its arguments in readable form."""
         return _replace_words(f"{self.device} {self.phrase}", USAGE)
 
     @property
     def choices(self) -> Sequence[str]:
-        """Words allowed as the first argument; empty if unrestricted, or if they depend on the scene."""
+        """Words allowed as the first argument, empty if unrestricted or dependent on the scene."""
         check = self.check.first if isinstance(self.check, Both) else self.check
         return check.known if isinstance(check, OneOf) else ()
 
     @property
     def example(self) -> str:
-        """A complete script line as an example."""
+        """Example of a complete script line."""
         name = self.choices[0] if self.choices else EXAMPLE_NAME
         phrase = _replace_words(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
@@ -125,7 +125,7 @@ def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
 
 
 class DeviceFaults:
-    """Declarator of the kinds of fault of one device.
+    """Declares the fault kinds of one device.
 
     `prefix` distinguishes their names from those of other devices; `first` checks every first argument.
     """
@@ -136,15 +136,15 @@ class DeviceFaults:
         self._first = first
 
     def declare_lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
-        """Declare a fault that acts for its duration."""
+        """Declare a kind of fault that lasts for a duration."""
         return self._declare(name, phrase, meaning, check, momentary=False)
 
     def declare_momentary(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
-        """Declare a fault that occurs once."""
+        """Declare a kind of fault that occurs once."""
         return self._declare(name, phrase, meaning, check, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
-        """Declare a lasting fault with a percentage, preceded by the first argument if that is checked."""
+        """Declare a lasting fault with a percentage, which follows the first argument if that is checked."""
         percent = check_at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
         return self.declare_lasting(name, phrase, meaning, percent)
 

@@ -1,4 +1,4 @@
-"""Language of fault scripts: one fault per line, the same on the command line, in tests and live.
+"""Fault script language: one fault per line, with the same syntax on the command line, in tests and live.
 
     at 12.5 s: tracker occlude marker 3 for 2 s
     when step == relocalization: robot drop 5 % for 1 s
@@ -86,7 +86,7 @@ COMMENT: /#[^\n]*/
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 with every invalid line, and the probable meaning of the first."""
+    """Parse a script; raises SIM-003 listing every invalid line, with a suggestion for the first."""
     from lark.exceptions import UnexpectedInput
 
     if len(text) > LONGEST_SCRIPT:
@@ -113,7 +113,7 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
 
 
 def parse_request(line: str) -> Fault:
-    """Parse the single fault in a line typed at the control port; raises SIM-003.
+    """Parse a single fault typed at the control port; raises SIM-003.
 
     Without a beginning it begins now.
     """
@@ -126,12 +126,12 @@ def parse_request(line: str) -> Fault:
 
 
 def has_beginning(line: str) -> bool:
-    """Return whether a line states when its fault begins."""
+    """Return whether a line specifies when its fault begins."""
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
 def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Read a script and check it against the scene and the devices present; raises SIM-003."""
+    """Read a script and check it against the scene and present devices; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -154,7 +154,7 @@ def check_faults(
     devices: Sequence[str] = DEVICES,
     loaded: Sequence[str] | None = None,
 ) -> None:
-    """Raise SIM-003 listing every fault whose device, marker or tool is missing.
+    """Raise SIM-003 listing every fault that refers to a missing device, marker or tool.
 
     `loaded` are the tools that a client has loaded into the tracker, if known.
     """
@@ -179,7 +179,7 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
 
 
 class Mistake(NamedTuple):
-    """Error in a line, with an example of a valid line and the probable meaning.
+    """Error in a line, with an example of a valid line and a suggested correction.
 
     Only the first mistake of a script gives advice.
     """
@@ -198,7 +198,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
 
 
 def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
-    """Describe the error at which the parser stopped. Search for the intended line only if it `advises`."""
+    """Describe where the parser stopped, and search for the intended line only if `advises` is set."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -255,7 +255,7 @@ def _build_grammar() -> Lark:
 
 
 def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
-    """Build the fault of a parsed line. Also return whether the line states a duration."""
+    """Build the fault from a parsed line, and return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
@@ -275,13 +275,13 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
 
 
 def _find_nearest_kind(line: str) -> FaultKind | None:
-    """Return the kind of fault whose phrase best matches the line after its beginning; None if no match."""
+    """Return the kind of fault whose phrase best matches the line, or None if none matches."""
     by_usage = {kind.usage: kind for kind in FAULT_KINDS}
     return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
 
 
 def _find_intended_line(line: str) -> str | None:
-    """Return the valid line closest to this one, with its numbers and names; None if none is close."""
+    """Return the closest valid line that keeps the numbers and names, or None if none is close."""
     fault = _strip_beginning(line)
     beginning = line[: len(line) - len(fault)]
     phrase, lasts, duration = fault.partition(" for ")
@@ -294,13 +294,13 @@ def _find_intended_line(line: str) -> str | None:
 
 
 def _strip_beginning(line: str) -> str:
-    """Strip the beginning of a line, if any."""
+    """Strip the start time or trigger of a line, if any."""
     found = _TRIGGER.match(line)
     return line[found.end() :].lstrip() if found else line
 
 
 def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
-    """Yield a kind's phrase with the typed words in place of its arguments."""
+    """Yield the phrase of a kind with the typed words as its arguments."""
     phrase = [kind.device, *kind.phrase.split()]
     for typed in (words, [kind.device, *words]):  # the device is easily forgotten
         if len(typed) in (len(phrase), len(phrase) - 1):  # so is the unit at the end

@@ -1,4 +1,4 @@
-"""Kinds of fault of the robot: RSI link, cell and controller, EKI."""
+"""Robot fault kinds: RSI link, cell and controller, EKI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kinds of fault outside the devices: moved objects, loosened screws, manual errors, altered tools.
+"""Fault kinds outside the devices: moved objects, loosened screws, manual errors and altered tools.
 
 Displacements and forces are along the axes of the robot before it moved; for a tool, along those of its tip
 frame.
@@ -18,7 +18,7 @@ declare_lasting = ROOM.declare_lasting
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:
-    """Return the numbers of the tools in the room, where 0 stands for no tool."""
+    """Return the numbers of the tools in the room, with 0 for no tool."""
     return (0, scene.mount.tool_number_stereo, scene.mount.tool_number_guide)
 
 

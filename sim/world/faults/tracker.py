@@ -1,4 +1,4 @@
-"""Kinds of fault of the tracker: its sensors' view, the unit, its line to the host."""
+"""Tracker fault kinds: sensor view, unit, and line to the host."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The scene: its model, the named scenes, and drawing a scene from a seed."""
+"""Scene model, named scenes, and drawing of scenes from a seed."""

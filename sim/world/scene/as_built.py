@@ -1,4 +1,4 @@
-"""Arm, mount and cameras as built: their designs plus random errors.
+"""Arm, mount and cameras as built: design plus random errors.
 
 The errors of arm and mount are parameter set S, which reproduces magnitudes measured on a real robot. All
 are one standard deviation. Links: translations 0.40 mm and rotations 0.05 deg per axis. Joints: offsets
@@ -92,7 +92,7 @@ def draw_arm(generator: np.random.Generator) -> ArmTruth:
 
 
 def draw_mount(generator: np.random.Generator) -> Mount:
-    """Draw the mount: nominal and true tool pose on the flange, guide tip, reference frame M."""
+    """Draw the mount: nominal and true tool pose on the flange, guide tip and reference frame M."""
     identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
     error_mm = generator.normal(0.0, TOOL_ERROR_MM, 3)
     true = matrix_from(np.array(TOOL_IN_FLANGE_MM) + error_mm, np.eye(3))
@@ -107,7 +107,7 @@ def draw_mount(generator: np.random.Generator) -> Mount:
 
 
 def draw_cameras(generator: np.random.Generator) -> tuple[CameraTruth, CameraTruth]:
-    """Draw the left and right camera as built."""
+    """Draw the left and right cameras as built."""
     left = _draw_camera(generator, SERIALS[0], side=-1.0)
     right = _draw_camera(generator, SERIALS[1], side=1.0)
     return left, right

@@ -72,7 +72,7 @@ def draw_head(
     *,
     x_frame: bool = False,
 ) -> Head:
-    """Draw a head with the given numbers of spheres (3..8) and targets; raises SIM-001 if they do not fit.
+    """Draw a head with 3 to 8 spheres (`markers`) and `targets`; raises SIM-001 if they do not fit.
 
     A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
     """
@@ -192,13 +192,13 @@ def _draw_targets(
 
 @dataclass(frozen=True)
 class FrameOnHead:
-    """The x-shaped frame on the head: its spheres, and points (n, 3) on its body; CT frame."""
+    """The x-shaped frame on the head: its spheres and points (n, 3) on its body, in the CT frame."""
 
     fiducials: tuple[Fiducial, ...]
     body_mm: Vector
 
     def leaves_free(self, entry_mm: Vector, outwards: Vector) -> bool:
-        """Return whether a guide over an entry (3,), along a unit vector (3,), clears the frame."""
+        """Return whether a guide along `outwards` (unit vector) over `entry_mm` clears the frame."""
         away = self.body_mm - entry_mm
         along = np.clip(away @ outwards, 0.0, GUIDE_MM)
         lateral_mm = np.linalg.norm(away - along[:, None] * outwards, axis=1)
@@ -206,7 +206,7 @@ class FrameOnHead:
 
 
 def draw_frame(generator: np.random.Generator) -> FrameOnHead:
-    """Draw the place of the frame on the head; raises SIM-001 if it clears the skin nowhere."""
+    """Draw the frame's place on the head; raises SIM-001 if no place clears the skin."""
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     left = np.array(LEFT_CT)
     front = np.cross(axis, left)
@@ -250,7 +250,7 @@ def _along(start: tuple[float, ...], end: tuple[float, ...]) -> Vector:
 
 
 def draw_direction(generator: np.random.Generator, axis: Vector, half_angle_rad: float) -> Vector:
-    """Draw a direction within a cone, uniform over its solid angle."""
+    """Draw a direction uniformly distributed over the solid angle of a cone."""
     cosine = generator.uniform(cos(half_angle_rad), 1.0)
     turn = generator.uniform(0.0, 2 * np.pi)
     sine = (1 - cosine**2) ** 0.5
@@ -260,7 +260,7 @@ def draw_direction(generator: np.random.Generator, axis: Vector, half_angle_rad:
 
 
 def skin_at(direction: Vector, semi_axes_mm: Point = SEMI_AXES_MM) -> tuple[Vector, Vector]:
-    """Return the skin point in a direction from the centre, relative to it, and the outward normal there."""
+    """Return the skin point in a direction from the centre, relative to it, and its outward normal."""
     axes = np.array(semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2

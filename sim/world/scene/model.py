@@ -1,4 +1,4 @@
-"""Model of the scene: the true state of everything, read by every simulated device.
+"""Scene model: the true state of everything, read by every simulated device.
 
 Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths in mm, angles in rad.
 `nominal` values are those on paper, `true` values the real ones.
@@ -46,7 +46,7 @@ SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
 
 class Fiducial(Strict):
-    """A sphere on a bone screw, or on the x-shaped frame."""
+    """A sphere on a bone screw or on the x-shaped frame."""
 
     number: Count = Field(description="Number that names the sphere in messages and in the ground truth.")
     centre_ct_mm: Numbers3 = Field(description="Centre, CT frame.")
@@ -71,7 +71,7 @@ class Fiducial(Strict):
 
 
 class Head(Strict):
-    """The patient: the true pose of the CT frame in the room, and the head's ellipsoid in the CT frame."""
+    """Patient's head: true pose of the CT frame in the room, and ellipsoid in the CT frame."""
 
     robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient is.")
     centre_ct_mm: Numbers3 = Field(description="Centre of the head ellipsoid, CT frame.")
@@ -141,7 +141,7 @@ class Head(Strict):
 
 
 class CtProtocol(Strict):
-    """CT acquisition: voxel size, grid and noise."""
+    """CT acquisition protocol: voxel size, grid and noise."""
 
     pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Pixel spacing.")
     slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="Slice spacing.")
@@ -152,14 +152,14 @@ class CtProtocol(Strict):
 
 
 class LinkError(Strict):
-    """Deviation of one link of the true arm from its nominal geometry."""
+    """Deviation of a true arm link from its nominal geometry."""
 
     translation_mm: Numbers3 = Field(description="Displacement of the next joint.")
     rotation_rad: Numbers3 = Field(description="Rotation vector of the next joint.")
 
 
 class ArmTruth(Strict):
-    """The true arm: nominal geometry plus these errors, ordered A1..A6.
+    """True arm: nominal geometry plus errors in order A1..A6.
 
     The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and backlash with
     the sign of the last motion; at rest a repeatability error is added.
@@ -196,7 +196,7 @@ class ArmTruth(Strict):
 
 
 class Mount(Strict):
-    """The mount on the flange and the tools that it carries."""
+    """Mount on the flange, with the tools it carries."""
 
     flange_from_tool_nominal: PoseRecord = Field(description="Pose flange <- tool centre, as designed.")
     flange_from_tool_true: PoseRecord = Field(description="The same for the stereo head as it really is.")
@@ -220,7 +220,7 @@ class Mount(Strict):
 
 
 class CameraTruth(Strict):
-    """A true camera: pinhole, distortion k1 k2 p1 p2 k3, and its pose on the head."""
+    """True camera: pinhole, distortion k1 k2 p1 p2 k3 and pose on the stereo head."""
 
     serial: Serial = Field(description="Serial number reported by the camera.")
     focal_px: tuple[FocalPixels, FocalPixels] = Field(
@@ -239,7 +239,7 @@ class CameraTruth(Strict):
 
 
 class TrackerTool(Strict):
-    """A passive tool: its markers and their common normal, in the tool's frame."""
+    """Passive tool: markers and their common normal, in the tool frame."""
 
     name: ToolName = Field(description="Name of the tool.")
     part_number: PartNumber = Field(description="Part number in the tool definition.")
@@ -248,7 +248,7 @@ class TrackerTool(Strict):
 
 
 class TrackerTruth(Strict):
-    """The tracker: its pose, its accuracy for a single marker, and objects that it mistakes for markers.
+    """True tracker: pose, single-marker accuracy, and objects that it mistakes for markers.
 
     Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
     volume: what manufacturers state as accuracy.
@@ -282,7 +282,7 @@ class TrackerTruth(Strict):
 
 
 class Stand(Strict):
-    """The calibration stand on the table, empty until a ball or divot is placed on it.
+    """Calibration stand on the table, empty until a ball or divot is placed on it.
 
     Divot and ball share one position to within the stand's own tolerance.
     """
@@ -300,7 +300,7 @@ class Stand(Strict):
 
 
 class ArmResidual(Strict):
-    """Residual errors of an arm calibration, one standard deviation each."""
+    """Residual errors of an arm calibration, as standard deviations."""
 
     link_mm: NotNegative = Field(default=0.06, description="Error of each link's length, per axis.")
     angle_rad: NotNegative = Field(
@@ -310,7 +310,7 @@ class ArmResidual(Strict):
 
 
 class CalibrationError(Strict):
-    """Stated errors of the calibration records that the theatre supplies, one standard deviation each."""
+    """Stated errors of the theatre's calibration records, as standard deviations."""
 
     camera_rotation_rad: NotNegative = Field(default=4e-5, description="Rotation of each camera, per axis.")
     camera_translation_mm: NotNegative = Field(default=0.01, description="Position of each camera, per axis.")
@@ -335,7 +335,7 @@ class CalibrationError(Strict):
 
 
 class Scene(Strict):
-    """The complete truth about the theatre."""
+    """Complete ground truth of a theatre."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of this file format."
@@ -368,7 +368,7 @@ class Scene(Strict):
 
 
 def parse_scene(content: dict[str, Any], name: str) -> Scene:
-    """Validate the content of a scene; raises SIM-001 with every error."""
+    """Validate a scene's content; raises SIM-001 listing every error."""
     try:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
@@ -379,7 +379,7 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
 
 
 def parse_scene_json(content: bytes, name: str) -> Scene:
-    """Parse the content of a JSON scene file; raises SIM-001 with every error."""
+    """Parse the content of a JSON scene file; raises SIM-001 listing every error."""
     try:
         return Scene.model_validate_json(content, strict=False)
     except ValidationError as error:
@@ -387,7 +387,7 @@ def parse_scene_json(content: bytes, name: str) -> Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file (TOML or JSON); raises SIM-001 with every error."""
+    """Read a scene file (TOML or JSON); raises SIM-001 listing every error."""
     try:
         if path.suffix == ".json":
             return parse_scene_json(read_json_bytes(path), path.name)

@@ -101,7 +101,7 @@ def draw_scene(
 
 
 def _draw_stand(seed: int) -> Stand:
-    """Draw the stand with independent noise, so that the rest of the scene does not depend on it."""
+    """Draw the stand with independent noise, so that it does not affect the rest of the scene."""
     generator = noise(seed, "stand", 0)
     return Stand(
         ball_mm=as_point(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
@@ -123,7 +123,7 @@ def frame_on_head() -> TrackerTool:
 
 
 def frame_on_guide() -> TrackerTool:
-    """Return the frame on the guide as a tracker tool, by which the mounted tool is identified."""
+    """Return the guide's frame as a tracker tool, which identifies the mounted tool."""
     return TrackerTool(
         name=GUIDE_FRAME_NAME, part_number=GUIDE_FRAME_PART_NUMBER, markers_mm=GUIDE_FRAME_MARKERS_MM
     )

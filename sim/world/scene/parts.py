@@ -1,4 +1,4 @@
-"""Parts of the scene model: value ranges, a planned trajectory, the guide, manual accuracy.
+"""Scene model parts: value ranges, planned trajectory, guide and manual accuracy.
 
 The frame of spheres on the guide is how the tracker identifies the mounted guide and measures its pose.
 """
@@ -80,7 +80,7 @@ class Target(Strict):
 
     @property
     def depth_mm(self) -> float:
-        """Distance from entry to target, mm."""
+        """Distance from entry to target in mm."""
         return math.dist(self.entry_ct_mm, self.target_ct_mm)
 
     @property
@@ -91,7 +91,7 @@ class Target(Strict):
 
 
 class Guide(Strict):
-    """The true guide and its instrument, as opposed to their records.
+    """True guide and instrument, as opposed to their records.
 
     Its tip frame is that of the mandrel with which the tip was calibrated; z points down the bore.
     """
@@ -126,7 +126,7 @@ class Guide(Strict):
 
 
 class ManualAccuracy(Strict):
-    """Accuracy of the staff's manual tasks."""
+    """Accuracy of the staff's manual work."""
 
     gauge_mm: NotNegative = Field(
         default=0.005, description="Error of a dial reading on the gauge, one standard deviation."

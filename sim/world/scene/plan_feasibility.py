@@ -1,4 +1,4 @@
-"""Feasibility of a drawn plan for the arm. Every drawn scene must be feasible.
+"""Feasibility of a drawn plan for the arm, as required of every drawn scene.
 
 A trajectory is feasible if, at some turn about its axis, the arm reaches all poses in one posture, each from
 a point above. The poses: the tool at every sphere in the orientation of the trajectory, the guide before the
@@ -34,7 +34,7 @@ LIMITED = (0, 1, 2, 4)
 
 
 class PlanFeasibility:
-    """Feasibility of trajectories for an arm that must also measure the spheres (n, 3)."""
+    """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3)."""
 
     def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
         self._arm = description(variant)
@@ -43,7 +43,7 @@ class PlanFeasibility:
         self._known: dict[tuple[int, bytes], bool] = {}
 
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
-        """Return whether one posture reaches all trajectories, each an entry (3,) and a target (3,)."""
+        """Return whether one posture reaches all trajectories, given as entry (3,) and target (3,)."""
         return any(
             all(self._is_trajectory_reachable(*ends, status) for ends in trajectories) for status in STATUSES
         )
@@ -71,7 +71,7 @@ class PlanFeasibility:
         return self._known[key]
 
     def _is_each_sphere_visible(self, orientation: Vector) -> bool:
-        """Return whether both cameras, aimed at each sphere in turn, see it clear of all other spheres."""
+        """Return whether both cameras, aimed at each sphere in turn, see it clear of the other spheres."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
             eyes = self._spheres_mm + orientation @ np.array(camera_mm)
@@ -99,7 +99,7 @@ class PlanFeasibility:
 
 
 def _list_orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
-    """Yield rotations robot <- tool: z along the trajectory, x away from the base, then turned further."""
+    """Yield rotations robot <- tool with z along the trajectory, nearest first to x away from the base."""
     radial = np.array([at_mm[0], at_mm[1], 0.0])
     across = radial - axis * float(axis @ radial)
     x_zero = across / np.linalg.norm(across)
