@@ -1,4 +1,4 @@
-"""Disturbable TCP line between a driver and its device.
+"""TCP line between a driver and its device that injects faults.
 
 It changes only what the device sends, never what the driver sends, so it is safe to use with hardware.
 """
@@ -31,7 +31,7 @@ class _End(Protocol):
 
 
 class LineThread(ABC):
-    """Thread that runs `_serve` within a `with` block; setting `_ended` makes it return."""
+    """Context manager that runs `_serve` in a thread; setting `_ended` stops it."""
 
     def __init__(self, name: str) -> None:
         self._ended = False
@@ -50,7 +50,7 @@ class LineThread(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Forward bytes until `_ended` is set."""
+        """Forward data until `_ended` is set."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -58,7 +58,7 @@ class LineThread(ABC):
 
 
 class DisturbedLine(LineThread):
-    """Disturbable line for one client at a time, as a context manager; the driver connects to `endpoint`."""
+    """Fault-injecting line for one client at a time, as a context manager."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__("disturbed line")
@@ -87,15 +87,15 @@ class DisturbedLine(LineThread):
         self._next = lambda data: [(delay_s, data)]
 
     def inject(self, data: bytes) -> None:
-        """Send the driver bytes that the device never sent."""
+        """Send bytes to the driver that the device never sent."""
         self._injected.append(data)
 
     def silence(self, silent: bool = True) -> None:
-        """Discard everything that the device sends, until switched off."""
+        """Discard all data from the device until switched off."""
         self._silent = silent
 
     def cut(self) -> None:
-        """Close the connection; a new one is accepted."""
+        """Drop the connection; a new one will be accepted."""
         self._cut = True
 
     def _close(self) -> None:

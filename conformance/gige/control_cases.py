@@ -1,4 +1,4 @@
-"""Cases for the registers and control channel of a GigE Vision camera, bypassing the driver.
+"""Cases for a GigE Vision camera's registers and control channel, bypassing the driver.
 
 The number of a case is G and a line of the protocol's checklist. Every case runs on each camera and leaves it
 uncontrolled.
@@ -48,7 +48,7 @@ class ReportsBlockIds(StereoPair, Protocol):
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Block ids of the left and right image; None for a missing image."""
+        """Left and right block ids; None for a missing image."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Cases for camera features, stream and triggers: limits, locks and rates, packet by packet."""
+"""Cases for a GigE Vision camera's features, triggers and stream, packet by packet."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ on_camera = CASES.with_each(cameras)
 
 
 def streams(dut: DeviceUnderTest) -> Iterator[GigeStream]:
-    """Yield the stream of each camera, with small frames and an open channel."""
+    """Yield each camera's stream, with small frames and an open channel."""
     for camera in cameras(dut):
         with controlled_stream(camera) as stream:
             yield stream
@@ -157,7 +157,7 @@ DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 
 def take_frames(stream: GigeStream, count: int) -> list[list[Packet]]:
-    """Take frames with one trigger each."""
+    """Trigger `count` times and return the frame received after each trigger."""
     taken = []
     for _ in range(count):
         stream.trigger()

@@ -110,7 +110,7 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
 def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, camera: str) -> None:
     """Set exposure in microseconds and raw gain (None: the smallest); raises GEV-011 with the limits.
 
-    `camera` names it, for example `left camera`.
+    `camera` is the name used in messages, for example `left camera`.
     """
     exposure, gain = _find_feature(features, EXPOSURE_NAMES), _find_feature(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us, f"exposure_us of the {camera}")
