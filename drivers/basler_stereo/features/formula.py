@@ -47,7 +47,7 @@ LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
 def _divide(first: Number, second: Number) -> Number:
-    """Divide exactly, rounding towards zero: a float holds only 53 of a register's 64 bits."""
+    """Divide exactly, rounding towards zero."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.trunc(first / second)
     quotient = abs(first) // abs(second)
@@ -55,7 +55,7 @@ def _divide(first: Number, second: Number) -> Number:
 
 
 def _remainder(first: Number, second: Number) -> Number:
-    """Return the remainder of division towards zero, with the sign of the dividend."""
+    """Return the remainder of truncating division, with the sign of the dividend."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.fmod(first, second)
     return first - second * int(_divide(first, second))
@@ -106,7 +106,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Number]] = {
 
 
 def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
-    """Evaluate a formula; `whole` selects integer arithmetic with division towards zero.
+    """Evaluate a formula; `whole` selects integer arithmetic with truncating division.
 
     Raises GEV-009 for a formula that cannot be parsed, an unknown name, or an undefined result.
     """
@@ -145,7 +145,7 @@ def _evaluate(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bo
 
 
 def _evaluate_operation(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
-    """Evaluate one operation without checking the magnitude of its value."""
+    """Evaluate one operation without checking the magnitude of the result."""
     kind, parts = str(node.data), node.children
     if kind == "number":
         text = str(parts[0])
