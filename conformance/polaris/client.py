@@ -260,7 +260,7 @@ OPTION_STRAYS = 0x1000
 
 @dataclass(frozen=True)
 class HandleReport:
-    """State of one handle; `pose` is q0 qx qy qz tx ty tz error, or None if the tool is missing."""
+    """State of one handle; `pose` is q0 qx qy qz tx ty tz error, None for a missing tool."""
 
     handle: str
     status: HandleStatus

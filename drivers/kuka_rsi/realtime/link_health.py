@@ -52,7 +52,7 @@ class Losses:
         self.held_cycles = 0  # consecutive cycles, up to now, without an effective reply
 
     def count(self, ipoc: int, delay: int) -> int | None:
-        """Return the cycles missing before a telegram: -1 if out of order or repeated, None for another run."""
+        """Return the cycles missing before a telegram; -1 if out of sequence, None for another run."""
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
