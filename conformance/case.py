@@ -31,7 +31,7 @@ HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
-    """Result of running a conformance case."""
+    """Outcome of a conformance case."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -136,7 +136,7 @@ class Suite(CaseList):
         self.motions = motions
 
     def with_cases(self, cases: Iterable[Case]) -> Suite:
-        """Return a copy of this suite with other cases."""
+        """Return a suite of the same kind with these cases."""
         return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
 
     def list_moving_cases(self) -> list[str]:

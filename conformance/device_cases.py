@@ -1,4 +1,4 @@
-"""Cases that every device must pass, and checks shared by all suites.
+"""Cases that every device must pass, and checks shared by the suites.
 
 The cases: activation for a block, observation from outside, a probe. The checks: interface, lifecycle,
 refusals, closing.
@@ -26,7 +26,7 @@ SLACK_S = 1.5  # on top of a time limit, for a busy computer
 
 @contextmanager
 def ends_within(limit_s: float) -> Iterator[None]:
-    """Require the block to finish within `limit_s` of host time."""
+    """Require the block to end within `limit_s` of host time."""
     began_s = time.monotonic()
     yield
     elapsed_s = time.monotonic() - began_s
@@ -71,7 +71,7 @@ def check_closing(device: Device, limit_s: float) -> None:
 
 
 def check_connect_failure(device: Device, limit_s: float) -> None:
-    """Check that connecting to an endpoint without a device fails in time, with code and advice."""
+    """Check that connecting without a device at the endpoint fails in time, with code and advice."""
     try:
         with ends_within(limit_s + SLACK_S):
             error = refused(lambda: device.connect(limit_s), ConnectError, "connecting without a device")
@@ -115,7 +115,7 @@ class Interruption(Exception):
 
 @dataclass(frozen=True)
 class DeviceCases:
-    """Generic cases for a device kind: `read` takes a reading, `limit_s` limits the stopping time."""
+    """Generic cases for one kind of device: `read` takes a reading, `limit_s` limits the stopping time."""
 
     read: Callable[[Any], object]
     limit_s: float

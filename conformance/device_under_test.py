@@ -31,14 +31,14 @@ class DeviceUnderTest:
         self._made: list[Device] = []
 
     def make(self, **changes: Any) -> Any:
-        """Create an unconnected driver with a modified configuration, after closing all other connections."""
+        """Create an unconnected driver with a changed configuration, after closing every other connection."""
         self.release()
         device: Device = self.make_beside(**changes)
         self._made.append(device)
         return device
 
     def make_beside(self, **changes: Any) -> Any:
-        """Create an additional driver with a modified configuration; the caller must close it."""
+        """Create an additional driver with a changed configuration; the caller closes it."""
         if "endpoint" in changes:
             changes["endpoints"] = {}
         return make_device(self.name, self.config.model_copy(update=changes), self.clock)
@@ -70,7 +70,7 @@ class DeviceUnderTest:
 
     @property
     def endpoint(self) -> Endpoint:
-        """Endpoint of a driver with a single one; the case's requirements guarantee this."""
+        """Only endpoint of the driver, as the case's requirements guarantee."""
         assert self.config.endpoint is not None, "the case needs a single endpoint"
         return parse_endpoint(self.config.endpoint)
 

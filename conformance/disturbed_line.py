@@ -1,4 +1,4 @@
-"""TCP line between a driver and its device that injects faults.
+"""Fault-injecting TCP line between a driver and its device.
 
 It changes only what the device sends, never what the driver sends, so it is safe to use with hardware.
 """
@@ -50,7 +50,7 @@ class LineThread(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Forward data until `_ended` is set."""
+        """Forward bytes until `_ended` is set."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -87,7 +87,7 @@ class DisturbedLine(LineThread):
         self._next = lambda data: [(delay_s, data)]
 
     def inject(self, data: bytes) -> None:
-        """Send bytes to the driver that the device never sent."""
+        """Send the driver bytes that the device never sent."""
         self._injected.append(data)
 
     def silence(self, silent: bool = True) -> None:

@@ -13,7 +13,7 @@ class NoDeviceChosen(ConfigurationError):
 
 
 class DeviceNotInFile(ConfigurationError):
-    """The theatre file does not contain this device."""
+    """The theatre file has no such device."""
 
     code = "CNF-002"
     action = "Name a device of the theatre file, with --device for one of several robots."

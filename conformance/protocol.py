@@ -56,7 +56,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Return where a line is tested or what its cases omit, or an empty text without a remark."""
+        """Return where a line is tested or what its cases omit; empty if there is no remark."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
@@ -65,7 +65,7 @@ GROUP = "ronna_hw.conformance"
 
 @dataclass(frozen=True)
 class ProtocolCases:
-    """Cases that a package provides for one wire protocol.
+    """Cases of a package for one wire protocol.
 
     `offers` names the needs that it can meet for a given device under test. `simulator` returns the arguments
     of `ronna-sim` for a device that speaks the protocol.

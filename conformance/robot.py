@@ -1,4 +1,4 @@
-"""Cases that every robot arm must pass, independent of its protocol.
+"""Cases that every robot arm must pass, whatever its protocol.
 
 Without `--allow motion` nothing moves: the stream starts with zero corrections, which hold the arm in place.
 The motions of the suite are small and return to their start.

@@ -1,4 +1,4 @@
-"""Cases that every stereo camera pair must pass, independent of its protocol."""
+"""Cases that every stereo pair of cameras must pass, whatever its protocol."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class HasConformanceOptions(Protocol):
 
 
 def load_suite(kind: str) -> Suite:
-    """Load the generic suite for a device kind: tracker, robot or stereo."""
+    """Load the generic suite for a kind of device: tracker, robot or stereo."""
     suite: Suite = importlib.import_module(f"conformance.{kind}").SUITE
     return suite
 

@@ -1,4 +1,4 @@
-"""Cases that every optical tracker must pass, independent of its protocol."""
+"""Cases that every optical tracker must pass, whatever its protocol."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 @dataclass(frozen=True)
 class Reply:
-    """GVCP acknowledge, undecoded."""
+    """GVCP acknowledge: decoded header, raw payload."""
 
     status: int
     code: int
@@ -74,7 +74,7 @@ class GigeLink:
         raise Nonconformity(f"expected an answer from {self.address} to command 0x{command:04X}, got none")
 
     def is_silent_after(self, datagram: bytes) -> bool:
-        """Send a datagram and return whether it goes unanswered."""
+        """Send a datagram and return whether there is no reply."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -84,7 +84,7 @@ class GigeLink:
         return False
 
     def memory(self, address: int, count: int) -> bytes:
-        """Read `count` bytes of memory, up to 536."""
+        """Read `count` bytes of memory, at most 536."""
         answer = self.exchange(GvcpCommand.READMEM, struct.pack(">IHH", address, 0, count))
         self.expect(answer, GevStatus.SUCCESS, f"reading memory at 0x{address:X}")
         check(len(answer.payload) == 4 + count, f"{4 + count} bytes of answer", len(answer.payload))
@@ -107,7 +107,7 @@ class GigeLink:
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
-        """Send the last command again, as after a lost reply; returns whether the camera replies."""
+        """Send the last command again, as after a lost reply; returns whether it is answered."""
         self._socket.send(self._last)
         return self._receive_reply(self._request_id) is not None
 
@@ -201,7 +201,7 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """Return whether the description contains a node with this name."""
+        """Return whether the description has a node of this name."""
         return name in self.nodes
 
     @read_as("an entry with an integer value")

@@ -1,4 +1,4 @@
-"""Cases for a GigE Vision camera's registers and control channel, bypassing the driver.
+"""Cases for the registers and control channel of a GigE Vision camera, bypassing the driver.
 
 The number of a case is G and a line of the protocol's checklist. Every case runs on each camera and leaves it
 uncontrolled.

@@ -50,7 +50,7 @@ on_camera = CASES.with_each(cameras)
 
 
 def streams(dut: DeviceUnderTest) -> Iterator[GigeStream]:
-    """Yield each camera's stream, with small frames and an open channel."""
+    """Yield the stream of each camera, with small frames and an open channel."""
     for camera in cameras(dut):
         with controlled_stream(camera) as stream:
             yield stream

@@ -65,7 +65,7 @@ class EkiLine:
 
     @read_as("an answer with an integer Code")
     def ask(self, name: str, **attributes: object) -> int:
-        """Send a command and return its acknowledgement code."""
+        """Send a command and return the code of its acknowledgement."""
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
 
     def state(self) -> ElementTree.Element:
@@ -167,7 +167,7 @@ class Telegram:
 
     @read_as("an element with numbers")
     def values(self, tag: str) -> dict[str, float]:
-        """Read an element's attributes as numbers."""
+        """Read the attributes of an element as numbers."""
         found = parse_xml(self.raw, MOST_BYTES).find(tag)
         if found is None:
             raise NotShown(f"the controller sends no {tag}")

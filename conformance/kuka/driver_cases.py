@@ -73,7 +73,7 @@ def piecewise_arm(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, 
 
 
 def read_corrections(reply: bytes) -> list[float]:
-    """Read the six axis corrections from a reply, in deg."""
+    """Read the six axis corrections of a reply, in deg."""
     context = load_context()
     tags = [str(context.find_wired_tag("AXISCORR", axis)) for axis in AXES]
     found = []

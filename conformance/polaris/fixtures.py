@@ -105,7 +105,7 @@ def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
 
 
 def reverse_normals(block: bytes) -> bytes:
-    """Reverse every marker normal of a tool, so that no marker faces the unit."""
+    """Reverse all marker normals of a tool, so that no marker faces the unit."""
     changed = bytearray(block)
     count = block[layout.MARKER_COUNT_OFFSET]
     for slot in range(count):
@@ -176,7 +176,7 @@ class MeasuringVolume:
 
     @property
     def depths_mm(self) -> tuple[float, float]:
-        """Depths z of the far and near faces, mm."""
+        """Depths z of the far and the near face, mm."""
         return self.numbers[0] / 100, self.numbers[2] / 100
 
     @property

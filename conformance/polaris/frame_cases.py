@@ -47,7 +47,7 @@ on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 
 @contextmanager
 def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[PolarisLink]:
-    """Yield a unit that is tracking one tool, by default the driver's first."""
+    """Yield a unit that tracks one tool, by default the driver's first."""
     block = block or definition(dut)
     with idle_unit(dut) as unit:
         unit.load_tool(block)

@@ -78,7 +78,7 @@ def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
 
 
 def body_of(reply: bytes) -> bytes:
-    """Extract the body from a complete binary reply."""
+    """Return the body of a complete binary reply."""
     return reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
 
 

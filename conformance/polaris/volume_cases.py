@@ -1,4 +1,4 @@
-"""Checklist lines 35, 36 and 44 to 46: measuring volume, tools outside it, strays."""
+"""Checklist lines 35, 36 and 44 to 46: the measuring volume, tools outside it, strays."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def _test_points(volume: MeasuringVolume) -> list[Vector3]:
 
 
 def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vector3, ...]:
-    """Load a tool with its origin shifted so that its markers surround a point in the tracker frame.
+    """Load a tool with its origin chosen so that its markers surround a point in the tracker frame.
 
     A simulated unit places the origin at the tool's fixed place; a real one finds the spheres where they are,
     so the cases check that position. Leaves the unit tracking; returns the markers of the definition.

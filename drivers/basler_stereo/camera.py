@@ -228,7 +228,7 @@ class Camera:
             self.control.write_register(Bootstrap.CCP, gev.CCP_OPEN, deadline_s)
 
     def close(self, deadline_s: float) -> None:
-        """Release control if the camera still replies, and close all connections; never raises."""
+        """Release control if the camera still replies, then close everything; never raises."""
         if self._control is None:
             return
         with contextlib.suppress(RonnaError, OSError):

@@ -1,4 +1,4 @@
-"""Diagnosis of a camera address: reply, controlling application, largest packet size, advice.
+"""Diagnosis of a camera's address: reply, controlling application, largest packet size, advice.
 
 Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
 packets, and is released; a controlled one is left alone.
@@ -131,7 +131,7 @@ def _find_largest_packet(control: ControlChannel) -> int | None:
 
 
 def _try_read_register(control: ControlChannel, register: int) -> int | None:
-    """Read a register, or return None if this fails."""
+    """Read a register, or return None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _reply_deadline_s())
     except (CommandRefused, NoReply, MalformedReply):

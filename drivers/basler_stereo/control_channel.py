@@ -1,4 +1,4 @@
-"""GVCP control channel of a camera: commands with retries, control privilege, heartbeat.
+"""GVCP control channel to one camera: commands with retries, control privilege, heartbeat.
 
 A camera keeps the privilege of a dead client until that client's heartbeat times out.
 """
@@ -75,7 +75,7 @@ class ControlChannel:
 
     @property
     def local_address(self) -> str:
-        """Host address on the route to the camera."""
+        """Address of the host on the route to the camera."""
         return str(self.link.getsockname()[0])
 
     def close(self) -> None:
@@ -114,7 +114,7 @@ class ControlChannel:
         self.ask(GvcpCommand.WRITEMEM, gvcp.write_memory_command(address, data), deadline_s, what)
 
     def ask(self, command: GvcpCommand, payload: bytes, deadline_s: float, what: str) -> bytes:
-        """Send a command and return the acknowledge's payload; raises GEV-006, GEV-007."""
+        """Send a command and return the payload of its acknowledge; raises GEV-006, GEV-007."""
         with self._lock:
             request_id, datagram = self._prepare(command, payload)
             self._send(datagram)
@@ -216,7 +216,7 @@ def send_together(
 
 
 def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -> None:
-    """Take control of a camera, which messages call `camera_name`.
+    """Take control of a camera; `camera_name` is its name in messages.
 
     Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
     time). Raises GEV-005 when that controller is alive or time is up, GEV-006, GEV-007.

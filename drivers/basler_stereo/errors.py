@@ -74,7 +74,7 @@ class MalformedReply(ProtocolError):
 
 
 class BadDescription(ProtocolError):
-    """The camera's GenICam description is unreadable or inconsistent."""
+    """The camera's GenICam description cannot be read or is inconsistent."""
 
     code = "GEV-009"
     action = "Note the camera's firmware version and report it; another firmware may help."
@@ -130,7 +130,7 @@ class BadOptions(ConfigurationError):
 
 
 class ReceiverEnded(DeviceError):
-    """The driver's receiver process has terminated."""
+    """The driver's receiver process has ended."""
 
     code = "GEV-017"
     action = (

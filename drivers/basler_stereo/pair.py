@@ -97,7 +97,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Left and right block ids of the last pair, None for a missing image; streams restart them."""
+        """Left and right block ids of the last pair, None for a missing image; each stream restarts them."""
         return self._grabber.block_ids if self._grabber else (None, None)
 
     def record_bytes(self, sink: ByteSink | None) -> None:

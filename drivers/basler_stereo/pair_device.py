@@ -252,7 +252,7 @@ class PairDevice(ABC, Generic[C]):
             self._start_streams(deadline_s)
 
     def _store_pair(self, pair: StereoReading) -> StereoReading:
-        """Store the latest pair for `observe`."""
+        """Store a new pair for `observe`."""
         self._last_pair = pair
         self._unusable_count += pair.validity is not Validity.OK
         return pair
@@ -289,7 +289,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:
-    """Combine two camera identities into one device identity."""
+    """Combine the identities of both cameras into one device identity."""
     return Identity(
         vendor=left.vendor,
         model=left.model,

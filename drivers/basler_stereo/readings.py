@@ -138,7 +138,7 @@ class PairClock:
         return None not in self._ties
 
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
-        """Return the theatre time at which each exposure started, if known."""
+        """Return the theatre time at which each exposure began, if known."""
         left, right = (
             tie.moment_s(count) if tie else None for tie, count in zip(self._ties, ticks, strict=True)
         )

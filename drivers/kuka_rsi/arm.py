@@ -1,4 +1,4 @@
-"""KUKA KR C4 as a `RobotArm`."""
+"""KUKA KR C4 arm as a `RobotArm`."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ class Connections:
         return mode
 
     def acknowledge(self, deadline: float) -> None:
-        """Acknowledge the controller's messages and check its state, with no RSI program running.
+        """Stop any RSI program, acknowledge the controller's messages and check its state.
 
         Raises EKI-005 to EKI-007 for unmet requirements, EKI-008 when it refuses for another reason.
         """
@@ -175,7 +175,7 @@ class Connections:
             raise ack_refusal
 
     def end_stream(self, deadline: float) -> None:
-        """End the RSI program by the STOP object, or by EKI if that fails, and close the stream."""
+        """End the RSI program with the STOP object, or by EKI if that fails, and close the stream."""
         eki, link = self.eki, self.link
         number = link.command(CommandKind.END)
         state = link.wait(lambda s: s.command_number >= number, remaining_s(deadline))

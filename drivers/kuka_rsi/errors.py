@@ -40,7 +40,7 @@ class LinkSilent(LinkTimeout):
 
 
 class LinkStopped(StateError):
-    """Replies were stopped on request, so that the controller ends the stream by its Timeout."""
+    """Replies were stopped on request, so that the controller's Timeout ends the stream."""
 
     code = "RSI-004"
     action = f"Find the reason, then {ACKNOWLEDGE}."
@@ -244,7 +244,7 @@ class CommandRefused(DeviceError):
 
 
 class DrivesOff(StateError):
-    """The drives were switched off on request; this remains latched."""
+    """The drives were switched off on request, and a fault is latched."""
 
     code = "EKI-009"
     action = f"Find the reason, then {ACKNOWLEDGE}."

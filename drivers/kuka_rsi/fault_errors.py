@@ -193,7 +193,7 @@ def furthest_text(state: LinkState) -> str:
 
 
 def attach_flight_record(error: RonnaError, arm: str, cycles: Sequence[RecordedCycle]) -> None:
-    """Attach the last cycles to an error as a file for the run folder."""
+    """Attach the last cycles to an error, as a file for the run folder."""
     if cycles:
         title = f"{arm}: the last {len(cycles)} cycles before {error}"
         error.attachments[FILE_NAME.format(arm=arm)] = flight_table(cycles, title)

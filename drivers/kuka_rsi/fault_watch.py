@@ -138,7 +138,7 @@ class FaultWatch:
         self.check()
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Stop the arm after the loss of EKI, which would have reported an emergency stop."""
+        """Stop the arm after losing EKI, since an emergency stop would go unreported."""
         if self._guard.state in RUNNING:
             with contextlib.suppress(Exception):  # perhaps the reader's own failure: the arm is stopped
                 self.check()

@@ -103,7 +103,7 @@ class LinkClient:
 
     @property
     def stalled_s(self) -> float:
-        """Host time since the process last reported, which it does every 10 ms."""
+        """Host time since the last report of the process; reports come every 10 ms."""
         heartbeat_ns = self.mailbox.read_alive_ns()
         return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 

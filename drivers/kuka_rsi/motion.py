@@ -29,7 +29,7 @@ STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
 class MotionPlanner:
-    """Motion planner for one arm; `surroundings` may be replaced between motions."""
+    """Motion planner of one arm; `surroundings` may be replaced between motions."""
 
     def __init__(self, name: str, kinematics: Kinematics, options: KukaOptions, cycle_s: float) -> None:
         self._name = name
@@ -54,7 +54,7 @@ class MotionPlanner:
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
     def clear_plan(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
-        """Add speed limits near obstacles to a plan; raises ARM-007 if clearance is violated."""
+        """Add speed limits along the path to a plan; raises ARM-007 if clearance is violated."""
         path = sweep_path(self._kinematics, plan, self.surroundings)
         path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path, self.limits(mode).body_speed_mm_s)
@@ -65,7 +65,7 @@ class MotionPlanner:
 
 
 class MotionFollower:
-    """Executor of one motion at a time, which it supervises until the arm has settled."""
+    """Executor that supervises one motion at a time until the arm has settled."""
 
     def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name

@@ -49,7 +49,7 @@ class ArmReadings:
         return self._newest
 
     def newest(self, *, streaming: bool) -> ArmReading | None:
-        """Return the latest reading, requested or unsolicited; never raises, on any thread."""
+        """Return the latest reading, requested or unsolicited; never raises, in any thread."""
         eki, link = self._connections.open_eki, self._connections.open_link
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):

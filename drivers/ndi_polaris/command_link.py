@@ -98,7 +98,7 @@ class CommandLink:
         reply_bytes: int = ORDINARY_REPLY_BYTES,
         retry: bool = True,
     ) -> str:
-        """Send a command and return its reply's text, including OKAY and WARNINGhh.
+        """Send a command and return the text of its reply, including OKAY and WARNINGhh.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
         `deadline_s`. With `retry` a disturbed exchange is repeated once, so use it only for commands that may
@@ -246,7 +246,7 @@ class CommandLink:
             buffer += data
 
     def _check_stale_input(self) -> None:
-        """Flush the input before a command; if there is any, the link must resynchronise."""
+        """Flush the input before a command; unexpected bytes force a resynchronisation."""
         if not (stale := self.transport.read(0.0)):
             return
         stale += self.drain(0.0)
@@ -375,7 +375,7 @@ def unit_error(text: str, command: str = "") -> UnitError | None:
 
 
 def warning_meaning(text: str) -> str | None:
-    """Return the meaning of a WARNING reply, after which the command was executed; None for any other."""
+    """Return the meaning of a WARNING reply, or None; a warning does not prevent execution."""
     match = _WARNING.fullmatch(text)
     if not match:
         return None

@@ -177,7 +177,7 @@ class PolarisTracker:
         self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find the unit at any baud rate, initialise it and verify its identity.
+        """Find the unit at any baud rate, initialise it and check its identity.
 
         Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
         """
@@ -212,7 +212,7 @@ class PolarisTracker:
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """Read the next frame with one request to the unit, or two if the first reply was disturbed.
+        """Read the next frame by one request to the unit, or two if the first reply was disturbed.
 
         Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
         unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with

@@ -22,7 +22,7 @@ from ronna_hw.wire.polaris import ERROR_MEANINGS, REPLY_ERROR
 
 
 class PortUnavailable(ConnectError):
-    """The serial port or TCP address cannot be opened."""
+    """The serial port or the TCP address cannot be opened."""
 
     code = "NDI-001"
     action = "Check cable, power, address and permission, and that no other program holds the port."
@@ -138,7 +138,7 @@ class TemperatureHold(DeviceError):
 
 
 class UnitError(DeviceError):
-    """The unit replied ERRORhh, whose number is `vendor_code`."""
+    """The unit replied ERRORhh; `vendor_code` is its number."""
 
     vendor_codes: ClassVar[frozenset[int]] = frozenset()
 
@@ -168,7 +168,7 @@ class CommandGarbled(UnitError):
 
 
 class WrongMode(UnitError):
-    """A command is not valid in the unit's current mode, such as tracking."""
+    """A command is not valid in the current mode of the unit, such as tracking."""
 
     code = "NDI-032"
     action = "Another program may be using the unit, or its watchdog stopped tracking; activate again."

@@ -287,7 +287,7 @@ def _rate_text(attempt: Attempt) -> str:
 
 
 def _decode_text(heard: bytes) -> str | None:
-    """Decode bytes as text if most of them are printable."""
+    """Decode the bytes as text if most of them are printable."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
     if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):
         return None

@@ -1,4 +1,4 @@
-"""Tool definitions shipped with the driver: robot reference frame M and x-shaped fiducial frame.
+"""Tool definitions shipped with the driver: robot reference frame M and the x-shaped fiducial frame.
 
 `python -P -m drivers.ndi_polaris.shipped_tools` regenerates them; a test compares the committed files.
 """

@@ -1,4 +1,4 @@
-"""Comparison of tool definitions by field, and by the marker distances that identify a tool."""
+"""Comparison of tool definitions, by field and by the marker distances that identify a tool."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _format_value(value: Any) -> str:
 
 
 def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
-    """Return the largest difference in segment length, mm, which does not depend on the tools' origins.
+    """Return the largest difference in segment length, mm, independent of the tools' origins.
 
     Segments are paired in order of length. None for unequal numbers of markers.
     """

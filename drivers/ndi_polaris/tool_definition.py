@@ -29,7 +29,7 @@ _SERIAL = ((layout.SERIAL_OFFSET, 4),)
 
 
 def blank_block() -> bytes:
-    """Return an empty definition with the bytes common to all real files."""
+    """Return an empty definition, with the bytes common to all real files."""
     block = bytearray(layout.ROM_BYTES)
     block[: len(layout.ROM_MAGIC)] = layout.ROM_MAGIC
     block[layout.CONSTANT_ONE_OFFSET] = 1
@@ -86,7 +86,7 @@ def make_planar_tool(
 
 
 def face_normal_of(normal: Vector3) -> Vector3:
-    """Return the face normal for a marker normal, which real files store as its opposite."""
+    """Return the face normal for a marker normal; real files store the opposite vector."""
     return -normal[0] or 0.0, -normal[1] or 0.0, -normal[2] or 0.0
 
 

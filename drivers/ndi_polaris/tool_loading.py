@@ -1,4 +1,4 @@
-"""Loading of tools into the unit: port handle, definition, verification with PHINF."""
+"""Loading of tools into the unit: port handle, definition, verification by PHINF."""
 
 from __future__ import annotations
 

@@ -202,7 +202,7 @@ class FrameClock:
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:
-    """Unwrap a frame number to the nearest count after or before `last`.
+    """Unwrap a frame number to the count nearest `last` that is congruent to `number`.
 
     A result below `last` is an older frame.
     """

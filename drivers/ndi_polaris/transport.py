@@ -71,7 +71,7 @@ class Transport(Protocol):
 
 
 def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
-    """Open a serial:// or tcp:// endpoint; raises NDI-001 if this fails, CFG-002 for other schemes."""
+    """Open a serial:// or tcp:// endpoint; raises NDI-001 on failure, CFG-002 for other schemes."""
     endpoint.require("serial", "tcp")
     if endpoint.scheme == "serial":
         return SerialTransport(endpoint)

@@ -1,4 +1,4 @@
-"""GenICam camera description: download, strict XML parsing, register decoding.
+"""GenICam description of a camera: download, strict XML parsing, register decoding.
 
 `feature_map` interprets the nodes.
 """

@@ -47,7 +47,7 @@ LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
 def _divide(first: Number, second: Number) -> Number:
-    """Divide exactly, rounding towards zero."""
+    """Divide exactly, rounding towards zero: a float holds only 53 of a register's 64 bits."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.trunc(first / second)
     quotient = abs(first) // abs(second)
@@ -145,7 +145,7 @@ def _evaluate(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bo
 
 
 def _evaluate_operation(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
-    """Evaluate one operation without checking the magnitude of the result."""
+    """Evaluate one operation without checking the magnitude of its value."""
     kind, parts = str(node.data), node.children
     if kind == "number":
         text = str(parts[0])

@@ -1,1 +1,1 @@
-"""GVSP reception in a separate process, from packets to frames in shared memory."""
+"""GVSP reception in a separate process: from stream packets to frames in shared memory."""

@@ -86,7 +86,7 @@ def decode_leader(content: memoryview) -> Leader | None:
 
 
 def next_block_id(block_id: int) -> int:
-    """Return the next block id, which wraps around and skips 0."""
+    """Return the next block id; ids wrap around and skip 0."""
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST
 
 

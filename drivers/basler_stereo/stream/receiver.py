@@ -103,7 +103,7 @@ class ReceiverProcess:
         return ReceiverEnded("the receiver process has ended", got=exit_text)
 
     def close(self) -> None:
-        """Stop the process within two seconds."""
+        """End the process within two seconds."""
         self._orders.close()
         try:
             self._process.wait(END_LIMIT_S)
@@ -248,6 +248,6 @@ def _test_size(control: ControlChannel, stream: socket.socket, size: int, deadli
 
 
 def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
-    """Set the packet size and return the size that the camera accepted."""
+    """Set the packet size; return the size that the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

@@ -136,7 +136,7 @@ class FrameSlots:
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
-        """Claim the least recently used slot for overwriting; returns its number and memory."""
+        """Claim the least recently written slot for overwriting; return its number and memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
         self._use_counts[slot] = self._claimed

@@ -80,7 +80,7 @@ class EkiClient:
         timeout_s: float,
         on_bytes: Callable[[Direction, bytes], None] | None = None,
     ) -> None:
-        """Connect to the controller; raises EKI-001 if this fails. `on_bytes` receives all traffic."""
+        """Connect to the controller; raises EKI-001 on failure. `on_bytes` receives all traffic."""
         self._on_bytes = on_bytes
         self.where = f"tcp://{host}:{port}"
         try:
@@ -234,7 +234,7 @@ class EkiClient:
         return ControllerLost(f"{self.where}{how}")
 
     def _receive_bytes(self) -> bytes:
-        """Receive the next bytes, which are empty once the controller has closed the connection."""
+        """Receive the next bytes, or none once the controller has closed the connection."""
         while True:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)

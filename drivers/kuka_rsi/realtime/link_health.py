@@ -1,4 +1,4 @@
-"""Link health: losses, foreign senders, and turnaround and jitter histograms."""
+"""Link health: losses, foreign senders, and histograms of turnaround and jitter."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ class Choice(IntEnum):
 
 
 class Orders(NamedTuple):
-    """Order words read by the real-time process in every cycle."""
+    """Order words that the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int

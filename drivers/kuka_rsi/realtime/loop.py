@@ -206,7 +206,7 @@ class LinkLoop:
         return found, ready
 
     def _rehearse(self) -> None:
-        """Exercise the path from telegram to reply without effect, to keep caches warm."""
+        """Run the code path from telegram to reply without effect, to keep the caches warm."""
         self._rehearsal.exchange(self._last_data)
         self._match_prepared_reply(self._last_data)
 

@@ -206,7 +206,7 @@ class Mailbox:
         _RECORDER.write(self._memory, record, record.cycle % RECORDER_CYCLES)
 
     def keep(self, received_ns: int, sent_ns: int, telegram: bytes, reply: bytes) -> None:
-        """Record a cycle's traffic until the driver fetches it or newer cycles overwrite it."""
+        """Keep a cycle's traffic until the driver fetches it or it is overwritten."""
         head = _KEPT_HEAD.pack(KeptHead(received_ns, sent_ns, len(telegram), len(reply)))
         _KEPT.write(self._memory, head + telegram + reply)
 

@@ -107,7 +107,7 @@ class Responder:
         return self._measured
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
-        """Return the reply up to its IPOC, or None if the telegram must not be answered."""
+        """Return the reply up to its IPOC, or None if this telegram must not be answered."""
         self.ready = None
         self._axes_deg = telegram.axes_deg
         self._previous_ns, self._received_ns = self._received_ns, now_ns
@@ -347,7 +347,7 @@ class Responder:
         self._stopping = self.moving
 
     def _stop_replying(self, points: SetPoints) -> None:
-        """Stop replying, so that the controller holds the last point and ends the run by its Timeout."""
+        """Stop replying, so that the controller holds the last point and its Timeout ends the run."""
         self.phase = Phase.SILENT
         points.abandon()
         self._follow_motion(points)

@@ -58,7 +58,7 @@ class LinkSockets:
         self._peer: Address | None = None  # only while the stream has its own socket
 
     def connect_to(self, peer: Address) -> None:
-        """Open a stream socket connected to the controller."""
+        """Open the stream socket connected to this controller."""
         self.disconnect()
         own: Address = self._listening.getsockname()
         if own[0] == ANY_HOST:
@@ -138,7 +138,7 @@ class TelegramReceiver:
         rehearse: Callable[[], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Create a receiver that calls `rehearse` `lead_ns` before a telegram is due, or never with 0."""
+        """Create a receiver; `rehearse` runs `lead_ns` before each telegram is due, or never if 0."""
         self._sockets = sockets
         self._lead_ns = lead_ns
         self._rehearse = rehearse
@@ -170,7 +170,7 @@ class TelegramReceiver:
         return self._keeps_pace
 
     def note_lock_step(self) -> None:
-        """Record a datagram sent in immediate response to our reply, so without a schedule."""
+        """Record a datagram sent in immediate response to a reply, and discard the schedule."""
         self._pace.forget()
         self._keeps_pace = False
 
