@@ -1,4 +1,4 @@
-"""Conformance cases: small functions, each with a number, a statement of behaviour and requirements."""
+"""Building blocks of the conformance suites: numbered cases, their requirements, and their checks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conformance.errors import NoSuchCase
 
 @dataclass(frozen=True)
 class Need:
-    """Requirement of a case on the device under test, with the reason for skipping without it."""
+    """Requirement of a case on the device under test, and the reason reported when the case is skipped."""
 
     name: str
     reason: str
@@ -39,11 +39,11 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """A case cannot be decided here, such as without a stray in view; gives the reason."""
+    """The case cannot be decided on this device, for example because no stray is in view."""
 
 
 class Nonconformity(AssertionError):
-    """The device behaves differently from a case's statement."""
+    """The device does not behave as the case states."""
 
 
 Run = Callable[[DeviceUnderTest], object]
@@ -60,7 +60,7 @@ class CaseOf(Protocol[S]):
 
 @dataclass(frozen=True)
 class Case:
-    """Required behaviour under a stable number.
+    """Required behaviour with a stable case number.
 
     T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
@@ -72,13 +72,13 @@ class Case:
 
 
 class CaseList:
-    """Cases in order of definition."""
+    """Conformance cases in order of definition."""
 
     def __init__(self, cases: Iterable[Case] = ()) -> None:
         self.cases = list(cases)
 
     def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
-        """Add the decorated function as a case; raises ValueError if the number is already used."""
+        """Register the decorated function as a case; raises ValueError if the number is already in use."""
         if any(other.number == number for other in self.cases):
             raise ValueError(f"two cases have number {number}")
 
@@ -144,7 +144,7 @@ class Suite(CaseList):
         return [case.number for case in self.cases if MOTION in case.needs]
 
     def only(self, prefixes: Sequence[str]) -> Suite:
-        """Select the cases whose number starts with one of `prefixes`, by default all; raises CNF-003."""
+        """Select the cases whose numbers start with one of `prefixes`, by default all; raises CNF-003."""
         if not prefixes:
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
@@ -154,13 +154,13 @@ class Suite(CaseList):
 
 
 def check(condition: bool, expected: str, found: object = "") -> None:
-    """Raise Nonconformity unless `condition` holds, with expected and actual behaviour."""
+    """Raise Nonconformity with expected and actual behaviour unless `condition` holds."""
     if not condition:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
 def require_present(value: S | None, expected: str, found: object = "") -> S:
-    """Return a value that must not be None; raises Nonconformity like `check`."""
+    """Return the value; raises Nonconformity if it is None."""
     check(value is not None, expected, found)
     assert value is not None, "check has raised"
     return value
@@ -168,7 +168,7 @@ def require_present(value: S | None, expected: str, found: object = "") -> S:
 
 @contextmanager
 def read_as(expected: str) -> Iterator[None]:
-    """Decode a device's bytes in a context; raises Nonconformity if they are not `expected`.
+    """Raise Nonconformity if the block cannot decode the device's bytes as `expected`.
 
     Also a decorator.
     """
@@ -179,7 +179,7 @@ def read_as(expected: str) -> Iterator[None]:
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """Return the error raised by `call`; raises Nonconformity without one, or for another class."""
+    """Return the `kind` of error that `call` must raise; raises Nonconformity if it does not."""
     try:
         call()
     except kind as error:

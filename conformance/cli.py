@@ -86,7 +86,7 @@ def conformance(
 def _require_confirmation(
     motions: str, moving_cases: list[str], dut: DeviceUnderTest, given: str | None
 ) -> str:
-    """Return the name of the person who confirms motion; raises CNF-005 without a name."""
+    """Return the name of the person who confirms the motion; raises CNF-005 if nobody does."""
     from conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())

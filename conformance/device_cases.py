@@ -34,7 +34,7 @@ def ends_within(limit_s: float) -> Iterator[None]:
 
 
 def check_interface(dut: DeviceUnderTest, interface: type[Any]) -> None:
-    """Check that a new driver has its complete interface and given name, and is not connected."""
+    """Check that a new driver implements the full interface, has its given name and is not connected."""
     device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
     check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
@@ -42,7 +42,7 @@ def check_interface(dut: DeviceUnderTest, interface: type[Any]) -> None:
 
 
 def check_identity(dut: DeviceUnderTest) -> tuple[Any, Identity]:
-    """Connect the device, check that its identity names vendor and model, and return both."""
+    """Connect a new device and check that its identity includes vendor and model; returns both."""
     device = dut.make()
     identity: Identity = device.connect()
     check(bool(identity.vendor and identity.model), "vendor and model", identity)
@@ -51,7 +51,7 @@ def check_identity(dut: DeviceUnderTest) -> tuple[Any, Identity]:
 
 
 def check_early_calls(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
-    """Check that calls are refused while disconnected and connected; returns the connected device."""
+    """Check that premature calls are refused; returns the connected device."""
     device = dut.make()
     for call in disconnected:
         refused(getattr(device, call), StateError, f"{call} while disconnected")
@@ -62,7 +62,7 @@ def check_early_calls(dut: DeviceUnderTest, disconnected: Sequence[str], connect
 
 
 def check_closing(device: Device, limit_s: float) -> None:
-    """Check that closing takes bounded time, is final, and may be repeated."""
+    """Check that closing finishes in time, is final, and may be repeated."""
     with ends_within(limit_s):
         device.close()
     check(device.state is Lifecycle.CLOSED, "state closed", device.state)
@@ -81,7 +81,7 @@ def check_connect_failure(device: Device, limit_s: float) -> None:
 
 
 def check_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
-    """Run `check_connect_failure` with every driver address replaced by one without a device."""
+    """Check that connecting fails properly when every driver address points nowhere."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     endpoint = dut.config.endpoint
@@ -110,7 +110,7 @@ READINGS = 3
 
 
 class Interruption(Exception):
-    """Exception that a case raises inside a block to interrupt it."""
+    """Exception raised by a case to interrupt a block."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class DeviceCases:
     limit_s: float
 
     def build_cases(self, letter: str, first: int) -> list[Case]:
-        """Build the cases with consecutive numbers, such as from T23 on."""
+        """Build the cases, numbered consecutively from `first`."""
         runs = (
             ("a block makes a disconnected device active and leaves it configured", self.active_block),
             (
@@ -197,7 +197,7 @@ class DeviceCases:
 
 
 def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
-    """Observe a device in this state from another thread, which must be immediate and change nothing."""
+    """Observe a device from another thread, which must be immediate and change nothing."""
     fault, seen = device.fault, list[LastKnown[object]]()
     observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
     observer.start()

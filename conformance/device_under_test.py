@@ -1,4 +1,4 @@
-"""Device under test: creates drivers for the cases; read-only cases share one connection."""
+"""Device under test: creates drivers for the cases and shares one connection among read-only cases."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STATE_ORDER = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURE
 
 
 class DeviceUnderTest:
-    """Driver with one configuration. `offers` names the needs of cases that it meets.
+    """Driver with its configuration; `offers` lists the case requirements that it meets.
 
     `clock_known` is False if the host's clock is merely assumed.
     """
@@ -44,7 +44,7 @@ class DeviceUnderTest:
         return make_device(self.name, self.config.model_copy(update=changes), self.clock)
 
     def at(self, state: Lifecycle) -> Any:
-        """Bring the shared device to CONNECTED, CONFIGURED or ACTIVE, replacing it after a failure."""
+        """Return the shared device in the given state, replaced if it has failed."""
         device = self._shared
         if device is None or device.state not in _STATE_ORDER:
             device = self._shared = self.make()
@@ -55,7 +55,7 @@ class DeviceUnderTest:
         return self.bring_to(state, device)
 
     def bring_to(self, state: Lifecycle, device: Any) -> Any:
-        """Bring a device from `make` from its current state to `state`."""
+        """Advance a device from its current state to `state`."""
         steps = (device.connect, device.configure, device.activate)
         for step in steps[_STATE_ORDER.index(device.state) : _STATE_ORDER.index(state)]:
             step()
@@ -70,7 +70,7 @@ class DeviceUnderTest:
 
     @property
     def endpoint(self) -> Endpoint:
-        """Single endpoint, for cases whose needs imply that there is only one."""
+        """Only endpoint of the driver, as the case's requirements guarantee."""
         assert self.config.endpoint is not None, "the case needs a single endpoint"
         return parse_endpoint(self.config.endpoint)
 
@@ -80,7 +80,7 @@ class DeviceUnderTest:
         return DisturbedLine(self.endpoint)
 
     def is_disturbable(self) -> bool:
-        """Return whether a disturbable line fits between this driver and this endpoint."""
+        """Return whether a disturbable line can be inserted between driver and endpoint."""
         if self.config.endpoint is None:
             return False
         if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "serial"):

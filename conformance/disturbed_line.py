@@ -1,4 +1,4 @@
-"""Disturbable TCP line between a driver and its device.
+"""Fault-injecting TCP line between a driver and its device.
 
 It changes only what the device sends, never what the driver sends, so it is safe to use with hardware.
 """
@@ -31,7 +31,7 @@ class _End(Protocol):
 
 
 class LineThread(ABC):
-    """Thread that runs `_serve` within a `with` block; setting `_ended` makes it return."""
+    """Context manager that runs `_serve` in a thread; setting `_ended` stops it."""
 
     def __init__(self, name: str) -> None:
         self._ended = False
@@ -58,7 +58,7 @@ class LineThread(ABC):
 
 
 class DisturbedLine(LineThread):
-    """Disturbable line for one client at a time, as a context manager; the driver connects to `endpoint`."""
+    """Fault-injecting line for one client at a time, as a context manager."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__("disturbed line")
@@ -91,11 +91,11 @@ class DisturbedLine(LineThread):
         self._injected.append(data)
 
     def silence(self, silent: bool = True) -> None:
-        """Discard everything that the device sends, until switched off."""
+        """Discard all data from the device until switched off."""
         self._silent = silent
 
     def cut(self) -> None:
-        """Close the connection; a new one is accepted."""
+        """Drop the connection; a new one will be accepted."""
         self._cut = True
 
     def _close(self) -> None:

@@ -6,7 +6,7 @@ from ronna_hw.errors import ConfigurationError, RefusedError
 
 
 class NoDeviceChosen(ConfigurationError):
-    """The command line names no device to test, or more than one."""
+    """The command line specifies no device to test, or more than one."""
 
     code = "CNF-001"
     action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
@@ -20,14 +20,14 @@ class DeviceNotInFile(ConfigurationError):
 
 
 class NoSuchCase(ConfigurationError):
-    """No case number starts with the text given to --only."""
+    """No case number starts with a prefix given to --only."""
 
     code = "CNF-003"
     action = "Run the suite without --only to see the numbers of its cases."
 
 
 class NotConfirmed(RefusedError):
-    """The suite would move a device that is not our simulator, without confirmation."""
+    """The suite would move a device other than our simulator without confirmation."""
 
     code = "CNF-005"
     action = (
@@ -37,7 +37,7 @@ class NotConfirmed(RefusedError):
 
 
 class NoSimulator(ConfigurationError):
-    """`--sim` was given for a driver whose wire protocol has no simulator."""
+    """`--sim` was given, but there is no simulator for the driver's wire protocol."""
 
     code = "CNF-006"
     action = "Name the device with --endpoint or --config."

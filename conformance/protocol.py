@@ -1,4 +1,4 @@
-"""Protocol cases, found by name among the entry points.
+"""Wire protocol cases, discovered through entry points.
 
 A package with a driver for its own protocol can also provide cases for it::
 
@@ -42,12 +42,12 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """Return the checklist line of a case; None for a generic case."""
+        """Return the checklist line of a case, or None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 
     def cases_by_line(self, numbers: Iterable[str]) -> dict[int, tuple[str, ...]]:
-        """Map every line to the numbers of the cases that check it."""
+        """Map every checklist line to the cases that check it."""
         known = tuple(numbers)
         own = {line: [number for number in known if self.line_of(number) == line] for line in self.lines}
         return {
@@ -56,7 +56,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Return a remark on where a line is tested, or what its cases omit; an empty text if none."""
+        """Return where a line is tested or what its cases omit; empty if there is no remark."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
@@ -86,12 +86,12 @@ def load_protocol(wire_protocol: str) -> ProtocolCases:
 
 
 def load_driver_protocol(driver: str) -> ProtocolCases:
-    """Load the protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
+    """Load the cases for the wire protocol of a driver class; raises DEV-002."""
     return load_protocol(load_driver(driver).wire_protocol)
 
 
 def compose_suite(suite: Suite, protocol: ProtocolCases) -> Suite:
-    """Append the cases of a protocol to those of a suite; raises ValueError for a repeated number."""
+    """Append protocol cases to a suite; raises ValueError if a number is repeated."""
     cases = (*suite.cases, *protocol.cases)
     counts = Counter(case.number for case in cases)
     if repeated := [number for number, count in counts.items() if count > 1]:

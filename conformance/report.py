@@ -1,4 +1,4 @@
-"""Execution of a suite on a device under test, and report of the outcomes."""
+"""Suite execution and reports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Outcome of one case; `reason` says why it failed or was skipped."""
+    """Result of one case; `reason` explains a failure or skip."""
 
     number: str
     statement: str
@@ -33,7 +33,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Report:
-    """Report on a run of a suite: device, time, and all cases in order."""
+    """Results of a suite run, with device and time."""
 
     suite: str
     driver: str
@@ -53,7 +53,7 @@ class Report:
         return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
-        """Return the report as plain data, including a hash of everything else in it."""
+        """Return the report as plain data with a SHA-256 hash of its contents."""
         document: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "suite": self.suite,
@@ -76,7 +76,7 @@ def run_suite(
     *,
     confirmed_by: str = "",
 ) -> Report:
-    """Run every case that the device under test permits.
+    """Run every case that the device under test permits, and skip the others.
 
     The device is connected once first; raises ConnectError and the like if that fails, because no case
     would be meaningful.
@@ -97,7 +97,10 @@ def run_suite(
 
 
 def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
-    """Run one case or skip it with the reason. Never raises; closes the connections of a failed case."""
+    """Run one case, or skip it with a reason; never raises.
+
+    After a failure every connection is closed.
+    """
     began_s = time.monotonic()
     needs = sorted(case.needs, key=lambda need: need.name)
     outcome, reason = Outcome.PASS, ""

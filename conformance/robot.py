@@ -63,24 +63,24 @@ SUITE = Suite(
 
 
 def turn_last_axis(joints_rad: JointVector, by_rad: float) -> JointVector:
-    """Turn the last axis of a joint vector towards the middle of its range."""
+    """Return the joint vector with the last axis turned towards zero."""
     a, b, c, d, e, last = joints_rad
     return (a, b, c, d, e, last - math.copysign(by_rad, last))
 
 
 def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
-    """Return the active arm and its commanded axes."""
+    """Return the shared arm in state ACTIVE, with its commanded joint angles."""
     arm = dut.at(Lifecycle.ACTIVE)
     return arm, arm.read_state().commanded_rad
 
 
 def axis_distance_rad(a: JointVector, b: JointVector) -> float:
-    """Return the largest difference of any axis, rad."""
+    """Return the largest difference over all axes, rad."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def check_standstill(reading: ArmReading, joints_rad: JointVector) -> None:
-    """Raise Nonconformity unless the arm has stayed at these axes."""
+    """Raise Nonconformity unless the arm has stayed at these joint angles."""
     moved = axis_distance_rad(reading.joints_rad, joints_rad)
     check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
 
@@ -366,7 +366,7 @@ def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
 
 
 def _stop_midway(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind) -> list[RonnaError]:
-    """Stop a motion midway; returns the errors that the motion raised."""
+    """Interrupt a motion with a stop; returns the errors raised by the motion."""
     mover, ends = start_moving(dut, arm, start)
     try:
         arm.stop(kind)
@@ -378,7 +378,7 @@ def _stop_midway(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopK
 def start_moving(
     dut: DeviceUnderTest, arm: Any, start: JointVector
 ) -> tuple[threading.Thread, list[RonnaError]]:
-    """Start a thread that turns the last axis; returns once the arm has visibly moved.
+    """Turn the last axis in a new thread; returns once the arm has visibly moved.
 
     The list receives the errors that the motion raises.
     """

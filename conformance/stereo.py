@@ -34,13 +34,13 @@ SUITE = Suite("stereo", driver="basler_stereo")
 
 
 def grab_pairs(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
-    """Take readings on the shared connection, with one trigger each."""
+    """Grab image pairs on the shared connection, triggering once for each."""
     pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 
 
 def require_both_images(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
-    """Return both images of a pair, which must be complete."""
+    """Return the left and right images; raises Nonconformity unless the pair is complete."""
     check(reading.validity is Validity.OK, "a complete pair", reading.validity)
     what = "an image from both cameras in a complete pair"
     return require_present(reading.left, what), require_present(reading.right, what)
@@ -197,7 +197,7 @@ SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).bui
 
 
 def _middle_part(area: AreaOfInterest) -> AreaOfInterest:
-    """Return the middle part of an area, in steps that cameras permit."""
+    """Return the central part of an area, aligned to steps that cameras accept."""
 
     def step(value: int) -> int:
         return value // AREA_STEP_PX * AREA_STEP_PX

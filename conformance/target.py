@@ -1,4 +1,4 @@
-"""Device to test: named on the command line, resolved before anything starts, then opened."""
+"""Selection and opening of the device under test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
 
 @dataclass(frozen=True)
 class Choice:
-    """Choice on the command line: exactly one of `sim`, `config` and `endpoints`, with its options."""
+    """Command-line selection of a device: one of `sim`, `config` and `endpoints`, with its options."""
 
     sim: bool = False
     config: Path | None = None  # a theatre file
@@ -36,7 +36,7 @@ class Choice:
     allow: tuple[str, ...] = ()  # from PERMISSIONS; our own simulator allows everything
 
     def check(self) -> None:
-        """Raise CNF-001 unless exactly one device is named and every permission is known."""
+        """Raise CNF-001 unless exactly one device is selected and every permission is known."""
         given = {"--sim": self.sim, "--config": self.config is not None, "--endpoint": bool(self.endpoints)}
         named = [option for option, is_given in given.items() if is_given]
         if len(named) != 1:
@@ -55,7 +55,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Target:
-    """Device to test. `config` is None for our own simulator, which has no endpoint until it runs."""
+    """Resolved device to test; `config` is None for our own simulator, whose endpoint is not yet known."""
 
     suite: Suite  # the generic cases, then those of the driver's wire protocol
     protocol: ProtocolCases
@@ -73,7 +73,7 @@ class HasConformanceOptions(Protocol):
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Return the options for a conformance run."""
+        """Return the driver options for a conformance run."""
         ...
 
 
@@ -84,7 +84,7 @@ def load_suite(kind: str) -> Suite:
 
 
 def resolve_target(kind: str, choice: Choice) -> Target:
-    """Resolve a choice to its target; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
+    """Resolve a command-line choice; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
     choice.check()
     suite = load_suite(kind)
     name, clock, config = kind, "host:", None
@@ -114,7 +114,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
 
 
 def config_for_suite(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
-    """Configure a driver for these endpoints (key None for a single one), with its conformance options."""
+    """Build a driver configuration from its endpoints, with the key None for a single endpoint."""
     factory = load_driver(driver)
     options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
     for address in addresses.values():
@@ -137,7 +137,7 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
 
 
 def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
-    """Raise CNF-001, with an example, if the driver needs endpoints with other names."""
+    """Raise CNF-001, with an example, unless the endpoint names match the driver's."""
     finder = load_finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):
@@ -178,7 +178,7 @@ def build_device_under_test(
     protocol: ProtocolCases | None = None,
     clock_known: bool = True,
 ) -> DeviceUnderTest:
-    """Build a device under test that offers the permitted needs and all others that it meets."""
+    """Build a device under test with the allowed permissions and all other requirements that it meets."""
     dut = DeviceUnderTest(name, config, clock, clock_known=clock_known)
     dut.offers |= allowed
     if clock.paced:
@@ -192,7 +192,7 @@ def build_device_under_test(
 
 @contextmanager
 def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
-    """Open the device under test for a block; its simulator, if any, ends with it. Raises PRC-001."""
+    """Open the device under test for the block, starting its simulator if needed; raises PRC-001."""
     with ExitStack() as stack:
         config = target.config
         if config is None:

@@ -43,7 +43,7 @@ SUITE = Suite("tracker", driver="ndi_polaris")
 
 
 def read_frames(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
-    """Take consecutive readings on the shared connection, no faster than the tracker measures."""
+    """Read consecutive frames on the shared connection, no faster than the tracker measures."""
     tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
     for _ in range(count):
@@ -53,7 +53,7 @@ def read_frames(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]
 
 
 def read_tools(dut: DeviceUnderTest) -> list[ToolReading]:
-    """Return all readings of all tools; undecided if no tool is configured."""
+    """Return every tool reading from several frames; raises NotShown if no tool is configured."""
     readings = [reading for frame in read_frames(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
@@ -62,7 +62,7 @@ def read_tools(dut: DeviceUnderTest) -> list[ToolReading]:
 
 @contextlib.contextmanager
 def disturbed_tracker(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
-    """Yield a disturbable line and an active tracker on it; closes every connection afterwards."""
+    """Yield a disturbable line and an active tracker on it; all connections are closed afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.bring_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()

@@ -1,1 +1,1 @@
-"""Device drivers, one package each. Every driver speaks the device's real protocol to an endpoint."""
+"""Device drivers, one package each; every driver speaks the device's real protocol."""

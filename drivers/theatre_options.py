@@ -1,4 +1,4 @@
-"""Parsing of a driver's options in the theatre file."""
+"""Validation of driver options in the theatre file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ M = TypeVar("M", bound=BaseModel)
 def parse_options(
     model: type[M], options: Mapping[str, Any], subject: str, refusal: type[ConfigurationError]
 ) -> M:
-    """Validate the options of one device; raises `refusal` listing every mistake in those of `subject`."""
+    """Validate the options of one device; raises `refusal` listing every mistake."""
     try:
         # via JSON: strict types, but text is accepted for paths, lists for tuples and integers for floats
         return model.model_validate_json(json.dumps(options, default=os.fspath))

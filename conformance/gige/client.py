@@ -1,4 +1,4 @@
-"""Plain GVCP client for a camera's registers and named features, bypassing every driver.
+"""Minimal GVCP client for a camera's registers and named features, independent of every driver.
 
 It decodes answers independently, following the protocol reference, so that a driver's misreading cannot hide.
 Features need a description that maps them to one fixed register: nodes with formulas are not supported.
@@ -38,7 +38,7 @@ SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 @dataclass(frozen=True)
 class Reply:
-    """Acknowledge as received."""
+    """GVCP acknowledge: decoded header, raw payload."""
 
     status: int
     code: int
@@ -47,7 +47,7 @@ class Reply:
 
 
 class GigeLink:
-    """Socket to a camera; every command gets a new request id."""
+    """GVCP connection to a camera; every command gets a new request id."""
 
     def __init__(self, address: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -63,7 +63,7 @@ class GigeLink:
         self._socket.close()
 
     def exchange(self, command: int, payload: bytes = b"") -> Reply:
-        """Send a command and return its reply, whatever the status; raises Nonconformity without one."""
+        """Send a command and return its reply, whatever the status; raises Nonconformity if none arrives."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
         self._last = datagram
@@ -153,7 +153,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 @contextmanager
 def camera_control(link: GigeLink) -> Iterator[GigeLink]:
-    """Take control of a camera for the block."""
+    """Control a camera for the duration of the block."""
     GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link
@@ -167,7 +167,7 @@ DEPTH_LIMIT = 8
 
 
 class GigeFeatures:
-    """Features of the camera at the other end of a link."""
+    """GenICam features of the camera on a link."""
 
     def __init__(self, link: GigeLink) -> None:
         self._link = link
@@ -175,7 +175,7 @@ class GigeFeatures:
     @cached_property
     @read_as("XML at the address that its URL says")
     def description(self) -> Element:
-        """Description of the camera, plain or zipped XML; raises Nonconformity if it is neither."""
+        """GenICam description of the camera, plain or zipped XML; raises Nonconformity if it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace")
         if not url.startswith(URL_LOCAL):
@@ -193,7 +193,7 @@ class GigeFeatures:
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
-        """Nodes of the description by name."""
+        """Description nodes by name."""
         return {
             name: node
             for node in self.description.iter()
@@ -222,7 +222,7 @@ class GigeFeatures:
         return int.from_bytes(data, "big")
 
     def whole(self, name: str) -> int:
-        """Read an integer feature."""
+        """Read a feature as an integer."""
         return int(self.get(name))
 
     @read_as("an integer limit")
@@ -238,7 +238,7 @@ class GigeFeatures:
 
     @read_as("a register that has room for the value")
     def write(self, name: str, value: int | float) -> int:
-        """Set a feature and return the status."""
+        """Write a feature and return the status."""
         register = self._find_register(name)
         length = self._register_length(register)
         if _kind(register) == "FloatReg":
@@ -248,7 +248,7 @@ class GigeFeatures:
         return self._link.write_memory(self._register_address(register), data)
 
     def set(self, name: str, value: int | float | str) -> None:
-        """Set a feature, an enumeration by its entry; raises Nonconformity if the camera refuses."""
+        """Set a feature, an enumeration by entry name; raises Nonconformity if the camera refuses."""
         number = self.entry(name, value) if isinstance(value, str) else value
         status = self.write(name, number)
         check(status == GevStatus.SUCCESS, f"{name} = {value} accepted", f"status 0x{status:04X}")

@@ -48,7 +48,7 @@ class ReportsBlockIds(StereoPair, Protocol):
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Block ids of the left and right image; None for a missing image."""
+        """Left and right block ids; None for a missing image."""
         ...
 
 

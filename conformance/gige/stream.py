@@ -23,7 +23,7 @@ LEADER, TRAILER, PAYLOAD = 1, 2, 3
 
 @dataclass(frozen=True)
 class Packet:
-    """Stream packet; `raw` is everything after the status."""
+    """GVSP packet; `raw` is everything after the status."""
 
     status: int
     block_id: int
@@ -35,7 +35,7 @@ class Packet:
 
 @dataclass(frozen=True)
 class Leader:
-    """Content of a stream leader."""
+    """Fields of a GVSP leader packet."""
 
     payload_type: int
     ticks: int
@@ -47,7 +47,7 @@ class Leader:
 
 
 class GigeStream:
-    """Receiving socket for a camera's stream."""
+    """Receiver of a camera's stream, packet by packet."""
 
     def __init__(self, link: GigeLink) -> None:
         self.link = link
@@ -70,7 +70,7 @@ class GigeStream:
 
     @property
     def port(self) -> int:
-        """UDP port to which the camera must send."""
+        """UDP port that receives the stream."""
         return int(self._socket.getsockname()[1])
 
     def close(self) -> None:
@@ -85,7 +85,7 @@ class GigeStream:
         self.link.write(Bootstrap.SCPS, PACKET_BYTES)
 
     def configure_small_frames(self, **choices: int | str) -> None:
-        """Configure small frames: power-on values, a small area, software triggers, then `choices`."""
+        """Load the power-on settings, then set a small area, software triggers and `choices`."""
         features = self.features
         features.execute("AcquisitionStop")
         features.set("UserSetSelector", "Default")
@@ -106,7 +106,7 @@ class GigeStream:
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
-        """Receive the next packet; None if none arrives."""
+        """Receive the next packet, or return None if none arrives in time."""
         data = self.datagram(limit_s)
         if data is None:
             return None
@@ -115,7 +115,7 @@ class GigeStream:
         return Packet(status, block_id, word >> 24 & 0x7F, word & 0xFFFFFF, data[8:], data[2:])
 
     def datagram(self, limit_s: float) -> bytes | None:
-        """Receive the next datagram; None if none arrives."""
+        """Receive the next datagram, or return None if none arrives in time."""
         self._socket.settimeout(limit_s)
         try:
             return self._socket.recv(65536)
@@ -123,7 +123,7 @@ class GigeStream:
             return None
 
     def frame(self) -> list[Packet]:
-        """Receive all packets up to the next trailer; raises Nonconformity if none arrives."""
+        """Receive all packets up to the next trailer; raises Nonconformity if a packet is late."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
@@ -136,7 +136,7 @@ class GigeStream:
         return self.datagram(SILENCE_S) is None
 
     def drain_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """Receive packets until this long a pause; raises Nonconformity if they do not end."""
+        """Receive packets until a pause of `silence_s`; raises Nonconformity if the stream does not stop."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -145,7 +145,7 @@ class GigeStream:
         return found
 
     def request_resend(self, block_id: int, first: int, last: int) -> None:
-        """Request packets of a block again."""
+        """Request a resend of packets `first`..`last` of a block."""
         self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 
@@ -157,7 +157,7 @@ def require_leader(frame: list[Packet]) -> Leader:
 
 @read_as("a whole leader")
 def decode_leader(packet: Packet) -> Leader:
-    """Decode a stream leader."""
+    """Decode a leader packet."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
         ">HHQIIIIIHH", packet.content
     )
@@ -166,7 +166,7 @@ def decode_leader(packet: Packet) -> Leader:
 
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
-    """Yield the stream of a controlled camera with small frames; restores power-on settings."""
+    """Take control of a camera and yield its stream of small frames; restores power-on settings."""
     with camera_control(link):
         stream = GigeStream(link)
         try:
@@ -181,6 +181,6 @@ def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
 
 
 def start_acquisition(stream: GigeStream) -> GigeStream:
-    """Start the acquisition of a stream and return the stream."""
+    """Start the acquisition and return the same stream."""
     stream.features.execute("AcquisitionStart")
     return stream

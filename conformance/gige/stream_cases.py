@@ -1,4 +1,4 @@
-"""Cases for camera features, stream and triggers: limits, locks and rates, packet by packet."""
+"""Cases for a GigE Vision camera's features, triggers and stream, packet by packet."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 
 def take_frames(stream: GigeStream, count: int) -> list[list[Packet]]:
-    """Take frames with one trigger each."""
+    """Trigger `count` times and return the frame received after each trigger."""
     taken = []
     for _ in range(count):
         stream.trigger()

@@ -1,4 +1,4 @@
-"""Plain EKI and RSI client of a KUKA controller, bypassing every driver.
+"""Minimal EKI and RSI client for a KUKA controller, independent of every driver.
 
 It decodes elements independently, following the protocol reference, so that a driver's misreading cannot
 hide. Its RSI replies hold the arm unless a case gives corrections.
@@ -27,7 +27,7 @@ _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
 class EkiLine:
-    """Client of one EKI channel. `between` holds the bytes between elements."""
+    """Client of one EKI channel; `between` collects bytes received outside elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -69,11 +69,11 @@ class EkiLine:
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
 
     def state(self) -> ElementTree.Element:
-        """Request the state and return the answer."""
+        """Query the controller state."""
         return self.answer("State", self.command("STATUS"))
 
     def answer(self, tag: str, identifier: str) -> ElementTree.Element:
-        """Return the element with this tag and identifier; raises Nonconformity if it is late."""
+        """Wait for the element with this tag and identifier; raises Nonconformity at the time limit."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
             while (raw := self._next_element()) is None:
@@ -107,7 +107,7 @@ class EkiLine:
         return False
 
     def _next_element(self) -> bytes | None:
-        """Take the next complete element received."""
+        """Take the next complete element from the receive buffer."""
         match = _ELEMENT.search(self._received)
         if match is None:
             return None
@@ -143,7 +143,7 @@ _DELAY = re.compile(rb'<Delay D="([^"]*)"')
 
 @dataclass(frozen=True)
 class Telegram:
-    """Controller telegram as received."""
+    """Controller telegram, undecoded."""
 
     raw: bytes
     sender: tuple[str, int]
@@ -152,13 +152,13 @@ class Telegram:
     @property
     @read_as("an IPOC in digits")
     def ipoc(self) -> int:
-        """Time stamp that a reply must carry."""
+        """Time stamp that the reply must echo."""
         return int(require_present(IPOC.search(self.raw), "an IPOC in digits", self.raw[-80:])[1])
 
     @property
     @read_as("an integer D")
     def late(self) -> int:
-        """Value of the delay counter D."""
+        """Delay counter D."""
         match = _DELAY.search(self.raw)
         if match is None:
             raise NotShown("the controller sends no Delay")
@@ -176,7 +176,7 @@ class Telegram:
 
 @dataclass
 class RsiLine:
-    """Our end of a running stream, and the EKI connection that started it."""
+    """Client side of a running RSI stream, with the EKI connection that started it."""
 
     socket: socket.socket
     eki: EkiLine
@@ -190,7 +190,7 @@ class RsiLine:
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
     ) -> None:
-        """Send the correct reply to a telegram."""
+        """Send a valid reply to a telegram."""
         self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
 
     def send(self, telegram: Telegram, reply: bytes) -> None:
@@ -205,7 +205,7 @@ class RsiLine:
         stop: bool = False,
         sentype: str | None = None,
     ) -> bytes:
-        """Build a reply with the elements wired in the controller's context; corrections in deg."""
+        """Build a reply with the elements wired in the RSI context; corrections in deg."""
         body = ""
         if (tag := self.context.find_wired_tag("STOP", "In1")) is not None:
             body += f"<{tag}>{int(stop)}</{tag}>"
@@ -221,7 +221,7 @@ class RsiLine:
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def run_cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
-        """Answer this many telegrams and return them."""
+        """Answer the next `count` telegrams and return them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())
@@ -229,7 +229,7 @@ class RsiLine:
         return telegrams
 
     def await_silence(self, *, with_replies: bool = True) -> list[Telegram]:
-        """Wait for the end of the stream and return the telegrams that still arrived."""
+        """Wait for the stream to end and return the remaining telegrams."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + END_LIMIT_S
         while (telegram := self._receive(SILENT_S)) is not None:
@@ -250,7 +250,7 @@ class RsiLine:
 
 @contextmanager
 def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
-    """Open a plain EKI client, closing every driver connection first."""
+    """Yield a plain EKI client, closing every driver connection first."""
     endpoint = _endpoint(dut, "eki_project")
     dut.release()
     with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:
@@ -259,7 +259,7 @@ def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
 
 @contextmanager
 def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.socket]]:
-    """Yield a controller ready to start its program, and the socket for its stream."""
+    """Yield the EKI client of a controller ready to start RSI, and the socket for the stream."""
     where = parse_endpoint(_endpoint(dut, "rsi")).require("udp")
     with eki_line(dut) as eki, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((where.host, where.port))
@@ -279,7 +279,7 @@ def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.sock
 
 @contextmanager
 def stream(dut: DeviceUnderTest) -> Iterator[RsiLine]:
-    """Yield a newly started stream, ended after the block."""
+    """Start an RSI stream and stop it after the block."""
     with idle_controller(dut) as (eki, ours):
         check(eki.ask("RSI_START") == 0, "a program that starts")
         line = RsiLine(ours, eki, load_context())

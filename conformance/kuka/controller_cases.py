@@ -1,4 +1,4 @@
-"""Cases for a KUKA controller on RSI (telegram by telegram) and EKI, bypassing the driver.
+"""Cases for a KUKA controller on RSI and EKI, bypassing the driver.
 
 The number of a case is K and a line of the protocol's checklist. Without `--allow motion` all corrections are
 zero: the program starts, streams and ends, and the arm stays where it is.
@@ -53,7 +53,7 @@ on_eki = CASES.within(eki_line)
 
 
 def has_kr_c4_layout(raw: bytes) -> bool:
-    """Return whether a parser that counts positions reads the telegram correctly."""
+    """Return whether a parser with fixed KR C4 positions reads the telegram correctly."""
     return _WHOLE.fullmatch(raw) is not None
 
 
@@ -257,7 +257,7 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
 
 
 def _turn_axis_6(line: RsiLine) -> tuple[float, dict[str, float]]:
-    """Turn A6 slightly in even steps; returns its previous angle and the holding correction."""
+    """Turn A6 slightly in even steps; returns the initial angle and the corrections that hold the new one."""
     telegrams: list[Telegram] = line.run_cycles(FEW)
     base = telegrams[-1].values("AIPos")["A6"]
     for share in range(1, FEW + 1):
@@ -268,7 +268,7 @@ def _turn_axis_6(line: RsiLine) -> tuple[float, dict[str, float]]:
 
 
 def _undo_turn(line: RsiLine) -> float:
-    """Undo the turn of A6 and return the angle reached."""
+    """Turn A6 back in even steps and return the final angle."""
     for share in range(FEW, -1, -1):
         line.run_cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
     return line.run_cycles(SETTLING)[-1].values("AIPos")["A6"]

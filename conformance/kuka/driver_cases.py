@@ -1,4 +1,4 @@
-"""Cases for the driver of a KUKA controller, observed by a tap between driver and controller.
+"""Cases for the driver of a KUKA controller, observed through a tap between the two.
 
 The number of a case is L and a line of the protocol's checklist. The stream is tapped, and telegrams may be
 delayed, as by a stalled computer; nothing is modified or invented.
@@ -44,7 +44,7 @@ case = CASES.case
 
 @contextmanager
 def tapped_arm(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
-    """Yield a driver whose RSI passes through a tap, with other endpoints replaced as given."""
+    """Yield a driver with a tap on its RSI link; `endpoints` replaces its other endpoints."""
     dut.release()
     ours, inside = dut.config.endpoints, own_udp_endpoint(TAPPED_PORT)
     with (
@@ -56,14 +56,14 @@ def tapped_arm(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, Rs
 
 @contextmanager
 def streaming_arm(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
-    """Yield a driver as in `tapped_arm` with a running stream."""
+    """Yield a streaming driver with a tap on its RSI link."""
     with tapped_arm(dut, **endpoints) as (arm, tap):
         yield dut.bring_to(Lifecycle.ACTIVE, arm), tap
 
 
 @contextmanager
 def piecewise_arm(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, PiecewiseLine]]:
-    """Yield a connected driver whose EKI elements arrive in pieces."""
+    """Yield a connected driver that receives EKI elements byte by byte or several at once."""
     dut.release()
     with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
         line.gather_s = gather_s
@@ -111,7 +111,7 @@ def one_reply_each(dut: DeviceUnderTest) -> None:
 
 
 def _count_unanswered(tap: RsiTap) -> int:
-    """Count unanswered telegrams among at least `CYCLES`; none may be answered twice."""
+    """Count the unanswered telegrams during `CYCLES` or more replies; none may be answered twice."""
     heard = _await_exchanges(tap)
     stamps = _extract_stamps(heard.replies)
     check(len(set(stamps)) == len(stamps), "no telegram answered twice")
@@ -238,7 +238,7 @@ def connection_is_lost(dut: DeviceUnderTest) -> None:
 
 
 def _stall(tap: RsiTap) -> None:
-    """Hold back `HELD` telegrams, forward them together, and wait until more are answered."""
+    """Hold back `HELD` telegrams, release them in one burst, and wait for replies to flow again."""
     tap.hold()
     check(wait_for(lambda: tap.held_count >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
     tap.release()
@@ -246,7 +246,7 @@ def _stall(tap: RsiTap) -> None:
 
 
 def _await_exchanges(tap: RsiTap) -> Traffic:
-    """Return the traffic during at least `CYCLES` replies."""
+    """Wait for at least `CYCLES` replies and return the traffic."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
     return tap.take_traffic()
 

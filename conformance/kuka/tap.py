@@ -1,4 +1,4 @@
-"""Tap between a KUKA controller and its driver that sees all traffic and can hold back telegrams.
+"""Tap between a KUKA controller and its driver that logs all traffic and can hold back telegrams.
 
 It modifies and invents nothing; a stalled computer or network also delays telegrams.
 """
@@ -22,14 +22,14 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass
 class Traffic:
-    """Traffic in order: telegrams as received by the driver, and its replies."""
+    """Telegrams received by the driver and its replies, each in order."""
 
     telegrams: list[bytes] = field(default_factory=list)
     replies: list[bytes] = field(default_factory=list)
 
 
 class RsiTap(LineThread):
-    """Tap at the controller's destination that forwards to the driver's port."""
+    """Tap that receives in the driver's place and forwards to the driver's port."""
 
     def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
         super().__init__("RSI tap")
@@ -65,7 +65,7 @@ class RsiTap(LineThread):
         self._holding = True
 
     def release(self) -> None:
-        """Forward all held telegrams together, in order."""
+        """Forward all held telegrams in one burst."""
         with self._lock:
             held, self._held = self._held, []
             self._holding = False
@@ -74,7 +74,7 @@ class RsiTap(LineThread):
                 self._inside.sendto(telegram, self._driver)
 
     def discard(self) -> None:
-        """Drop the held telegrams, and forward telegrams again."""
+        """Drop the held telegrams and resume forwarding."""
         with self._lock:
             self._held.clear()
             self._holding = False
@@ -112,7 +112,7 @@ class RsiTap(LineThread):
 
 
 class PiecewiseLine(DisturbedLine):
-    """Line on which the device's bytes arrive one by one, or several elements together."""
+    """Line that delivers the device's bytes one by one, or several elements at once."""
 
     gather_s = 0.0  # bytes within this time arrive together
 
@@ -130,7 +130,7 @@ class PiecewiseLine(DisturbedLine):
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
-    """Wait for a condition; False if time is up."""
+    """Return whether a condition becomes true within the time limit."""
     until_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > until_s:

@@ -1,4 +1,4 @@
-"""Plain client of an NDI Polaris unit, bypassing every driver.
+"""Minimal client for an NDI Polaris unit, independent of every driver.
 
 It decodes replies, also BX (options 0001, 0002, 0800, 1000), independently, following the protocol reference,
 so that a driver's misreading cannot hide.
@@ -45,7 +45,7 @@ _ERROR = re.compile("ERROR[0-9A-F]{2}")
 
 
 class SerialLine:
-    """Serial line at the unit's power-up rate, with the few socket calls used here."""
+    """Serial port at the unit's power-up baud rate, with the socket methods used here."""
 
     def __init__(self, path: str) -> None:
         import serial
@@ -63,7 +63,7 @@ class SerialLine:
 
     @property
     def baud(self) -> int:
-        """Baud rate of our end of the line."""
+        """Baud rate of the host's port."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -71,7 +71,7 @@ class SerialLine:
         self._port.baudrate = rate
 
     def send_break(self) -> None:
-        """Send a break, which resets the unit, after dropping buffered data."""
+        """Discard buffered data and send a break, which resets the unit."""
         import termios
 
         termios.tcflush(self.fileno(), termios.TCIOFLUSH)
@@ -82,19 +82,19 @@ class SerialLine:
 
 
 def with_crc(text: str) -> bytes:
-    """Append the CRC in four upper-case digits and CR to a command or text reply."""
+    """Encode a command or text reply with its CRC, in four upper-case hex digits, and CR."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
 
 
 @dataclass
 class PolarisLink:
-    """Open line to the unit. The CRC of every reply is checked."""
+    """Connection to a unit that checks the CRC of every reply."""
 
     line: socket.socket | SerialLine
     definition: bytes = b""  # of the driver's first tool, for cases that need one
 
     def ask(self, command: str | bytes) -> str:
-        """Return the text of the reply to a command; text is sent with a CRC, bytes as they are."""
+        """Send a command and return the reply's text; text commands get a CRC, bytes are sent unchanged."""
         self.send(command)
         return self.text()
 
@@ -103,14 +103,14 @@ class PolarisLink:
 
     @read_as("a reply in ASCII")
     def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
-        """Receive the text of the next ASCII reply."""
+        """Receive the text of the next ASCII reply and check its CRC."""
         heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
         match = require_present(_ASCII.fullmatch(heard), "text, four upper-case hex digits and CR", heard)
         check(int(match[2], 16) == crc16(match[1]), f"the CRC {crc16(match[1]):04X}", match[2].decode())
         return match[1].decode("ascii")
 
     def ask_binary(self, command: str) -> bytes:
-        """Return the body of the binary reply to a command, with both CRCs and the end checked."""
+        """Send a command and return the body of its binary reply, after checking framing and CRCs."""
         self.send(command)
         heard = self._read_until(lambda data: len(data) >= BX_HEADER_BYTES)
         start, length, crc = struct.unpack_from("<HHH", heard)
@@ -146,7 +146,7 @@ class PolarisLink:
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
 
     def load_tool(self, definition: bytes) -> str:
-        """Load, initialise and enable a tool; returns its handle, two hex digits."""
+        """Load, initialise and enable a tool; returns its port handle as two hex digits."""
         handle = self.request_handle()
         self.write(handle, definition)
         reply = self.ask(f"PINIT:{handle}")
@@ -155,7 +155,7 @@ class PolarisLink:
         return handle
 
     def write(self, handle: str, definition: bytes) -> None:
-        """Write a definition into a handle's memory."""
+        """Write a tool definition to a port handle."""
         for address in range(0, len(definition), PVWR_BLOCK_BYTES):
             block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
             self.expect_okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
@@ -167,20 +167,20 @@ class PolarisLink:
 
     @read_as("a count and five digits per handle")
     def handles(self, query: str = "00") -> list[str]:
-        """List the handles of a PHSR query, as two hex digits each."""
+        """List the port handles for a PHSR query, as two hex digits each."""
         text = self.ask(f"PHSR:{query}")
         check(len(text) == 2 + 5 * int(text[:2], 16), "a count and five digits per handle", text)
         return [text[at : at + 2] for at in range(2, len(text), 5)]
 
     def clean_up(self) -> None:
-        """Stop tracking and free every handle, so that the next case finds the unit idle."""
+        """Stop tracking and free every port handle."""
         self.read_rest()
         self.ask("TSTOP:")  # refused if not tracking
         for handle in self.handles():
             self.ask(f"PHF:{handle}")
 
     def switch_baud(self, argument: str, baud: int) -> None:
-        """Switch unit and line to another baud rate by COMM."""
+        """Switch both ends of the line to another baud rate with COMM."""
         self.expect_okay(f"COMM:{argument}")  # answered at the old rate
         time.sleep(RATE_SETTLING_S)
         self.serial.baud = baud
@@ -188,7 +188,7 @@ class PolarisLink:
 
     @contextmanager
     def fast_baud(self) -> Iterator[None]:
-        """Use a faster baud rate inside the block on a serial line; no effect over TCP."""
+        """Use a faster baud rate for the block if the line is serial; no effect over TCP."""
         if not isinstance(self.line, SerialLine):
             yield
             return
@@ -202,7 +202,7 @@ class PolarisLink:
 
     @property
     def serial(self) -> SerialLine:
-        """Serial line, for cases that need SERIAL_LINE."""
+        """Serial port, for cases that need SERIAL_LINE."""
         assert isinstance(self.line, SerialLine), "the case needs a serial line"
         return self.line
 
@@ -226,7 +226,7 @@ def is_error(text: str) -> bool:
 
 @contextmanager
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """Yield a plain client of the unit under test, in the state left by its last client."""
+    """Yield a plain client of the unit under test, without initialising the unit."""
     dut.release()
     endpoint = dut.endpoint
     with closing(
@@ -241,7 +241,7 @@ def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 @contextmanager
 def idle_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """Yield a plain client of the unit under test, initialised and without tools before and after."""
+    """Yield a plain client of an initialised unit with no tools loaded."""
     with plain_unit(dut) as link:
         link.expect_okay("INIT:")
         link.clean_up()
@@ -260,7 +260,7 @@ OPTION_STRAYS = 0x1000
 
 @dataclass(frozen=True)
 class HandleReport:
-    """Report on a handle: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
+    """State of one handle; `pose` is q0 qx qy qz tx ty tz error, None for a missing tool."""
 
     handle: str
     status: HandleStatus
@@ -270,13 +270,13 @@ class HandleReport:
 
     @property
     def outside(self) -> bool:
-        """Whether the unit reports the tool outside its volume."""
+        """Whether the unit reports the tool outside its measuring volume."""
         return bool(self.port_status & PortStatus.OUT_OF_VOLUME)
 
 
 @dataclass(frozen=True)
 class BxReply:
-    """Complete BX reply; `strays_at` is the offset of the first stray's position in the body.
+    """Decoded BX reply; `strays_at` is the offset of the first stray's position in the body.
 
     `strays_outside` are the flags with the low bit of each byte first, as most clients read them,
     `strays_outside_mirrored` with the high bit first: the order is undocumented.
@@ -291,12 +291,12 @@ class BxReply:
 
     @property
     def frame(self) -> int:
-        """Frame number of the reply."""
+        """Latest frame number of any handle."""
         return max((handle.frame for handle in self.handles), default=0)
 
 
 def read_body(body: bytes, options: int) -> BxReply:
-    """Decode a body with option 0001; raises Nonconformity if its length is wrong."""
+    """Decode the body of a BX reply with option 0001; raises Nonconformity if its length is wrong."""
     try:
         return _read_body(body, options)
     except (struct.error, IndexError) as error:
@@ -340,7 +340,7 @@ def _read_body(body: bytes, options: int) -> BxReply:
 
 
 def place_markers(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
-    """Transform the markers of a tool to the tracker frame, for a pose with a scalar-first quaternion."""
+    """Transform a tool's markers to the tracker frame; the pose has a scalar-first quaternion."""
     q0, qx, qy, qz, tx, ty, tz, _ = pose
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     q0, qx, qy, qz = q0 / norm, qx / norm, qy / norm, qz / norm

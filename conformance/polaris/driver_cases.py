@@ -1,4 +1,4 @@
-"""Checklist lines 11 to 16 and 37 to 43: behaviour of the driver, observed by a tap on its line."""
+"""Checklist lines 11 to 16 and 37 to 43: behaviour of the driver, observed through a tap on its line."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def reading_command(tap: PolarisTap) -> str:
 
 @contextlib.contextmanager
 def tapped_tracker(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
-    """Yield a tap, and a driver that has read a frame through it."""
+    """Yield a tap and a tracking driver connected through it."""
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
         dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
@@ -290,7 +290,7 @@ def _flip_bit(index: int) -> Callable[[bytes], bytes]:
 
 
 def _move_first_stray(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[bytes], bytes]:
-    """Move the first stray of a reply, whose flag still says that it is inside."""
+    """Build a change that moves the first stray of a reply without changing its in-volume flag."""
 
     def change(reply: bytes) -> bytes:
         body = bytearray(body_of(reply))

@@ -1,4 +1,4 @@
-"""Fixtures for Polaris cases: needs, tool definitions, volumes, and a tracking frame.
+"""Fixtures for Polaris cases: requirements, tool definitions, volumes and tracking frames.
 
 A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter if a line has
 several cases. Every case leaves the unit initialised, idle and without tools.
@@ -30,26 +30,26 @@ SERIAL = (*NEEDS, SERIAL_LINE)
 
 @runtime_checkable
 class ReportsDefinitions(Protocol):
-    """Tracker that reports which tool definitions it loads."""
+    """Tracker that reports the tool definitions that it loads."""
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
-        """Contents of the definition files by tool name."""
+        """Tool definitions by tool name."""
         ...
 
 
 @runtime_checkable
 class ReportsBaud(Protocol):
-    """Tracker that reports the rate of its serial line."""
+    """Tracker that reports its baud rate."""
 
     @property
     def baud(self) -> int | None:
-        """Current baud rate; None if the line is not serial."""
+        """Current baud rate, or None if the line is not serial."""
         ...
 
 
 def definition(dut: DeviceUnderTest) -> bytes:
-    """Return the first tool definition that the driver would load."""
+    """Return the driver's first tool definition."""
     tracker = dut.make()
     assert isinstance(tracker, ReportsDefinitions), "the case needs a tool definition"
     return next(iter(tracker.definition_blocks.values()))
@@ -57,7 +57,7 @@ def definition(dut: DeviceUnderTest) -> bytes:
 
 @contextmanager
 def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """Yield an idle unit and the driver's first tool definition."""
+    """Yield an idle unit whose `definition` is the driver's first tool definition."""
     block = definition(dut)
     with idle_unit(dut) as unit:
         unit.definition = block
@@ -65,7 +65,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
-    """Read a frame by BX with these options."""
+    """Read a frame with BX."""
     return read_body(unit.ask_binary(f"BX:{options:04X}"), options)
 
 
@@ -84,14 +84,14 @@ SHIFTED_PART = b"CONFORMANCE"
 
 
 def read_markers(block: bytes) -> tuple[Vector3, ...]:
-    """Return the marker positions of a definition, mm."""
+    """Read the marker positions from a tool definition, mm."""
     count = block[layout.MARKER_COUNT_OFFSET]
     flat = struct.unpack_from(f"<{3 * count}f", block, layout.MARKER_POSITIONS_OFFSET)
     return tuple((flat[k], flat[k + 1], flat[k + 2]) for k in range(0, 3 * count, 3))
 
 
 def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
-    """Shift the origin of a tool: every marker moves by `shift_mm` in the tool frame.
+    """Move every marker of a tool definition by `shift_mm` in the tool frame.
 
     It has its own part number, so that a simulated unit does not know where its spheres really are.
     """
@@ -116,7 +116,7 @@ def reverse_normals(block: bytes) -> bytes:
 
 
 def build_published_definition() -> bytes:
-    """Build a definition with the numbers of a real tool, from the published layout."""
+    """Build a definition in the published layout with the numbers of a real tool."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)
     block[:4] = layout.ROM_MAGIC
@@ -171,7 +171,7 @@ class MeasuringVolume:
 
     @property
     def knee_mm(self) -> float:
-        """Depth z at which the slope of |y| changes, mm."""
+        """Depth z at which the slope of the |y| limit changes, mm."""
         return self.numbers[1] / 100
 
     @property
@@ -181,12 +181,12 @@ class MeasuringVolume:
 
     @property
     def middle_mm(self) -> float:
-        """Depth z well inside the volume, mm: at the knee, or the midpoint if the knee is at a face."""
+        """Depth z well inside the volume, mm: the knee, or the midpoint if the knee is at a face."""
         far_mm, near_mm = self.depths_mm
         return self.knee_mm if far_mm < self.knee_mm < near_mm else (far_mm + near_mm) / 2
 
     def half_extents_mm(self, z_mm: float) -> tuple[float, float]:
-        """Return the largest |x| and |y| inside the volume at a depth, mm."""
+        """Return the |x| and |y| limits of the volume at a depth, mm."""
         _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.numbers
         behind_mm = knee / 100 - z_mm  # negative in front of the knee
         y_mm = y_knee / 100 + behind_mm * (y_behind if behind_mm > 0 else y_front) / 1e5
@@ -194,7 +194,7 @@ class MeasuringVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """Return the distance of a point inside the faces along the closest axis, mm; negative outside."""
+        """Return the axis-parallel distance of a point to the nearest face, mm; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)
@@ -202,7 +202,7 @@ class MeasuringVolume:
 
 
 def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
-    """Read the volumes by SFLIST 03; every record must have its exact length."""
+    """Read the measuring volumes with SFLIST 03; every record must have the exact length."""
     text = unit.ask("SFLIST:03")
     records = text[1:].splitlines(keepends=True)
     check(text[:1].isdigit() and int(text[:1]) == len(records), "as many volumes as announced", text[:1])
@@ -216,7 +216,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
 
 
 def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
-    """Return the selected volume, or the first if the unit does not report it."""
+    """Return the selected volume, or the first if the unit does not report its selection."""
     volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()
     return volumes[int(value)] if value.isdecimal() and int(value) < len(volumes) else volumes[0]

@@ -1,4 +1,4 @@
-"""Checklist lines 24 to 34 and 49: modes, frame numbers, and the forms of TX and BX."""
+"""Checklist lines 24 to 34 and 49: modes, frame numbers, and TX and BX formats."""
 
 from __future__ import annotations
 
@@ -228,12 +228,12 @@ def diagnostic_mode(unit: PolarisLink) -> None:
 
 
 def frame_number(unit: PolarisLink) -> int:
-    """Read the frame number of the only handle."""
+    """Read the frame number of the only loaded tool."""
     return read_frame(unit).frame
 
 
 def _is_counting_requests(unit: PolarisLink) -> bool:
-    """Return whether quick requests each return the next frame, faster than 60 per second.
+    """Return whether each of many quick requests returns the next frame, faster than 60 per second.
 
     After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay
     each reply until the next.

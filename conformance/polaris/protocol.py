@@ -96,7 +96,7 @@ CASE_MODULES = (unit_cases, frame_cases, volume_cases, driver_cases)
 
 
 def offers(dut: DeviceUnderTest) -> frozenset[str]:
-    """Return the needs of Polaris cases that the device under test meets."""
+    """Return the requirements of Polaris cases that the device under test meets."""
     met = {CHECKED_REPLIES}
     if dut.config.endpoint is not None:
         met.add(POLARIS_BYTES)

@@ -1,4 +1,4 @@
-"""Disturbable line for the Polaris protocol that can change the reply to a given command."""
+"""Fault-injecting line for the Polaris protocol that can change replies to given commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _u16 = struct.Struct("<H")
 
 
 class PolarisTap(DisturbedLine):
-    """Tap that logs the driver's `commands` as `NAME:argument`, and the last of the `replies` to each."""
+    """Tap that logs the driver's `commands` as `NAME:argument`, and each command's latest reply."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
@@ -31,16 +31,16 @@ class PolarisTap(DisturbedLine):
         self._reply = b""
 
     def change(self, name: str, change: Change, delay_s: float = 0.0) -> None:
-        """Change and delay the next reply to this command, once; may be called in advance."""
+        """Change and delay the next reply to a command, once; may be called in advance."""
         with self._lock:
             self._changes.append((name, change, delay_s))
 
     def answer(self, name: str, text: str) -> None:
-        """Replace the next reply to this command by a text with a valid CRC. The unit still executes it."""
+        """Replace the next reply to a command, which the unit still executes, by text with a valid CRC."""
         self.change(name, lambda _reply: with_crc(text))
 
     def count(self, beginning: str) -> int:
-        """Count the commands with this beginning."""
+        """Count the logged commands that start with `beginning`."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _note_command(self, data: bytes) -> None:
@@ -72,7 +72,7 @@ class PolarisTap(DisturbedLine):
 
 
 def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
-    """Create a tap between driver and unit; pass its endpoint to `make`."""
+    """Create a tap between driver and unit; pass the tap's endpoint to `make`."""
     dut.release()
     return PolarisTap(dut.endpoint)
 

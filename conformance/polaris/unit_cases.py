@@ -211,7 +211,7 @@ def both_makers_definitions_load(unit: PolarisLink) -> None:
 
 
 def _check_listed(unit: PolarisLink, handle: str, *queries: str) -> None:
-    """Check that exactly these of the five PHSR queries list the handle."""
+    """Check that the handle is listed by exactly these of the five PHSR queries."""
     found = tuple(query for query in ("00", "01", "02", "03", "04") if handle in unit.handles(query))
     check(found == queries, f"handle {handle} under {' and '.join(queries)}", found)
 

@@ -119,7 +119,7 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
 
 
 def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
-    """Check the stray flags against the volume in one bit order, except near its edge; return those seen."""
+    """Check the stray flags against the volume, except near its faces; returns the expected flags."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
     for _ in range(STRAY_FRAMES):
@@ -136,7 +136,7 @@ def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolu
 
 
 def _test_points(volume: MeasuringVolume) -> list[Vector3]:
-    """Return points at the centre, and just inside and outside each face on both sides of the knee."""
+    """Return test points at the centre and just inside and outside the faces."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm
     places: list[Vector3] = [(0.0, 0.0, middle_mm)]

@@ -1,4 +1,4 @@
-"""Driver for two Basler cameras over GigE Vision, without vendor library or root rights.
+"""Driver for two Basler cameras over GigE Vision; needs no vendor library and no root privileges.
 
 `BaslerStereoPair` is resolved on first use, so that the receiver process does not import what
 only the driver needs.

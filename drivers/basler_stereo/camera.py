@@ -1,4 +1,4 @@
-"""Control of one camera from discovery to release: connection, settings, stream."""
+"""One camera of the pair, from discovery to release: connection, settings and stream."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ PATIENCE_S = 0.1  # after the exposure, before packets of an image not yet begun
 
 
 class Camera:
-    """GigE Vision camera of one side. Deadlines are host monotonic time. Use from one thread at a time."""
+    """Left or right GigE Vision camera; deadlines are host monotonic time. Not thread-safe."""
 
     def __init__(
         self, side: str, address: str, options: BaslerOptions, recorder: LinkRecorder | None = None
     ) -> None:
-        """Open nothing. `recorder` receives the control channel and a note for each image."""
+        """Create an unconnected camera; `recorder` receives control traffic and a note for each image."""
         self.side = side
         self._recorder = recorder or LinkRecorder("", None)
         self._address = address
@@ -76,7 +76,7 @@ class Camera:
 
     @property
     def features(self) -> FeatureMap:
-        """Features from the camera's description; available only while controlled."""
+        """GenICam features of the camera; available only while controlled."""
         assert self._features is not None, "the lifecycle allows this only while controlled"
         return self._features
 
@@ -88,11 +88,11 @@ class Camera:
 
     @property
     def counters(self) -> StreamCounters | None:
-        """Statistics of the current stream; None without one."""
+        """Statistics of the current stream, or None while not streaming."""
         return self._receiver.counters if self._receiver else None
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Open the control channel and identify the camera, without control; raises GEV-001, GEV-008.
+        """Connect and identify the camera without taking control; raises GEV-001, GEV-008.
 
         If no camera replies, the message names those found by broadcast discovery.
         """
@@ -107,7 +107,7 @@ class Camera:
             raise NoCamera(error.what, expected=error.expected, got=near) from error
 
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
-        """Take control, read the description, apply the known state, find the packet size.
+        """Take control, read the description, apply the known state and determine the packet size.
 
         Waits until the heartbeat of a dead controller times out. Raises GEV-005 when another application is
         in control; on any error control is released.
@@ -130,19 +130,19 @@ class Camera:
             raise
 
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
-        """Choose the part of the sensor to read; raises GEV-011. Not while streaming."""
+        """Set the sensor area to read out, while not streaming; raises GEV-011."""
         self._set_deadline(deadline_s)
         known_state.set_area(self.features, area)
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
-        """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
+        """Set exposure and gain (None: the minimum), also while streaming; raises GEV-011."""
         self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
         self._exposure_us = exposure_us
 
     def read_temperature_C(self, deadline_s: float) -> float | None:
-        """Read the internal temperature; None if not reported."""
+        """Read the internal temperature, or None if the camera does not report it."""
         self._set_deadline(deadline_s)
         return known_state.read_temperature_C(self.features)
 
@@ -176,7 +176,7 @@ class Camera:
             self._close_receiver()
 
     def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
-        """Relate the current tick count to theatre time; None for a camera without a time stamp counter."""
+        """Relate the current tick count to theatre time, or return None without a time stamp counter."""
         if not self.tick_frequency_hz:
             return None
         try:
@@ -194,7 +194,7 @@ class Camera:
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
     def expect_next(self) -> None:
-        """Discard everything older than the frame just triggered."""
+        """Discard pending frames and expect the one about to be triggered."""
         self.receiver.discard()
         if self.trigger_command is None:
             self._next_block = None  # a line may fire at any time
@@ -306,7 +306,7 @@ class Camera:
 
 
 class LinkRecorder:
-    """Traffic recorder for one camera's links, such as `stereo.left`; `sink` None disables it.
+    """Traffic recorder for one camera's links, such as `stereo.left`; without a `sink`, does nothing.
 
     Every datagram of the control channel is kept; for the stream, a note per image, and the counters. Resend
     requests and keep-alives are sent by the receiver process and are not included.
@@ -317,7 +317,7 @@ class LinkRecorder:
         self._sink = sink
 
     def on_bytes(self, direction: Direction, data: bytes) -> None:
-        """Record a datagram of the control channel."""
+        """Record a control channel datagram."""
         if self._sink is not None:
             self._sink.on_bytes(f"{self._name}.control", direction, data)
 

@@ -35,7 +35,7 @@ Finding = tuple[bool, str, str]  # whether all is well, observation, advice
 
 
 class Response(StrEnum):
-    """Kind of reply from an address."""
+    """Reachability of a camera address."""
 
     ANSWERED = "answered"
     NO_ROUTE = "no way"
@@ -45,7 +45,7 @@ class Response(StrEnum):
 
 @dataclass(frozen=True)
 class Controller:
-    """Application in control of a camera: none, or one with an address if the camera reports it."""
+    """Application in control of a camera, if any; the camera may not report its address."""
 
     taken: bool
     address: str = ""
@@ -56,7 +56,7 @@ class Controller:
 
 @dataclass(frozen=True)
 class CameraState:
-    """Findings at one camera address; fields are None for stages not reached."""
+    """Diagnostic findings for one camera address; None marks stages not reached."""
 
     endpoint: Endpoint
     response: Response
@@ -110,7 +110,7 @@ def _read_controller(control: ControlChannel) -> Controller:
 
 
 def _find_largest_packet(control: ControlChannel) -> int | None:
-    """Find the largest test packet that arrives; None if the camera does not grant control."""
+    """Determine the largest test packet that arrives, or None if the camera refuses control."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _reply_deadline_s())
     except (CommandRefused, NoReply):
@@ -131,7 +131,7 @@ def _find_largest_packet(control: ControlChannel) -> int | None:
 
 
 def _try_read_register(control: ControlChannel, register: int) -> int | None:
-    """Read a register; None if the camera refuses or does not reply."""
+    """Read a register, or return None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _reply_deadline_s())
     except (CommandRefused, NoReply, MalformedReply):
@@ -143,7 +143,7 @@ def _reply_deadline_s() -> float:
 
 
 class ExpectedCamera(NamedTuple):
-    """Address of a camera and, if known, its expected identity."""
+    """Camera address with the expected serial number and model, if known."""
 
     endpoint: Endpoint
     serial: str | None = None
@@ -153,7 +153,7 @@ class ExpectedCamera(NamedTuple):
 def camera_diagnostic(
     camera: CameraState, found: Sequence[CameraIdentity], expected: ExpectedCamera
 ) -> Diagnostic:
-    """Return the doctor's finding for a camera, with figures; `found` replied to broadcast discovery."""
+    """Return the doctor's finding for a camera; `found` lists the replies to broadcast discovery."""
     well, seen, advice = _diagnose(camera, found, expected)
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
@@ -171,7 +171,7 @@ def camera_diagnostic(
 
 
 def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
-    """List the cameras on one network, and serial numbers that replied more than once."""
+    """Report the cameras on one network and any duplicate serial numbers."""
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     advice = (

@@ -36,7 +36,7 @@ JOIN_LIMIT_S = 1.5
 
 
 class ControlChannel:
-    """Control channel with one socket and one command at a time; thread-safe.
+    """GVCP control channel that handles one command at a time; thread-safe.
 
     Retries reuse the request id, so that a device that replies late does not execute a command twice.
     """
@@ -89,12 +89,12 @@ class ControlChannel:
         return gvcp.register_value(payload, what)
 
     def write_register(self, address: int, value: int, deadline_s: float) -> None:
-        """Set one 32-bit register; raises GEV-006, GEV-007."""
+        """Write one 32-bit register; raises GEV-006, GEV-007."""
         what = f"writing 0x{value:X} to register 0x{address:X}"
         self.ask(GvcpCommand.WRITEREG, gvcp.write_register_command(address, value), deadline_s, what)
 
     def read_memory(self, address: int, count: int, deadline_s: float) -> bytes:
-        """Read `count` bytes, in as many requests as needed; raises GEV-006, GEV-007, GEV-008."""
+        """Read `count` bytes of memory, in several requests if needed; raises GEV-006, GEV-007, GEV-008."""
         data = bytearray()
         while len(data) < count:
             start = address + len(data)
@@ -109,7 +109,7 @@ class ControlChannel:
         return bytes(data[:count])
 
     def write_memory(self, address: int, data: bytes, deadline_s: float) -> None:
-        """Write a few bytes, a multiple of 4; raises GEV-006, GEV-007."""
+        """Write a short block of memory, a multiple of 4 bytes; raises GEV-006, GEV-007."""
         what = f"writing memory at 0x{address:X}"
         self.ask(GvcpCommand.WRITEMEM, gvcp.write_memory_command(address, data), deadline_s, what)
 
@@ -127,7 +127,7 @@ class ControlChannel:
     def _finish(
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
     ) -> bytes:
-        """Wait for the acknowledge of a sent command, with retries."""
+        """Wait for the acknowledge of a command already sent, resending it as needed."""
         # a deadline that passed while waiting for the lock or the CPU still allows one try
         started_s = self._monotonic()
         deadline_s = max(deadline_s, started_s + FIRST_TRY_S)
@@ -147,7 +147,7 @@ class ControlChannel:
     def _receive(
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
     ) -> gvcp.Acknowledge | None:
-        """Receive the acknowledge with this request id; None if it has not arrived by `until_s`."""
+        """Receive the acknowledge with this request id, or return None at `until_s`."""
         while True:
             # also after the deadline: data that arrived while the host stalled was in time
             remaining_s = until_s - self._monotonic()
@@ -186,7 +186,7 @@ class ControlChannel:
 
 
 def register_write(address: int, value: int) -> Command:
-    """Build the command that sets one register."""
+    """Build a command that writes one register."""
     return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
 
 
@@ -216,7 +216,7 @@ def send_together(
 
 
 def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -> None:
-    """Take the control privilege; `camera_name` names the camera in the message.
+    """Take control of a camera; `camera_name` is its name in messages.
 
     Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
     time). Raises GEV-005 when that controller is alive or time is up, GEV-006, GEV-007.
@@ -231,7 +231,7 @@ def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:
-    """Raise GEV-015 unless we control the camera, GEV-007 if it does not reply."""
+    """Raise GEV-015 unless we still control the camera, GEV-007 if it does not reply."""
     try:
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
     except CommandRefused as error:  # while another client has exclusive access, even reading is rejected
@@ -241,7 +241,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
 
 
 def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
-    """Request control; None if granted, otherwise the reason for the refusal."""
+    """Request control; returns the reason if the camera refuses, otherwise None."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -253,7 +253,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
-    """Return when a dead controlling application loses control, at most the deadline."""
+    """Return when control lapses if its holder is dead, at most the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
     except CommandRefused:  # exclusive access: others cannot even read
@@ -262,7 +262,7 @@ def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
 
 
 class Heartbeat:
-    """Heartbeat thread that reads the control privilege; calls `on_lost` once with the reason if it gives up.
+    """Thread that keeps control by polling the privilege; calls `on_lost` once if control or camera is lost.
 
     A silent camera is lost only after its time-out: until then it keeps us as its controller. Any command
     would restart the camera's timer, but reading the privilege also shows whether the camera has restarted or
@@ -288,7 +288,7 @@ class Heartbeat:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread; takes at most the time of one command to an unresponsive camera."""
+        """Stop the thread, within the time of one command to an unresponsive camera."""
         self._ending.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(JOIN_LIMIT_S)

@@ -21,14 +21,14 @@ class NoCamera(ConnectError):
 
 
 class WrongModel(ConnectError):
-    """A GigE Vision device replied, but it is not the model that the theatre file expects."""
+    """The device found is not the camera model that the theatre file expects."""
 
     code = "GEV-002"
     action = "Check the address; if this model is intended, set expected_model in the options."
 
 
 class WrongSerial(ConnectError):
-    """The camera is the right model, but not the one calibrated for this side."""
+    """The camera is not the one calibrated for this side."""
 
     code = "GEV-003"
     action = (
@@ -60,14 +60,14 @@ class CommandRefused(DeviceError):
 
 
 class NoReply(LinkTimeout):
-    """The camera did not acknowledge a command in time, retries included."""
+    """The camera did not acknowledge a command in time, despite retries."""
 
     code = "GEV-007"
     action = "Check power and cable of that camera and try again; if it stays silent, a fault is latched."
 
 
 class MalformedReply(ProtocolError):
-    """A reply does not have the form that its command requires."""
+    """The camera's reply to a command is malformed."""
 
     code = "GEV-008"
     action = "Check that a GigE Vision camera is at this address; note its firmware and report it."
@@ -81,7 +81,7 @@ class BadDescription(ProtocolError):
 
 
 class MissingFeature(DeviceError):
-    """The camera lacks a feature, or the feature does not accept this value."""
+    """The camera lacks a feature, or the feature does not support the requested value."""
 
     code = "GEV-010"
     action = "Check the model and its firmware; this driver needs an area scan camera with software trigger."
@@ -95,7 +95,7 @@ class OutOfRange(LimitError):
 
 
 class PacketTooLarge(ConfigurationError):
-    """Stream packets of the chosen size do not reach this computer."""
+    """Stream packets of the configured size do not reach this computer."""
 
     code = "GEV-012"
     action = "Allow jumbo frames on the network card and every switch, or choose a smaller packet_bytes."
@@ -116,14 +116,14 @@ class CameraLost(LinkTimeout):
 
 
 class ControlLost(DeviceError):
-    """Control of a camera was lost: it restarted, or our heartbeat came too late."""
+    """Control of a camera was lost, because it restarted or the heartbeat was too late."""
 
     code = "GEV-015"
     action = f"Find out what stalled or restarted, then {ACKNOWLEDGE}. All settings are written again."
 
 
 class BadOptions(ConfigurationError):
-    """The stereo options in the theatre file have mistakes; all are listed."""
+    """The stereo options in the theatre file contain mistakes."""
 
     code = "GEV-016"
     action = "Correct the options; docs/reference/stereo-options.md lists every key."
@@ -139,7 +139,7 @@ class ReceiverEnded(DeviceError):
 
 
 class NoPylon(ConfigurationError):
-    """The vendor's library that this driver needs is not installed."""
+    """The vendor library pypylon is not installed."""
 
     code = "GEV-018"
     action = "Install the optional extra: pip install 'ronna-hw[pylon]'; or use the driver basler_stereo."

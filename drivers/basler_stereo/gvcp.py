@@ -1,4 +1,4 @@
-"""GVCP datagrams: encoding of commands and decoding of acknowledges. No I/O."""
+"""Encoding of GVCP commands and decoding of acknowledges; no I/O."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _U32 = struct.Struct(gev.READREG_ITEM)
 
 @dataclass(frozen=True)
 class Acknowledge:
-    """Decoded acknowledge; `status` 0 is success."""
+    """Decoded GVCP acknowledge; `status` 0 means success."""
 
     status: int
     command: int
@@ -34,13 +34,13 @@ def encode(
 
 
 def encode_resend(request_id: int, block_id: int, first: int, last: int) -> bytes:
-    """Encode a request to resend packets `first`..`last` of a block; there is no acknowledge."""
+    """Encode a request to resend packets `first`..`last` of a block, without acknowledge."""
     payload = struct.pack(gev.PACKETRESEND_COMMAND, 0, block_id, first, last)
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
 
 def decode(datagram: bytes) -> Acknowledge | None:
-    """Decode an acknowledge; None for a datagram that is too short or of the wrong length."""
+    """Decode an acknowledge, or return None if the datagram is truncated."""
     if len(datagram) < gev.GVCP_HEADER_BYTES:
         return None
     status, command, length, request_id = _ACK_HEADER.unpack_from(datagram)
@@ -52,7 +52,7 @@ def decode(datagram: bytes) -> Acknowledge | None:
 
 
 def require_success(acknowledge: Acknowledge, what: str) -> bytes:
-    """Return the payload of a successful acknowledge; raises GEV-006 naming the status."""
+    """Return the payload of a successful acknowledge; raises GEV-006 with the status."""
     if acknowledge.status != GevStatus.SUCCESS:
         refused = CommandRefused(f"{what} was rejected", got=status_name(acknowledge.status))
         refused.status = acknowledge.status
@@ -61,7 +61,7 @@ def require_success(acknowledge: Acknowledge, what: str) -> bytes:
 
 
 def status_name(status: int) -> str:
-    """Name a status in words and by its number."""
+    """Format a status as its name and number."""
     try:
         return f"{GevStatus(status).name.lower().replace('_', ' ')} (0x{status:04X})"
     except ValueError:
@@ -74,7 +74,7 @@ def read_register_command(address: int) -> bytes:
 
 
 def register_value(payload: bytes, what: str) -> int:
-    """Return the value in the acknowledge of a READREG for one register; raises GEV-008."""
+    """Extract the register value from a READREG acknowledge; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES:
         raise MalformedReply(
             f"{what}: the reply has the wrong length",
@@ -101,7 +101,7 @@ def read_memory_command(address: int, count: int) -> bytes:
 
 
 def memory_data(payload: bytes, address: int, count: int) -> bytes:
-    """Return the data in the acknowledge of a READMEM; raises GEV-008."""
+    """Extract the data from a READMEM acknowledge; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES + count or _U32.unpack_from(payload)[0] != address:
         raise MalformedReply(
             f"reading memory at 0x{address:X}: the reply has the wrong address or length",
@@ -118,7 +118,7 @@ def write_memory_command(address: int, data: bytes) -> bytes:
 
 
 def pending_ms(payload: bytes) -> int:
-    """Return the extra waiting time requested by the device, ms; 0 if it gives none."""
+    """Return the extra time requested by a PENDING acknowledge, ms, or 0 if unspecified."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

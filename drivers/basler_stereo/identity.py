@@ -1,4 +1,4 @@
-"""Camera identities from replies to GVCP discovery, by address or by broadcast."""
+"""Camera identification through GVCP discovery, by address or by broadcast."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REQUEST_ID = gev.REQUEST_ID_FIRST
 
 @dataclass(frozen=True)
 class CameraIdentity:
-    """Identity of one camera from its bootstrap registers."""
+    """Camera identity from the bootstrap registers."""
 
     address: str
     mac: str
@@ -46,7 +46,7 @@ def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
 
 
 def decode_identity(memory: bytes, address: str) -> CameraIdentity:
-    """Decode the identity in a discovery reply; raises GEV-008."""
+    """Decode the identity from a discovery reply; raises GEV-008."""
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
             f"{address}: the reply to discovery has the wrong length",
@@ -95,7 +95,7 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
 
 
 def describe_cameras_near(address: str) -> str:
-    """Describe the cameras on the network of an address; other networks are not queried."""
+    """Describe the cameras that reply on the same network as an address."""
     if (interface := find_interface(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):
@@ -104,7 +104,7 @@ def describe_cameras_near(address: str) -> str:
 
 
 def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
-    """Decode a reply to broadcast discovery; raises GEV-008 for anything else."""
+    """Decode a broadcast discovery reply; raises GEV-008 for any other datagram."""
     acknowledge = gvcp.decode(datagram)
     if (
         acknowledge is None

@@ -23,7 +23,7 @@ SMALLEST_PACKET_BYTES = 576  # every IPv4 path carries it
 
 
 class BaslerOptions(Strict):
-    """Options of the pair. Without serial numbers, any two cameras are accepted."""
+    """Camera pair options; without serial numbers, any two cameras are accepted."""
 
     left_serial: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="Serial number of the left camera; none accepts any."
@@ -85,7 +85,7 @@ class BaslerOptions(Strict):
 
     @property
     def pixel_format_code(self) -> gev.PixelFormat:
-        """Pixel format code of the protocol."""
+        """GigE Vision code of the pixel format."""
         return {
             "Mono8": gev.PixelFormat.MONO8,
             "Mono12": gev.PixelFormat.MONO12,
@@ -97,5 +97,5 @@ Options = TypeVar("Options", bound=BaslerOptions)
 
 
 def read_options(config: DeviceConfig, model: type[Options]) -> Options:
-    """Parse the options of the theatre file; raises GEV-016 listing all mistakes."""
+    """Parse the options from the theatre file; raises GEV-016 listing all mistakes."""
     return parse_options(model, config.options, "stereo options", BadOptions)

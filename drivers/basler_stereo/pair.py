@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 
 class BaslerStereoPair(PairDevice[Camera]):
-    """Pair of GigE Vision cameras. Calls are synchronous, from one thread at a time.
+    """Pair of GigE Vision cameras with synchronous calls; not thread-safe.
 
     Time limits are host seconds.
 
@@ -46,7 +46,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Check options and endpoints without opening anything. Raises GEV-016, CFG-001 or CFG-002."""
+        """Check options and endpoints without opening a connection; raises GEV-016, CFG-001 or CFG-002."""
         self._options = read_options(config, BaslerOptions)
         super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
@@ -55,12 +55,12 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Options for a conformance run on unknown cameras."""
+        """Return the options for a conformance run on unknown cameras."""
         return {"expected_model": ""}
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but matter to the operator."""
+        """Messages from `configure` that are not errors but concern the operator."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
 
     @property
@@ -71,7 +71,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Report lost packets of the current streams, and temperatures.
+        """Report packet losses of the current streams and camera temperatures.
 
         Nothing is reported before they start.
 
@@ -97,14 +97,14 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Block ids of the last pair; None for a missing side. They restart with each stream."""
+        """Left and right block ids of the last pair, None for a missing image; each stream restarts them."""
         return self._grabber.block_ids if self._grabber else (None, None)
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._sink = sink
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return the pair; with trigger source `line1`, wait for a trigger.
+        """Trigger both cameras, or wait for an external trigger with `line1`, and return the pair.
 
         A side without an image is None and the reading MISSING, provided its camera replies. Images from
         different triggers are UNPAIRED, two older than the trigger STALE. If neither camera sent an
@@ -135,7 +135,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._streams.stop_streams(deadline_s)
 
     def _run_guarded(self, work: Callable[[], T], deadline_s: float, *, keeps_settings: bool = False) -> T:
-        """Run a piece of work, once more after a silence; latch FAULT if cameras or control are lost.
+        """Run an operation, repeating it after a silence; latches FAULT if cameras or control are lost.
 
         A camera that stays silent while its settings change also latches FAULT: they are then unknown.
         """
@@ -185,7 +185,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return (left, right), identities
 
     def _configure_cameras(self, deadline_s: float) -> None:
-        """Take control of both cameras and find the packet size. On an error, release both."""
+        """Take control of both cameras and determine the packet size; an error releases both."""
         configured_cameras: list[Camera] = []
         self._end_receiver_process()
         self._receiver_process = ReceiverProcess()

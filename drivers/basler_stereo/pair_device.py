@@ -1,4 +1,4 @@
-"""Base class of stereo drivers: cameras, identities, and device state."""
+"""Base class of stereo drivers: cameras, identities and lifecycle."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 
 
 class PairCamera(Protocol):
-    """Camera of one side. Deadlines are host monotonic time."""
+    """Left or right camera of a pair; deadlines are host monotonic time."""
 
     area: AreaOfInterest
 
@@ -47,7 +47,7 @@ T = TypeVar("T")
 
 
 class PairDevice(ABC, Generic[C]):
-    """Part of a `StereoPair` that is independent of camera access."""
+    """Base class for `StereoPair` drivers, independent of camera access."""
 
     wire_protocol: str
 
@@ -83,12 +83,12 @@ class PairDevice(ABC, Generic[C]):
 
     @property
     def serials(self) -> tuple[str, str]:
-        """Serial numbers read from the cameras, left and right; empty before `connect`."""
+        """Left and right serial numbers as read from the cameras; empty before `connect`."""
         return (self._identities[0].serial, self._identities[1].serial) if self._identities else ("", "")
 
     @property
     def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """Readout areas of the sensors, left and right; known from `configure` on."""
+        """Left and right readout areas; available after `configure`."""
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area
@@ -111,7 +111,7 @@ class PairDevice(ABC, Generic[C]):
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Take control of both cameras and set a known state: trigger, full frame, packet size.
+        """Take control of both cameras and apply a known state: trigger, full frame, packet size.
 
         May wait until the heartbeat of a dead controlling client has timed out. Raises GEV-005 when another
         application is in control, GEV-006 to GEV-012 when configuration fails.
@@ -128,7 +128,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Stop both streams; control is kept."""
+        """Stop both streams but keep control of the cameras."""
         self._guard.require("deactivate", RUNNING)
         deadline_s = time.monotonic() + timeout_s
         facts = self._stream_facts()
@@ -136,7 +136,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set the readout area of each sensor; GEV-011 leaves both cameras unchanged.
+        """Set both readout areas; GEV-011 leaves both cameras unchanged.
 
         A running stream is stopped and restarted; its block ids restart.
         """
@@ -154,13 +154,13 @@ class PairDevice(ABC, Generic[C]):
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Multiply the exposure last configured or set by `share`; raises GEV-011."""
+        """Scale the exposure from `configure` or the last `set_exposure` by `share`; raises GEV-011."""
         self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
         self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
+        """Return from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
 
         Raises GEV-003 when they are different cameras; FAULT then stays latched.
         """
@@ -183,7 +183,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop, release control and close.
+        """Stop the streams, release control and close the connections.
 
         Takes three seconds at most with unresponsive cameras; never raises.
         """
@@ -193,11 +193,11 @@ class PairDevice(ABC, Generic[C]):
 
     @abstractmethod
     def _open_cameras(self, deadline_s: float) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
-        """Connect to both cameras and check them; on an error, close both."""
+        """Connect to both cameras and verify their identities; an error closes both."""
 
     @abstractmethod
     def _configure_cameras(self, deadline_s: float) -> None:
-        """Take control of both cameras and bring them to a known state."""
+        """Take control of both cameras and apply the known state."""
 
     @abstractmethod
     def _start_streams(self, deadline_s: float) -> None:
@@ -209,10 +209,10 @@ class PairDevice(ABC, Generic[C]):
 
     @abstractmethod
     def _run_guarded(self, work: Callable[[], T], deadline_s: float) -> T:
-        """Run a piece of work; latch FAULT if cameras or control are lost."""
+        """Run an operation; latches FAULT if cameras or control are lost."""
 
     def _stream_facts(self) -> dict[str, Any]:
-        """Return log facts about the streams that are ending."""
+        """Return stream statistics for the log entry of `deactivate`."""
         return {}
 
     def _release_all(self) -> None:
@@ -264,7 +264,7 @@ class PairDevice(ABC, Generic[C]):
 
 
 def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptions) -> None:
-    """Raise GEV-002, GEV-003 or GEV-004 unless the expected cameras are each on their own side."""
+    """Raise GEV-002, GEV-003 or GEV-004 unless each camera is the expected one for its side."""
     for identity in (left, right):
         if options.expected_model and identity.model != options.expected_model:
             raise WrongModel(

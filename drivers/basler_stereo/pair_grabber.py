@@ -1,4 +1,4 @@
-"""Grabbing of image pairs: start both streams, trigger, wait for both frames, check that they match."""
+"""Grabbing of image pairs: start both streams, trigger, collect both frames, check that they match."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Frames = tuple[Frame | None, Frame | None]
 
 
 class PairGrabber:
-    """Streams of a left and a right camera. Deadlines are host monotonic time.
+    """Stream control and frame pairing for two cameras; deadlines are host monotonic time.
 
     Use from one thread at a time.
     """
@@ -118,7 +118,7 @@ class PairGrabber:
         return self._make_reading(frames, sequence, triggered_s)
 
     def _needs_restart(self, frames: Frames) -> bool:
-        """Return whether this pair is incomplete and the streams must restart before the next trigger."""
+        """Return whether an incomplete pair requires a stream restart before the next trigger."""
         if self._options.trigger == "line1":  # a restart could miss the next pulse
             return None in frames and frames != (None, None)
         return any(frame is None or frame.missing_packets for frame in frames)
@@ -142,7 +142,7 @@ class PairGrabber:
                 raise result
 
     def _collect(self, deadline_s: float) -> Frames:
-        """Take a frame from each camera, waiting less for the second."""
+        """Collect a frame from each camera, with less time for the second."""
 
         def is_any_lost() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
@@ -154,7 +154,7 @@ class PairGrabber:
         return first, right.take(deadline_s, is_any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
-        """Raise the error for a missing frame.
+        """Raise the error that explains a missing frame.
 
         GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
         """
@@ -168,7 +168,7 @@ class PairGrabber:
             raise self._trigger_missed_error()
 
     def _trigger_missed_error(self) -> TriggerMissed:
-        """Build the error for a trigger without any image, with the known reason."""
+        """Build the error for a trigger that produced no image, with the probable reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed(

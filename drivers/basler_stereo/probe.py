@@ -1,4 +1,4 @@
-"""Diagnosis of unresponsive cameras, and search for camera pairs on the networks."""
+"""Diagnosis of unresponsive cameras and search for camera pairs on local networks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CAMERAS_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class BaslerProbe:
-    """Probe of the Basler driver. `probe_endpoints` serves bare endpoints, `find` a new theatre file."""
+    """Diagnosis and discovery for the Basler driver."""
 
     endpoint_schemes = frozenset({"gev"})
     table = "stereo"
@@ -59,7 +59,7 @@ class BaslerProbe:
         return self._diagnose_cameras([ExpectedCamera(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every ordered pair of cameras of one model, starting with those named left and right.
+        """Propose pairs of cameras of the same model; pairs named left and right take precedence.
 
         Each network is queried with one broadcast; no camera is controlled.
         """
@@ -101,7 +101,7 @@ probe = BaslerProbe()
 
 
 def _read_expected_cameras(config: DeviceConfig) -> list[ExpectedCamera]:
-    """List the cameras of a theatre file. The driver itself reports invalid options and endpoints."""
+    """List the cameras of a theatre file; the driver itself reports invalid options."""
     model = _option_text(config, "expected_model")
     sides = {side: parse_endpoint(text) for side, text in config.endpoints.items()}
     return [

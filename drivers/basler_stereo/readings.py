@@ -1,4 +1,4 @@
-"""Readings of a camera pair: validated read-only images, matched by the cameras' own clocks. No I/O."""
+"""Camera pair readings: validated read-only images, matched by the cameras' clocks. No I/O."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def camera_image(
     theatre_time_s: float,
     measured_s: float | None = None,
 ) -> CameraImage | None:
-    """Build the reading of one side; None without a leader, which carries time and shape.
+    """Build the image of one side, or return None without a leader, which carries time and shape.
 
     CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing,
     and their pixels are 0.
@@ -63,7 +63,7 @@ def stereo_reading(
     theatre_time_s: float,
     match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Combine both sides of one trigger. The validity is the worst of left, right and `match`.
+    """Combine both images of a trigger; the validity is the worst of left, right and `match`.
 
     Its device clock is the left camera's.
     """
@@ -78,7 +78,7 @@ def stereo_reading(
 def decode_pixels(
     data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Decode grey values (height, width) of 8 or 12 bits, read-only."""
+    """Decode 8-bit or 12-bit grey values, shape (height, width), read-only."""
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
     if pixel_format is PixelFormat.MONO8:
         pixels = np.frombuffer(data, dtype=np.uint8)
@@ -92,7 +92,7 @@ def decode_pixels(
 
 
 def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
-    """Unpack Mono12Packed: two values in three bytes, the low four bits of both in the middle byte."""
+    """Unpack Mono12Packed: two values in three bytes, with their low four bits in the middle byte."""
     padded = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
     padded[: len(packed)] = packed
     first, shared, second = padded[0::3], padded[1::3], padded[2::3]
@@ -104,7 +104,7 @@ def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class Tie:
-    """Relation of a camera's tick count to theatre time, known to within `uncertainty_s`."""
+    """Camera tick count at a theatre time known to within `uncertainty_s`."""
 
     ticks: int
     frequency_hz: int
@@ -112,16 +112,16 @@ class Tie:
     uncertainty_s: float
 
     def moment_s(self, ticks: int) -> float:
-        """Return the theatre time of a tick count."""
+        """Convert a tick count to theatre time."""
         return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
 
     def error_s(self, now_s: float) -> float:
-        """Return an upper bound on the current error of `moment_s`."""
+        """Return an upper bound on the error of `moment_s` at theatre time `now_s`."""
         return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
 
 
 class PairClock:
-    """Clock-based check that two images come from the same trigger.
+    """Checks by camera clock whether two images come from the same trigger.
 
     Each camera counts ticks from its own zero. Latching the counter at the start of the stream ties it to
     theatre time; every correctly paired image renews the tie, so that clock drift does not accumulate.
@@ -134,7 +134,7 @@ class PairClock:
 
     @property
     def is_tied(self) -> bool:
-        """Whether the counts of both cameras are related to theatre time."""
+        """Whether both tick counters are tied to theatre time."""
         return None not in self._ties
 
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
@@ -147,7 +147,7 @@ class PairClock:
     def judge_pair(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> Validity:
-        """Return UNPAIRED for images of different triggers, STALE for outdated ones, else OK.
+        """Return UNPAIRED for images from different triggers, STALE for outdated ones, otherwise OK.
 
         `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
         ties the first pair cannot be judged. A valid pair ties both clocks to a time between its trigger and

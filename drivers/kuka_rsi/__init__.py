@@ -1,4 +1,4 @@
-"""Driver for KUKA KR C4: RSI over UDP in a separate process for motion, EKI over TCP for the rest.
+"""Driver for KUKA KR C4: motion by RSI over UDP in a separate process, everything else by EKI over TCP.
 
 `KukaRsiArm` is resolved on first use, so that the real-time process does not import what
 only the driver needs.

@@ -60,13 +60,13 @@ _STOP_ORDERS = {
 
 
 class KukaRsiArm:
-    """Arm with endpoints `rsi` (udp://, our receiving address) and `eki_project` (tcp://, the controller)."""
+    """Arm driven through the endpoints `rsi` (udp://, our receiving address) and `eki_project` (tcp://)."""
 
     wire_protocol = "kuka-rsi-eki"
     notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Open nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 for an invalid configuration."""
+        """Check the configuration without connecting; raises CFG-001, CFG-002, RSI-013 or RSI-017."""
         self._name = name
         self._clock = clock
         self._options = options = read_options(name, config.options)
@@ -120,19 +120,19 @@ class KukaRsiArm:
 
     @property
     def controller(self) -> ControllerCommands:
-        """Controller commands other than motion (tool, base, override), and the controller's state."""
+        """Controller commands for tool, base and override, and access to the controller state."""
         return ControllerCommands(self._guard, lambda: self.connections.eki)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """Last cycles of the stream, oldest first; frozen once a fault is latched."""
+        """Most recent stream cycles, oldest first; frozen once a fault is latched."""
         return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self.connections.recorder.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Open the EKI channel and check that the controller runs our context for our arm.
+        """Open the EKI channel and check that the controller runs our RSI context for the configured arm.
 
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
@@ -142,7 +142,7 @@ class KukaRsiArm:
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
+        """Start the real-time process, which binds the RSI port; raises RSI-001."""
         self._guard.require("configure", (Lifecycle.CONNECTED,))
         self.connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
@@ -164,18 +164,18 @@ class KukaRsiArm:
         self._t1_confirmed_by = person if IN_T1 in self._prompted else ""
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Report everything that `activate` checks, with the controller's current values."""
+        """Report every condition that `activate` checks, with the controller's current values."""
         return tuple(readiness_facts(self._request_state(timeout_s), verified=self.connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
-        """Permit the next `activate` to start in T1, with a person holding the pendant near the arm.
+        """Allow the next `activate` to start in T1, with a person at the arm holding the pendant.
 
         Motions then stay within 250 mm/s and a tenth of the axes' full speed.
         """
         self._t1_confirmed_by = require_person(confirmed_by)
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start the RSI program and answer its telegrams; return when corrections take effect.
+        """Start the RSI program and its stream; returns once corrections take effect.
 
         Raises EKI-006 when the controller does not report which context it runs (see `confirm_start`),
         EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no telegram comes, RSI-015 when
@@ -194,7 +194,7 @@ class KukaRsiArm:
         self._enter_active(stop_count)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
-        """Activate with a controller that does not report its context, which a micro-move tests instead.
+        """Activate with a controller whose context is unknown, after testing its response by a micro-move.
 
         Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
         has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped,
@@ -216,7 +216,7 @@ class KukaRsiArm:
         self._enter_active(stop_count)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Bring the arm to rest and end the RSI program. Raises a fault that occurs meanwhile."""
+        """Stop the arm and end the RSI program; raises any fault that occurs meanwhile."""
         self._watch.check_until_certain()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
@@ -241,7 +241,7 @@ class KukaRsiArm:
         )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Go from FAULT to CONFIGURED: end the stream, acknowledge the messages, read everything again.
+        """Return from FAULT to CONFIGURED: end the stream, acknowledge messages, check the controller.
 
         Moves nothing. A broken or silent EKI connection is reopened, with retries until the time limit. While
         CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
@@ -268,7 +268,7 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop the arm, end the RSI program and the connection. Bounded in time, never raises."""
+        """Stop the arm, end the RSI program and disconnect, within a bounded time; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
         connections = self.connections
@@ -284,7 +284,7 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.CLOSED)
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Read the measured axes: from the stream while it runs, otherwise by an EKI request."""
+        """Read the measured joint angles, from a running stream or otherwise by EKI."""
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in RUNNING:
@@ -292,13 +292,13 @@ class KukaRsiArm:
         return self._readings.from_controller(self._request_state(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Read the tool number on the controller's inputs; 0 means no tool."""
+        """Read the tool number from the controller's inputs; 0 means no tool."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
         return ToolIdentity(self._readings.stamp(), self._request_state(timeout_s).tool)
 
     def link_statistics(self) -> LinkStatistics:
-        """Return the health of the link since the last `activate`."""
+        """Return the link statistics since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
         link = self.connections.open_link
         if link is None:
@@ -331,7 +331,7 @@ class KukaRsiArm:
         return self._planner.preview(motion, start_rad, self.operating_mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Bring the arm to rest; `timeout_s` is host time. All kinds except HOLD latch a fault."""
+        """Stop the arm; `timeout_s` is host time. All kinds except HOLD latch a fault."""
         self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self.connections.open_link
@@ -376,7 +376,7 @@ class KukaRsiArm:
         return self._readings.from_stream(self._follower.follow(clear_plan, stop_count, timeout_s))
 
     def _enter_active(self, stop_count: int) -> None:
-        """Enter ACTIVE, or HOLD if a stop was ordered during the start (more than `stop_count` known)."""
+        """Enter ACTIVE, or HOLD if more than `stop_count` stops have been ordered."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
         if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
@@ -400,5 +400,5 @@ class KukaRsiArm:
 
 
 def _operating_mode(mode: OperationMode) -> OperatingMode:
-    """Convert to the vendor-neutral operating mode; a stream starts in EXT or T1 only."""
+    """Convert a KUKA mode to the vendor-neutral operating mode; streams start only in EXT or T1."""
     return OperatingMode.REDUCED_SPEED if mode is OperationMode.T1 else OperatingMode.AUTOMATIC

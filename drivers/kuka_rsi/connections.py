@@ -1,4 +1,4 @@
-"""Connections to the controller: the EKI channel, and the RSI stream served by the real-time process.
+"""Connections to the controller: EKI channel and RSI stream.
 
 `Connections` opens and closes each; starting and ending the stream involves both.
 """
@@ -36,10 +36,10 @@ STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was
 
 
 class Connections:
-    """EKI and RSI connections of one arm. Accessing a closed one raises."""
+    """EKI and RSI connections of one arm; accessing a closed one raises."""
 
     def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
-        """Open nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
+        """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         self._name = name
         self._rsi = config.address("rsi").require("udp")
         self._eki_address = config.address("eki_project").require("tcp")
@@ -52,25 +52,25 @@ class Connections:
 
     @property
     def reported(self) -> ControllerState | None:
-        """Last state reported by the controller, requested or not."""
+        """Controller state received last, requested or unsolicited."""
         return None if self.open_eki is None else self.open_eki.latest
 
     @property
     def eki(self) -> EkiClient:
-        """EKI connection; raises EKI-001 if there is none."""
+        """Open EKI connection; raises EKI-001 if not connected."""
         if self.open_eki is None:
             raise ControllerNotFound(f"{self._name}: no EKI connection is open")
         return self.open_eki
 
     @property
     def link(self) -> LinkClient:
-        """Real-time process; raises RSI-002 if there is none."""
+        """Client of the real-time process; raises RSI-002 if the process has not been started."""
         if self.open_link is None:
             raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
 
     def is_eki_answering(self, limit_s: float) -> bool:
-        """Return whether the EKI connection is intact and the controller replies in time."""
+        """Return whether the controller replies on the EKI connection in time."""
         if self.open_eki is None or self.open_eki.failure is not None:
             return False
         try:
@@ -103,13 +103,13 @@ class Connections:
         return identity
 
     def start_link(self, timeout_s: float) -> None:
-        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
+        """Start the real-time process, which binds the RSI port; raises RSI-001."""
         self.close_link()
         settings = link_settings(self._rsi, self._context, self._options)
         self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
-        """Switch the drives on, start the RSI program, answer it, and wait until corrections take effect.
+        """Switch on the drives, start the RSI program and its stream, and wait until corrections take effect.
 
         Until then every correction is zero: any other would take effect in one jump at RSI_MOVECORR.
         In T1 the operator switches the drives on and presses the start key. `limits` has an entry for each
@@ -157,7 +157,7 @@ class Connections:
         return mode
 
     def acknowledge(self, deadline: float) -> None:
-        """Acknowledge the controller's messages and read its state again, while no RSI program runs.
+        """Stop any RSI program, acknowledge the controller's messages and check its state.
 
         Raises EKI-005 to EKI-007 for unmet requirements, EKI-008 when it refuses for another reason.
         """
@@ -189,19 +189,19 @@ class Connections:
         link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
 
     def close_eki(self) -> None:
-        """End the EKI connection, if there is one."""
+        """Close the EKI connection, if open."""
         if self.open_eki is not None:
             self.open_eki.close()
             self.open_eki = None
 
     def close_link(self) -> None:
-        """End the real-time process, if there is one."""
+        """Stop the real-time process, if running."""
         if self.open_link is not None:
             self.open_link.close()
             self.open_link = None
 
     def _open_controller(self, timeout_s: float) -> tuple[EkiClient, Identity, bool]:
-        """Connect by EKI and check that the controller runs our context for our arm; True if it reports this.
+        """Connect by EKI and check the controller's set-up; returns whether it reports all of this.
 
         Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 for a different set-up, EKI-006 when the
         controller does not report it and the option `accept_unverified` is off.
@@ -233,7 +233,7 @@ class Connections:
 
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
-    """Return the settings of the real-time process; its `LinkClient` adds the descriptors."""
+    """Build the settings of the real-time process, without the descriptors added by `LinkClient`."""
     return LinkSettings(
         host=rsi.host,
         port=rsi.port,
@@ -257,7 +257,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
 
 
 class LinkRecorder:
-    """Traffic recorder of both connections, if any; read when a connection is opened."""
+    """Optional traffic recorder for both connections; takes effect when a connection is opened."""
 
     def __init__(self, arm: str) -> None:
         self._arm = arm
@@ -265,7 +265,7 @@ class LinkRecorder:
 
     @property
     def eki_sink(self) -> BytesPassed | None:
-        """Sink for the bytes of the EKI connection; None without a recorder."""
+        """Recorder callback for EKI traffic, or None without a recorder."""
         sink, link = self.sink, f"{self._arm}.eki"
         if sink is None:
             return None
@@ -273,7 +273,7 @@ class LinkRecorder:
 
     @property
     def rsi_sink(self) -> Callable[[list[KeptCycle], int], None] | None:
-        """Sink for the telegrams and replies kept by the real-time process; None without a recorder."""
+        """Recorder callback for RSI traffic, or None without a recorder."""
         sink, link = self.sink, f"{self._arm}.rsi"
         if sink is None:
             return None
@@ -294,5 +294,5 @@ def _iterate_traffic(cycles: list[KeptCycle]) -> Iterator[PassedBytes]:
 
 
 def remaining_s(deadline: float) -> float:
-    """Return the time left until a deadline of the host's monotonic clock, at least 0."""
+    """Return the time remaining until a deadline on the host's monotonic clock, at least 0."""
     return max(deadline - time.monotonic(), 0.0)

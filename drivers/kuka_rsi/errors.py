@@ -1,4 +1,4 @@
-"""Errors of the robot link: RSI codes for the stream, EKI codes for the other channel."""
+"""Errors of the robot connection: RSI codes for the stream, EKI codes for the EKI channel."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 
 class LinkNotStarted(ConnectError):
-    """The real-time process did not start, or its port is taken."""
+    """The real-time process did not start, or its port is in use."""
 
     code = "RSI-001"
     action = "Free the port of endpoint rsi, or choose another one in the theatre file and the Ethernet file."
 
 
 class NoTelegram(LinkTimeout):
-    """The controller was started but sends no telegrams to this computer."""
+    """The RSI program was started, but this computer receives no telegrams."""
 
     code = "RSI-002"
     action = (
@@ -54,14 +54,14 @@ class MotionTripped(LimitError):
 
 
 class HeartbeatLate(LinkTimeout):
-    """The real-time process received no heartbeat from this program and stopped the arm."""
+    """This program's heartbeat to the real-time process was late, so the arm was stopped."""
 
     code = "RSI-006"
     action = f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}."
 
 
 class LinkProcessDied(DeviceError):
-    """The real-time process ended by itself."""
+    """The real-time process terminated unexpectedly."""
 
     code = "RSI-007"
     action = (
@@ -70,28 +70,28 @@ class LinkProcessDied(DeviceError):
 
 
 class ControllerRestarted(DeviceError):
-    """Telegrams come from a program run that this program did not start."""
+    """Telegrams come from an RSI run that this program did not start."""
 
     code = "RSI-008"
     action = f"Check who started the program, then {ACKNOWLEDGE}."
 
 
 class ProtectiveStop(StateError):
-    """A protective stop was requested and is latched."""
+    """A protective stop was requested; it remains latched."""
 
     code = "RSI-009"
     action = f"Find the reason, then {ACKNOWLEDGE}."
 
 
 class MotionStopped(MotionInterrupted):
-    """A motion was stopped before its end; the arm is at rest on its path."""
+    """A motion was stopped before its end, with the arm at rest on its path."""
 
     code = "RSI-010"
     action = "Resume and plan a new motion from here; an interrupted path is not continued."
 
 
 class MotionNotFinished(LinkTimeout):
-    """A motion did not end, or the arm did not settle, within its time limit."""
+    """The motion did not end, or the arm did not settle, within the time limit."""
 
     code = "RSI-011"
     action = "Give the motion more time, or check the lost cycles and option settle_tolerance_deg."
@@ -105,49 +105,49 @@ class MotionRefused(RefusedError):
 
 
 class BadOptions(ConfigurationError):
-    """The driver's options in the theatre file are wrong."""
+    """The arm options in the theatre file are invalid."""
 
     code = "RSI-013"
     action = "Correct the listed options; docs/reference/robot-options.md describes them."
 
 
 class BadTelegram(ProtocolError):
-    """Bytes from the controller are not a valid telegram."""
+    """Bytes received from the controller are not a valid RSI telegram."""
 
     code = "RSI-014"
     action = "Load the Ethernet file of this driver on the controller."
 
 
 class PoseDisagrees(DeviceError):
-    """RSI and EKI report different axes, so they do not belong to the same controller."""
+    """RSI and EKI report different joint angles, so they belong to different controllers."""
 
     code = "RSI-015"
     action = "Check that the endpoints rsi and eki_project belong to the same controller."
 
 
 class PathFailed(LimitError):
-    """A path had no solution at some point, and the arm was stopped in joint space."""
+    """The path had no solution at some point, so the arm was stopped in joint space."""
 
     code = "RSI-016"
     action = f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move."
 
 
 class ContextUnusable(ConfigurationError):
-    """The RSI context is unsafe, or reports too little, for this driver."""
+    """The RSI context is unsafe or insufficient for this driver."""
 
     code = "RSI-017"
     action = "Correct the listed entries, then generate and load the controller's files again."
 
 
 class HandshakeFailed(DeviceError):
-    """An unverified controller did not move as commanded in the micro-move."""
+    """An unverified controller failed the micro-move test."""
 
     code = "RSI-018"
     action = "Load the files of drivers/kuka_rsi/controller on the controller before moving the arm."
 
 
 class LinkUnusable(LinkTimeout):
-    """Too many replies were lost for too long, and the arm was stopped."""
+    """Too many replies were lost for too long, so the arm was stopped."""
 
     code = "RSI-019"
     action = (
@@ -156,7 +156,7 @@ class LinkUnusable(LinkTimeout):
 
 
 class LinkProcessStalled(DeviceError):
-    """The real-time process is alive but stalled for too long: the controller gets no replies."""
+    """The real-time process is running but stalled, so the controller gets no replies."""
 
     code = "RSI-020"
     action = (
@@ -171,7 +171,7 @@ EKI_LISTENS = (
 
 
 class ControllerNotFound(ConnectError):
-    """Nothing answers at the controller's address, or the answer is not an expected telegram."""
+    """No KR C4 with our EKI server replies at the controller's address."""
 
     code = "EKI-001"
     action = (
@@ -188,7 +188,7 @@ class ControllerLost(ProtocolError):
 
 
 class NoAnswer(LinkTimeout):
-    """A command was not answered in time."""
+    """The controller did not answer a command in time."""
 
     code = "EKI-003"
     action = (
@@ -197,7 +197,7 @@ class NoAnswer(LinkTimeout):
 
 
 class BadEkiTelegram(ProtocolError):
-    """Bytes from the controller are not a valid telegram."""
+    """Bytes received from the controller are not a valid EKI telegram."""
 
     code = "EKI-004"
     action = (
@@ -207,7 +207,7 @@ class BadEkiTelegram(ProtocolError):
 
 
 class WrongController(ConnectError):
-    """The controller's context, cycle, mode or arm differs from the driver's configuration."""
+    """The controller's RSI context, cycle, corrections or arm differ from the driver's configuration."""
 
     code = "EKI-005"
     action = (
@@ -217,7 +217,7 @@ class WrongController(ConnectError):
 
 
 class Unverified(ConnectError):
-    """The controller does not report which context it runs."""
+    """The controller does not report which RSI context it runs."""
 
     code = "EKI-006"
     action = (
@@ -228,7 +228,7 @@ class Unverified(ConnectError):
 
 
 class ControllerNotReady(RefusedError):
-    """Mode, drives, emergency stop, guard or an active message forbid motion."""
+    """Operating mode, drives, emergency stop, guard or an active message prevent motion."""
 
     code = "EKI-007"
     action = (
@@ -244,14 +244,14 @@ class CommandRefused(DeviceError):
 
 
 class DrivesOff(StateError):
-    """The drives were switched off on request; the fault is latched."""
+    """The drives were switched off on request, and a fault is latched."""
 
     code = "EKI-009"
     action = f"Find the reason, then {ACKNOWLEDGE}."
 
 
 class ControllerStopped(LimitError):
-    """Emergency stop, guard, mode, drives or a message ended a running stream; the arm was stopped."""
+    """Emergency stop, guard, mode, drives or a message interrupted a running stream and stopped the arm."""
 
     code = "EKI-010"
     action = f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}."

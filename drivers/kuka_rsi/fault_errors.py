@@ -1,4 +1,4 @@
-"""Conversion of real-time process reports to errors, with the flight record attached."""
+"""Conversion of faults from the real-time process to errors with a flight record."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def fault_error(
     message: int = 0,
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
-    """Build the error for the latched fault; None without one. `message` is the controller's, 0 for none."""
+    """Build the error for a latched fault, if any; `message` is the controller's number, 0 for none."""
     prefix = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
@@ -104,7 +104,7 @@ def fault_error(
 def start_error(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
-    """Build the error for a start without a matching telegram, naming other senders."""
+    """Build the error for a stream that received no matching telegram, with counts of all others."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counts = (
         (state.disagreeing, "reported other axes"),
@@ -158,7 +158,7 @@ def _monitor_error(
 
 
 def refusal_error(name: str, state: LinkState) -> MotionRefused | MotionStopped:
-    """Build the error for a motion refused by the real-time process, or prevented by a stop."""
+    """Build the error for a motion that was refused, or stopped before it began."""
     if state.result is Result.REFUSED_STOP:
         return MotionStopped(f"{name}: stopped before it began", got=axes_text(state))
     reason = _REFUSALS.get(state.result, f"result {state.result.name}")
@@ -166,7 +166,7 @@ def refusal_error(name: str, state: LinkState) -> MotionRefused | MotionStopped:
 
 
 def losses_text(initial: LinkState, state: LinkState) -> str:
-    """Describe the losses between two states; empty if there were none."""
+    """Describe the losses between two states, or return an empty text if there were none."""
     cycles, late, lost = (
         max(now - before, 0)
         for now, before in (
@@ -181,12 +181,12 @@ def losses_text(initial: LinkState, state: LinkState) -> str:
 
 
 def axes_text(state: LinkState) -> str:
-    """Describe the measured axes."""
+    """Format the measured joint angles."""
     return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"
 
 
 def furthest_text(state: LinkState) -> str:
-    """Describe the axis that is furthest from its set-point."""
+    """Format the axis with the largest deviation from its set-point."""
     off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
     axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
     return f"A{axis + 1} {off_deg[axis]:.4f} deg off its set-point"
@@ -200,7 +200,7 @@ def attach_flight_record(error: RonnaError, arm: str, cycles: Sequence[RecordedC
 
 
 def flight_table(cycles: Sequence[RecordedCycle], title: str) -> str:
-    """Format cycles as aligned columns, oldest first; ms before the last one, angles in deg."""
+    """Format cycles as a table, oldest first; times in ms before the last cycle, angles in deg."""
     columns = (
         *_HEAD,
         *(f"{axis} measured" for axis in AXIS_NAMES),

@@ -1,4 +1,4 @@
-"""Fault watch over the real-time process, the EKI channel, and the controller.
+"""Fault detection for the real-time process, the EKI channel and the controller.
 
 The real-time process stops the arm for faults that it detects itself. Faults that only EKI reports (emergency
 stop, guard, mode, drives, a message, or a broken channel) stop the arm from here as soon as they arrive. The
@@ -30,7 +30,7 @@ EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for r
 
 
 class _Inquiry(NamedTuple):
-    """Pending request for the controller's state, with the host time at which waiting ends."""
+    """Pending request for the controller state, with its host time limit."""
 
     eki: EkiClient
     number: int
@@ -38,7 +38,7 @@ class _Inquiry(NamedTuple):
 
 
 class FaultWatch:
-    """Fault watch over one arm, and listener of its EKI connection."""
+    """Fault monitor for one arm, and listener on its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
@@ -56,7 +56,7 @@ class FaultWatch:
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
     def check(self) -> None:
-        """Latch faults found by the real-time process or the EKI channel since the last call."""
+        """Latch any fault of the real-time process or the EKI channel."""
         eki = self._connections.open_eki
         if self._guard.state not in RUNNING:
             idle_link = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
@@ -92,7 +92,7 @@ class FaultWatch:
             self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
     def check_until_certain(self) -> None:
-        """Latch faults like `check`, but wait for the controller's reason if the axes no longer follow."""
+        """Latch any fault as `check` does, but wait for the controller's reason for a following error."""
         self.check()
         eki, inquiry = self._connections.open_eki, self._inquiry
         if eki is not None and inquiry is not None:
@@ -101,7 +101,7 @@ class FaultWatch:
             self.check()
 
     def latch(self, error: RonnaError) -> None:
-        """Latch an error that is about to be raised."""
+        """Latch an error that the caller is about to raise."""
         link = self._connections.open_link
         if link is not None and self._guard.state in RUNNING:
             self._latch_with_record(error, link)
@@ -109,7 +109,7 @@ class FaultWatch:
         self._raised_fault = self._guard.fault
 
     def raise_new(self) -> None:
-        """Raise a latched fault in the first call after it. Later calls are refused and name it."""
+        """Raise a latched fault that no call has raised yet."""
         self.check_until_certain()
         fault = self._guard.fault
         if fault is not None and fault is not self._raised_fault:
@@ -117,7 +117,7 @@ class FaultWatch:
             raise fault
 
     def raise_any(self) -> None:
-        """Raise a latched fault."""
+        """Raise a latched fault, if any."""
         self.check_until_certain()
         fault = self._guard.fault
         if fault is not None:
@@ -125,7 +125,7 @@ class FaultWatch:
             raise fault
 
     def on_state(self, state: ControllerState) -> None:
-        """Check a requested or unsolicited state from the controller. Called by the EKI reader."""
+        """Check a requested or unsolicited controller state; called on the EKI reader thread."""
         self.check()
         if self._guard.state not in RUNNING:
             return
@@ -134,11 +134,11 @@ class FaultWatch:
             self._stop_for(stop_error)
 
     def on_silence(self) -> None:
-        """Check whether a silence is too long. Called by the EKI reader."""
+        """Check whether the controller has been silent for too long; called on the EKI reader thread."""
         self.check()
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Stop for a broken channel, which could no longer report an emergency stop."""
+        """Stop the arm after losing EKI, since an emergency stop would go unreported."""
         if self._guard.state in RUNNING:
             with contextlib.suppress(Exception):  # perhaps the reader's own failure: the arm is stopped
                 self.check()
@@ -158,7 +158,7 @@ class FaultWatch:
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
     def _find_following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
-        """Return the controller's reason why the axes no longer follow, if it has one; None while unknown.
+        """Return the controller's reason for a following error, otherwise `tripped`; None while unknown.
 
         Braked axes leave their set-points before the controller's unsolicited state arrives: only its reply
         to a later request counts.

@@ -1,4 +1,4 @@
-"""Driver side of the real-time process: start, heartbeat, orders, and waiting for results."""
+"""Driver side of the real-time process: start, heartbeat, orders and results."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class LinkClient:
         timeout_s: float = START_TIMEOUT_S,
         on_traffic: TrafficHandler | None = None,
     ) -> None:
-        """Start the process, with its own descriptors in the settings. Raises RSI-001.
+        """Start the real-time process; raises RSI-001.
 
         `on_traffic` is called from a thread of this object with the link's traffic.
         """
@@ -103,7 +103,7 @@ class LinkClient:
 
     @property
     def stalled_s(self) -> float:
-        """Host time since the process was last seen running. It reports every 10 ms."""
+        """Host time since the last report of the process; reports come every 10 ms."""
         heartbeat_ns = self.mailbox.read_alive_ns()
         return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 
@@ -131,12 +131,12 @@ class LinkClient:
             return self._command_count
 
     def surround(self, surroundings: Surroundings) -> None:
-        """Set the surroundings for monitoring the next motions."""
+        """Set the surroundings for clearance monitoring of later motions."""
         if surroundings != self.surroundings:  # the real-time process reads only changes
             self.surroundings = surroundings
 
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop that takes effect with the next reply; return its number.
+        """Order a stop that takes effect with the next reply, and return its number.
 
         A weaker stop does not replace a stronger one of the same stream: the process may not have seen it.
         """
@@ -147,7 +147,7 @@ class LinkClient:
             return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait for a state that meets a condition; None after the time limit (host time).
+        """Wait for a state that meets a condition; returns None on time-out (host time).
 
         Raises RSI-007 when the process has ended.
         """
@@ -165,17 +165,17 @@ class LinkClient:
                 self._changed.wait(min(remaining_s, HEARTBEAT_S))
 
     def death_error(self) -> LinkProcessDied:
-        """Build the error for a process that ended unexpectedly."""
+        """Build the error for a process that terminated unexpectedly."""
         if self._end_reason is None:
             self._end_reason = self._read_end_reason()
         return LinkProcessDied(f"the real-time process ended: {self._end_reason}")
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """Return the last cycles, oldest first; frozen while a fault is latched."""
+        """Return the most recent cycles, oldest first; frozen while a fault is latched."""
         return self.mailbox.read_records()
 
     def close(self) -> None:
-        """End the process, which stops the arm first. Bounded in time, never raises, may be called twice."""
+        """End the process, which stops the arm first; bounded in time, repeatable, never raises."""
         if self._closing.is_set():
             return
         self._closing.set()

@@ -1,4 +1,4 @@
-"""Micro-move that tests how an unverified controller responds to corrections.
+"""Micro-move test of an unverified controller's response to corrections.
 
 Each axis moves out and back so little that nothing on the arm moves by more than 0.05 mm. The last axis comes
 first: it moves almost nothing, and a controller that accumulates corrections is exposed there.
@@ -33,7 +33,7 @@ PROBE_RAD = 1e-4
 
 
 class MicroMove:
-    """Micro-move of one arm, overridden by any stop after the first `stop_count`."""
+    """Micro-move test of one arm; any stop beyond the first `stop_count` interrupts it."""
 
     def __init__(
         self, name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stop_count: int
@@ -46,7 +46,7 @@ class MicroMove:
         self._stops = stop_count
 
     def verify(self) -> None:
-        """Move each axis out and back, and check its response.
+        """Move each axis out and back and check the measured response.
 
         Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
         than `stop_count` stops have been ordered, and RSI-007 when the real-time process has ended. The
@@ -117,7 +117,7 @@ class MicroMove:
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
-    """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
+    """Return a rotation towards mid-range that displaces flange and tool point by at most 0.05 mm."""
     tool_point_mm = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
     start_pose = kinematics.forward(joints_rad)
     moved_pose = kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD))

@@ -1,4 +1,4 @@
-"""Motions of one arm: planned within limits and clear of obstacles, then followed to their end."""
+"""Motion planning within limits and clear of obstacles, and supervision of execution."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ class MotionPlanner:
         self.surroundings = Surroundings()
 
     def limits(self, mode: OperatingMode) -> MotionLimits:
-        """Return the limits of every motion in an operating mode."""
+        """Return the motion limits for an operating mode."""
         if mode is OperatingMode.REDUCED_SPEED:
             return self._limits.with_reduced_speed(self._kinematics)
         return self._limits
 
     def plan(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> MotionPlan:
-        """Plan the path of a motion from `start_rad`; raises the errors of `plan_motion`."""
+        """Plan a motion from `start_rad`; raises the errors of `plan_motion`."""
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
     def clear_plan(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
-        """Return the plan with speed limits along its path; raises ARM-007 if clearance is violated."""
+        """Add speed limits along the path to a plan; raises ARM-007 if clearance is violated."""
         path = sweep_path(self._kinematics, plan, self.surroundings)
         path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path, self.limits(mode).body_speed_mm_s)
 
     def preview(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> PathPreview:
-        """Preview a planned and cleared motion; raises the errors of `plan`."""
+        """Plan a motion and preview its path; raises the errors of `plan`."""
         return preview_motion(self._kinematics, start_rad, motion, self.surroundings, self.limits(mode))
 
 
 class MotionFollower:
-    """Supervisor of one motion at a time in the real-time process."""
+    """Executor that supervises one motion at a time until the arm has settled."""
 
     def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name
@@ -75,7 +75,7 @@ class MotionFollower:
         self._motion_lock = threading.Lock()  # held while a motion is followed
 
     def follow(self, plan: MotionPlan, stop_count: int, timeout_s: float) -> LinkState:
-        """Execute a plan made when `stop_count` stops were known; return the state once the arm has settled.
+        """Execute a plan and return the final state; more than `stop_count` stops prevent or stop it.
 
         Raises RSI-010 when it was stopped, also before it began, RSI-011 when it used up `timeout_s` of
         controller cycles or did not settle at the end of its path, RSI-012 when it was refused, and the fault
@@ -89,12 +89,12 @@ class MotionFollower:
             self._motion_lock.release()
 
     def await_end(self, timeout_s: float) -> None:
-        """Wait until another thread has noticed that its motion was stopped, before the link ends."""
+        """Wait until another thread has noticed that its motion was stopped."""
         if self._motion_lock.acquire(timeout=max(0.0, timeout_s)):
             self._motion_lock.release()
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait like `LinkClient.wait`, and latch a fault if the real-time process ends."""
+        """Wait as `LinkClient.wait` does, and latch a fault if the real-time process ends."""
         try:
             return self._connections.link.wait(condition, timeout_s)
         except LinkProcessDied as error:

@@ -1,4 +1,4 @@
-"""Arm options in the theatre file, and the RSI context that they name."""
+"""Arm options in the theatre file, and loading of the RSI context."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text
 
 
 class KukaOptions(Strict):
-    """Table `[robot.<name>.options]`. Times are host time; fractions refer to full axis speed."""
+    """Arm options: table `[robot.<name>.options]`, with host times and fractions of full axis speed."""
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
@@ -95,12 +95,12 @@ class KukaOptions(Strict):
 
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
-    """Validate the options; raises RSI-013 listing every mistake."""
+    """Parse the arm options; raises RSI-013 listing every mistake."""
     return parse_options(KukaOptions, options, f"{device}: options", BadOptions)
 
 
 def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
-    """Load the context of the options; raises WIR-001 for a broken file, RSI-017 listing all objections."""
+    """Load the configured RSI context; raises WIR-001 for an invalid file, RSI-017 listing all objections."""
     context = load_context(options.context)
     if options.cycle_ms is not None:
         program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
@@ -115,7 +115,7 @@ def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
 
 
 def find_objections(context: RsiContext) -> Iterator[str]:
-    """Find everything that makes a context unsafe or insufficient for this driver."""
+    """List all reasons why a context is unsafe or insufficient for this driver."""
     holdon = {element.indx: element.holdon for element in context.receive}
     axes = [w for w in context.wiring if w.object == "AXISCORR"]
     stop_count = [w for w in context.wiring if w.object == "STOP"]
@@ -147,7 +147,7 @@ def find_objections(context: RsiContext) -> Iterator[str]:
 
 
 def _find_limit_objections(context: RsiContext) -> Iterator[str]:
-    """Check that the controller neither clamps nor trips before the driver's own monitor.
+    """List limits by which the controller would clamp or trip before the driver's own monitor.
 
     That monitor allows motion up to the end switches; values that AXISCORR passes must not trip AXISCORRMON.
     """

@@ -1,4 +1,4 @@
-"""Diagnosis of an unresponsive arm, and search for controllers on the networks.
+"""Diagnosis of an unresponsive arm and search for controllers on local networks.
 
 A controller serves one EKI client at a time and needs a moment before the next, so there is only one
 connection, the driver's own.
@@ -53,20 +53,20 @@ STREAM = (
 
 
 class KukaProbe:
-    """Probe of the KUKA driver; `find` serves a new theatre file."""
+    """Diagnosis and discovery for the KUKA driver."""
 
     table = "robot"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
-        """Check the stream's port, then the controller, without sending telegrams or moving anything."""
+        """Check the stream port, then the controller, without sending telegrams or moving the arm."""
         streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
         ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
         return (*ports, *connect_and_identify(name, config, KukaRsiArm, inspect=inspect))
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every controller with our EKI server: at the given addresses, or else on the networks.
+        """Propose every controller with our EKI server, at the given addresses or else on local networks.
 
         A controller serves one EKI client at a time; one that serves another is found but not identified.
         """
@@ -88,7 +88,7 @@ probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Check by binding and releasing whether the driver can receive telegrams at its port."""
+    """Check whether the driver can bind its stream port."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
@@ -98,7 +98,7 @@ def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
 
 
 def _describe_refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
-    """Return observation and advice for a port that cannot be bound."""
+    """Explain why a port cannot be bound, and advise."""
     if error.errno == errno.EADDRINUSE:
         if user := find_udp_port_user(endpoint.host, endpoint.port):
             return f"in use by {user}", "Stop that program; it may be another run of the robot."
@@ -120,13 +120,13 @@ def _describe_refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
 
 
 def stream_address(search: Search) -> str:
-    """Return the receiving address for telegrams: as given, or as in the shipped Ethernet file."""
+    """Return the receiving address for telegrams, by default from the shipped Ethernet file."""
     ethernet = load_context().ethernet
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
 
 
 def _find_listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
-    """Find addresses on the networks that accept a connection on the port of our EKI server."""
+    """Scan the networks for hosts that accept connections on our EKI server's port."""
     hosts = [host for each in interfaces for host in _list_hosts(each)]
     with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
         for host, is_accepted in zip(hosts, pool.map(_is_listening, hosts), strict=True):
@@ -135,7 +135,7 @@ def _find_listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
 
 
 def _list_hosts(interface: Interface) -> list[str]:
-    """List the addresses of one network except our own; for loopback, only the interface's address."""
+    """List the host addresses on a network except our own, or only our own for loopback."""
     if interface.loopback:
         return [interface.address]
     network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
@@ -151,7 +151,7 @@ def _is_listening(host: str) -> bool:
 
 
 def _make_proposal(controller: Endpoint, stream: str) -> Proposal:
-    """Propose a controller with all that is known, even if it is silent or serves another client."""
+    """Propose a controller with everything known about it, even if it cannot be identified."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
     what, variant, absent = "a controller", None, ""
     try:

@@ -1,4 +1,4 @@
-"""Arm readings and readiness, from the stream and from the controller's EKI state."""
+"""Arm readings and readiness, from the RSI stream and EKI states."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person 
 
 
 class ArmReadings:
-    """Numbered readings of one arm; the latest is kept for observers."""
+    """Numbered readings from one arm, with the latest kept for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections
@@ -34,17 +34,17 @@ class ArmReadings:
         self._newest: ArmReading | None = None
 
     def stamp(self, device_clock: int = 0) -> Stamp:
-        """Return the time stamp for the next reading."""
+        """Return the stamp for a new reading."""
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
 
     def from_stream(self, state: LinkState) -> ArmReading:
-        """Build a reading from the axes of the last telegram."""
+        """Build a reading from the last telegram's joint angles."""
         self._newest = self._make_stream_reading(state, self.stamp(state.IPOC))
         return self._newest
 
     def from_controller(self, state: ControllerState) -> ArmReading:
-        """Build a reading from the axes in a requested `State`."""
+        """Build a reading from the joint angles in a controller `State`."""
         self._newest = self._make_controller_reading(state, self.stamp())
         return self._newest
 
@@ -84,7 +84,7 @@ class ArmReadings:
 
 
 def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """Yield the settings that the controller reports unsolicited; nothing before its first report.
+    """Yield the controller's status from its latest report, if any.
 
     Drives that are off are no objection: `activate` switches them on.
     """
@@ -106,7 +106,7 @@ def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
 
 
 def _brakes_fact(state: ControllerState) -> Fact:
-    """Report the brakes, which the controller may close after a while even with drives on."""
+    """Report the brake status; brakes may be closed even with drives on."""
     if state.open_brakes is None:
         drives_text = "normally released while the drives are on" if state.drives else "the drives are off"
         return Fact("brakes", f"not reported; {drives_text}")
@@ -130,7 +130,7 @@ def _message_text(number: int) -> str:
 
 
 def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
-    """List everything that `activate` checks."""
+    """Yield every condition that `activate` checks."""
     yield from controller_facts(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,

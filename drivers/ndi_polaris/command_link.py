@@ -1,4 +1,4 @@
-"""Command link: framing with CRC, time limits, and resynchronisation after a disturbance.
+"""NDI command link: CRC framing, time limits, and resynchronisation after disturbances.
 
 Replies carry no number, so a late reply looks like the next one. Therefore input is flushed before each
 command; bytes found there, a time-out or a broken reply leave the link *unsettled*. An unsettled link first
@@ -54,7 +54,7 @@ _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a b
 
 @dataclass
 class LinkStatistics:
-    """Link statistics since the link was opened."""
+    """Command statistics since the link was opened."""
 
     commands: int = 0
     retries: int = 0
@@ -67,7 +67,7 @@ class _Echo(Enum):
 
 
 class CommandLink:
-    """Command link over one transport. Use from one thread at a time."""
+    """Command link over one transport; not thread-safe."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class CommandLink:
         self._echoes = 0
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
-        """Adopt these time limits, in seconds by command; other commands keep theirs."""
+        """Override the time limits of the given commands, in seconds."""
         self._limits_s = {**self._limits_s, **limits_s}
 
     def ask(
@@ -109,7 +109,7 @@ class CommandLink:
         return reply
 
     def ask_binary(self, name: str, argument: str = "", *, reply_bytes: int) -> bytes:
-        """Send a command like `ask` and return the body of its binary reply, CRCs checked."""
+        """Send a command as `ask` does and return the body of its binary reply, with CRCs checked."""
         reply = self._exchange(name, argument, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
@@ -117,7 +117,7 @@ class CommandLink:
         return reply
 
     def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:
-        """Return the time limit of a command: the unit's own plus the transfer both ways."""
+        """Return a command's time limit: the unit's own plus the transfer time both ways."""
         return self._limits_s.get(name, LONGEST_LIMIT_S) + self._transfer_s(sent_bytes + reply_bytes)
 
     def _transfer_s(self, count: int) -> float:
@@ -125,7 +125,7 @@ class CommandLink:
         return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, until_s: float = math.inf) -> bytes:
-        """Discard input until the line has been silent for `quiet_s`; return the last part of it.
+        """Discard input until the line has been quiet for `quiet_s`; returns the last bytes discarded.
 
         Raises NDI-006 when the line never falls silent.
         """
@@ -140,11 +140,11 @@ class CommandLink:
         return discarded
 
     def mark_unsettled(self) -> None:
-        """Request resynchronisation before the next command, after an implausible reply."""
+        """Request resynchronisation before the next command."""
         self._settled = False
 
     def settle(self) -> None:
-        """Resynchronise by ECHO with a unique text, discarding everything up to its echo.
+        """Resynchronise by ECHO with a unique text, discarding everything before the echo.
 
         A unit without ECHO refuses it twice, which serves equally. Raises NDI-007 while the unit may only be
         slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it has restarted.
@@ -225,7 +225,7 @@ class CommandLink:
             raise error
 
     def _receive(self, until_s: float, binary: bool) -> tuple[Reply | None, bytes]:
-        """Read until a reply is complete or `until_s` is reached: (reply or None, remaining bytes)."""
+        """Read a reply until `until_s`; returns (reply or None if incomplete, remaining bytes)."""
         buffer = b""
         while True:
             if binary and buffer[:1] == BX_START_BYTES[:1]:
@@ -246,7 +246,7 @@ class CommandLink:
             buffer += data
 
     def _check_stale_input(self) -> None:
-        """Flush the input before a command; unexpected bytes mark the link as unsettled."""
+        """Flush the input before a command; unexpected bytes force a resynchronisation."""
         if not (stale := self.transport.read(0.0)):
             return
         stale += self.drain(0.0)
@@ -299,7 +299,7 @@ def encode_command(name: str, argument: str = "") -> bytes:
 
 
 def decode_ascii(line: bytes) -> str:
-    """Return the text of one ASCII reply (without its CR); raises NDI-005, or NDI-006 if it is not ASCII."""
+    """Decode an ASCII reply without its CR; raises NDI-005 for a wrong CRC, NDI-006 for non-ASCII bytes."""
     text = line[: -ndi.ASCII_CRC_DIGITS]
     if not _has_valid_crc(line):
         raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{ndi.crc16(text):04X}", wire=line)
@@ -310,7 +310,7 @@ def decode_ascii(line: bytes) -> str:
 
 
 def trailing_text(heard: bytes) -> str | None:
-    """Return the text of the last reply, without its CR, in bytes that may begin with remnants of others."""
+    """Find the last reply in bytes that may start with remnants of others; returns its text."""
     line = heard.rsplit(ndi.CR, 1)[-1][-TRAILING_TEXT_BYTES:]
     # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
     # valid together with it.
@@ -327,13 +327,13 @@ def _has_valid_crc(line: bytes) -> bool:
 
 
 def split_ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first reply ending in CR: (line without CR, rest), or None while incomplete."""
+    """Split off the first reply ending in CR as (line without CR, rest), or return None if incomplete."""
     line, end, rest = buffer.partition(ndi.CR)
     return (line, rest) if end else None
 
 
 def binary_reply_bytes(header: bytes) -> int:
-    """Return the length of a binary reply from its first six bytes; raises NDI-005 or NDI-006."""
+    """Decode the total length of a binary reply from its six-byte header; raises NDI-005 or NDI-006."""
     start, length, crc = _HEADER.unpack_from(header)
     if start != ndi.BX_START:
         raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
@@ -348,7 +348,7 @@ def _header_crc(header: bytes) -> int:
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first binary reply: (body, rest), or None while incomplete.
+    """Split off the first binary reply as (body, rest), or return None if incomplete.
 
     Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
     """
@@ -369,13 +369,13 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
 
 
 def unit_error(text: str, command: str = "") -> UnitError | None:
-    """Return the typed error for a reply ERRORhh, else None."""
+    """Build the typed error for an ERRORhh reply, or return None for any other."""
     match = _ERROR.fullmatch(text)
     return error_for(int(match[1], 16), command) if match else None
 
 
 def warning_meaning(text: str) -> str | None:
-    """Return the meaning of a WARNING reply, else None. The command was executed nevertheless."""
+    """Return the meaning of a WARNING reply, or None; a warning does not prevent execution."""
     match = _WARNING.fullmatch(text)
     if not match:
         return None

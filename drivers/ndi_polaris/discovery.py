@@ -1,4 +1,4 @@
-"""Unit discovery on a line, initialisation, and selection of the fastest usable baud rate."""
+"""Unit discovery on a line, initialisation, and choice of baud rate."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Find the baud rate at which the unit replies, and switch the line to it.
+    """Find the unit's baud rate and switch the line to it.
 
     Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
     """
@@ -75,7 +75,7 @@ def find_unit(link: CommandLink) -> None:
 
 
 def initialise(link: CommandLink) -> None:
-    """Send INIT; if it fails, RESET the unit once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
+    """Initialise the unit, with one RESET if INIT fails; raises NDI-03x, NDI-005 to NDI-008."""
     try:
         link.ask("INIT")
     except (UnitError, LinkTimeout, ProtocolError):
@@ -90,7 +90,7 @@ def initialise(link: CommandLink) -> None:
 
 
 def await_reset(link: CommandLink) -> bool:
-    """Wait for RESET after a break or the RESET command; False if it does not arrive in time."""
+    """Return whether the unit sends RESET in time, after a break or the RESET command."""
     until_s = min(link.deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
     while (remaining_s := until_s - link.monotonic()) > 0:
@@ -101,7 +101,7 @@ def await_reset(link: CommandLink) -> bool:
 
 
 def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] = time.sleep) -> int | None:
-    """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
+    """Switch to the fastest baud rate that works and return it; None over TCP.
 
     If the cable does not carry a rate, the unit is searched for again, if necessary with a break. Then a
     slower rate is tried. Raises NDI-002 or NDI-003 when the unit cannot be found again.
@@ -148,7 +148,7 @@ def _switch_rate(
 
 
 class Inquiry(NamedTuple):
-    """Received bytes, and the text of a reply with a valid CRC, if any."""
+    """Received bytes, with the text of a valid reply, if any."""
 
     heard: bytes
     reply: str | None = None
@@ -159,7 +159,7 @@ class Inquiry(NamedTuple):
 
 
 def inquire(link: CommandLink) -> Inquiry:
-    """Send a command without side effects, twice if the first reply is garbled.
+    """Send a command without side effects, repeated if the reply is garbled.
 
     Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
     """
@@ -197,7 +197,7 @@ def _inquire_once(link: CommandLink) -> Inquiry:
 
 
 def _find_last_reply(heard: bytes) -> str | None:
-    """Return the text of the last reply with a valid CRC, ignoring loop-back of our own command."""
+    """Return the text of the last valid reply, ignoring loop-back of our own command."""
     echo = f"{INQUIRY_COMMAND}:"
     texts = (trailing_text(line) for line in reversed(heard.split(ndi.CR)[:-1]))
     return next((text for text in texts if text and text != echo), None)

@@ -1,4 +1,4 @@
-"""NDI Polaris units (Spectra, Vicra and compatible) on serial or TCP as an `OpticalTracker`."""
+"""NDI Polaris units (Spectra, Vicra and compatible) as an `OpticalTracker`, over serial or TCP."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """Driver of one Polaris unit. Calls are synchronous, from one thread at a time.
+    """Polaris tracker with synchronous calls; not thread-safe.
 
     Time limits are host seconds.
     """
@@ -77,7 +77,7 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and tool definitions without opening anything.
+        """Check options and tool definitions without opening a connection.
 
         Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
@@ -102,7 +102,7 @@ class PolarisTracker:
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Options for a conformance run on an unknown unit."""
+        """Return the options for a conformance run on an unknown unit."""
         return {"tools": [{"name": "robot_frame", "rom": "robot_frame.rom"}]}
 
     @property
@@ -128,27 +128,27 @@ class PolarisTracker:
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
-        """Definition of each tool by name, as sent to the unit."""
+        """Tool definitions by tool name, as sent to the unit."""
         return {name: encode_definition(tool) for name, tool in self._definitions.items()}
 
     @property
     def identity(self) -> Identity | None:
-        """Identity of the connected unit."""
+        """Identity of the unit, once connected."""
         return self._identity
 
     @property
     def baud(self) -> int | None:
-        """Current baud rate of the serial line; None over TCP or while not connected."""
+        """Current baud rate, or None over TCP or while not connected."""
         return self._open_link.transport.baud if self._open_link else None
 
     @property
     def volume(self) -> MeasuringVolume | None:
-        """Measuring volume in use; None before `configure`, or if the unit does not report it."""
+        """Measuring volume in use, or None before `configure` or if the unit does not report it."""
         return self._volume
 
     @property
     def volume_sections_mm(self) -> tuple[Section, ...]:
-        """Sections of the measuring volume; see `BoundedTracker`."""
+        """Cross-sections of the measuring volume; see `BoundedTracker`."""
         return () if self._volume is None else self._volume.sections_mm
 
     @property
@@ -158,12 +158,12 @@ class PolarisTracker:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but matter to the operator."""
+        """Messages from `configure` that are not errors but concern the operator."""
         return tuple(self._notices)
 
     @property
     def statistics(self) -> TrackingStatistics:
-        """Counts of the current or last tracking run."""
+        """Frame statistics of the current or last tracking run."""
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
     def observe(self) -> LastKnown[TrackerFrame]:
@@ -200,13 +200,13 @@ class PolarisTracker:
         )
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start tracking, with frame numbers from 0."""
+        """Start tracking; frame numbers restart from 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         self._run_guarded(self._tracking_run.start, timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Stop tracking; the tools stay loaded."""
+        """Stop tracking but keep the tools loaded."""
         self._guard.require("deactivate", RUNNING)
         self._run_guarded(lambda: stop_tracking(self._link), timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
@@ -230,7 +230,7 @@ class PolarisTracker:
         return frame
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Go from FAULT to CONFIGURED by reconnecting to the same unit; clears a bump.
+        """Return from FAULT to CONFIGURED by reconnecting to the same unit; clears an acknowledged bump.
 
         Raises NDI-004 for another unit, NDI-020 while a hardware fault persists, NDI-021 when the unit was
         bumped besides the acknowledged fault. FAULT then stays latched.
@@ -256,7 +256,7 @@ class PolarisTracker:
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop tracking, free the tools, restore the power-up baud rate. At most 3 s; never raises."""
+        """Stop tracking, free the tools and restore the default baud rate within 3 s; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
         if self._open_link is not None:
@@ -278,7 +278,7 @@ class PolarisTracker:
         return self._tracking
 
     def _run_guarded(self, work: Callable[[], T], timeout_s: float) -> T:
-        """Run `work` within the time limit; latch the faults that only `recover` may clear."""
+        """Run an operation within the time limit; latches faults that only `recover` may clear."""
         self._link.deadline_s = self._monotonic() + timeout_s
         try:
             return work()

@@ -1,4 +1,4 @@
-"""Errors of the tracker, NDI-001 to NDI-037. NDI-03x are the ERRORhh replies of the unit.
+"""Tracker errors NDI-001 to NDI-037; NDI-03x are the unit's ERRORhh replies.
 
 `error_for(hh)` maps each vendor code to its type; `vendor_code` keeps the number.
 """
@@ -31,56 +31,56 @@ class PortUnavailable(ConnectError):
 
 
 class NothingAnswers(ConnectError):
-    """The port is open, but no unit replies at any baud rate, not even after a break."""
+    """The line is open, but no unit replies at any baud rate, even after a break."""
 
     code = "NDI-002"
     action = "Check that the unit is powered and warmed up, and that this is its port."
 
 
 class NotAPolaris(ConnectError):
-    """Something replies, but not in the protocol of a Polaris unit."""
+    """The device on the line is not a Polaris unit."""
 
     code = "NDI-003"
     action = "Check the endpoint: another device or program is on this port."
 
 
 class WrongUnit(ConnectError):
-    """A Polaris unit replies, but not with the expected model or serial number."""
+    """The Polaris unit is not the expected model, or has another serial number."""
 
     code = "NDI-004"
     action = "Connect the right unit, or correct the expected model or serial number in the theatre file."
 
 
 class BadReplyCrc(ProtocolError):
-    """A reply has a wrong CRC; none of it is used."""
+    """A reply has a wrong CRC and was discarded."""
 
     code = "NDI-005"
     action = "One retry is automatic; if it recurs, check the cable and lower maximum_baud."
 
 
 class MalformedReply(ProtocolError):
-    """A reply has a valid CRC, but not the form required by its command."""
+    """A reply to a command is malformed."""
 
     code = "NDI-006"
     action = "Check the firmware version of the unit; keep the bytes for a report."
 
 
 class NoReply(LinkTimeout):
-    """The unit did not reply in time, possibly because it is slow."""
+    """The unit did not reply within the command's time limit."""
 
     code = "NDI-007"
     action = "Try again: the next command resynchronises the link first."
 
 
 class LinkLost(LinkTimeout):
-    """The unit has been silent beyond its own time limits, or the port closed."""
+    """The unit has been silent beyond its own time limits, or the line was closed."""
 
     code = "NDI-008"
     action = f"Check power and cable. To reconnect, {ACKNOWLEDGE}."
 
 
 class UnitRestarted(DeviceError):
-    """The unit was powered off, reset or re-initialised while connected."""
+    """The unit was power-cycled, reset or re-initialised while connected."""
 
     code = "NDI-009"
     action = f"To reconnect, {ACKNOWLEDGE}. Poses from before the restart are void."
@@ -88,42 +88,42 @@ class UnitRestarted(DeviceError):
 
 
 class BadOptions(ConfigurationError):
-    """Tracker options in the theatre file have mistakes, which are all listed."""
+    """The tracker options in the theatre file contain mistakes."""
 
     code = "NDI-010"
     action = "Correct the tracker's options; docs/reference/tracker-options.md lists them."
 
 
 class BadToolFile(DataError):
-    """A tool definition is missing, not a .rom, corrupt, or impossible."""
+    """A tool definition is missing, invalid or corrupt."""
 
     code = "NDI-011"
     action = "Use the .rom of the tool, or regenerate it from the marker coordinates."
 
 
 class SameGeometry(ConfigurationError):
-    """Two tools cannot be told apart: the distances between their markers are too similar."""
+    """Two tools are indistinguishable because their marker distances are too similar."""
 
     code = "NDI-012"
     action = "Use tools whose marker distances differ by several millimetres."
 
 
 class ForeignTool(DataError):
-    """A definition is valid but belongs to another tool."""
+    """A tool definition is valid but belongs to a different tool."""
 
     code = "NDI-013"
     action = "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file."
 
 
 class HardwareFailure(DeviceError):
-    """The unit reports a hardware fault; its poses must not be used."""
+    """The unit reports a hardware fault, so its poses must not be used."""
 
     code = "NDI-020"
     action = "Power-cycle the unit; if the fault persists, have it serviced."
 
 
 class SensorBumped(DeviceError):
-    """The unit was bumped: it may have moved or lost its calibration."""
+    """The unit was bumped and may have moved or lost its calibration."""
 
     code = "NDI-021"
     action = f"Check the unit and its stand, then {ACKNOWLEDGE}. Repeat all measurements made with the unit."
@@ -131,14 +131,14 @@ class SensorBumped(DeviceError):
 
 
 class TemperatureHold(DeviceError):
-    """The unit is too cold or too hot and withholds poses."""
+    """The unit is outside its temperature range and withholds poses."""
 
     code = "NDI-022"
     action = "Wait: tracking resumes by itself when the temperature is in range."
 
 
 class UnitError(DeviceError):
-    """The unit replied ERRORhh. `vendor_code` is the number; the message gives its meaning."""
+    """The unit replied ERRORhh; `vendor_code` is its number."""
 
     vendor_codes: ClassVar[frozenset[int]] = frozenset()
 
@@ -150,7 +150,7 @@ class UnitError(DeviceError):
 
 
 class CommandRejected(UnitError):
-    """The unit rejects the form or a parameter of a command."""
+    """The unit rejected a command's format or parameter."""
 
     code = "NDI-030"
     action = "Check the tracker's options and the firmware version of the unit."
@@ -160,7 +160,7 @@ class CommandRejected(UnitError):
 
 
 class CommandGarbled(UnitError):
-    """A command reached the unit with a wrong CRC and had no effect."""
+    """A command reached the unit with a wrong CRC and was ignored."""
 
     code = "NDI-031"
     action = "One retry is automatic; if it recurs, check the cable and lower maximum_baud."
@@ -176,7 +176,7 @@ class WrongMode(UnitError):
 
 
 class NotInitialised(UnitError):
-    """The unit needs INIT first, having just been powered up or reset."""
+    """The unit needs INIT after power-up or reset."""
 
     code = "NDI-033"
     action = "Reconnect; if it happens while connected, the unit has restarted."
@@ -184,7 +184,7 @@ class NotInitialised(UnitError):
 
 
 class HandleRefused(UnitError):
-    """A port handle is free, empty, not initialised or not enabled, or none is left."""
+    """A port handle is free, empty, not initialised or not enabled, or no handle is available."""
 
     code = "NDI-034"
     action = "Configure again to reload all tools; load fewer tools if no handle is left."
@@ -192,7 +192,7 @@ class HandleRefused(UnitError):
 
 
 class ToolRefused(UnitError):
-    """The unit rejects a tool definition, alone or in combination with the others."""
+    """The unit rejected a tool definition, by itself or in combination with others."""
 
     code = "NDI-035"
     action = "Check the tool's .rom, the number of tools and the selected volume."
@@ -200,7 +200,7 @@ class ToolRefused(UnitError):
 
 
 class NotOffered(UnitError):
-    """The unit lacks this feature, parameter, volume or line setting."""
+    """The unit does not support this feature, parameter, volume or line setting."""
 
     code = "NDI-036"
     action = "Omit the option, or use a unit that has it."
@@ -208,7 +208,7 @@ class NotOffered(UnitError):
 
 
 class UnitFault(UnitError):
-    """The unit could not carry out a command for an internal reason."""
+    """The unit failed to execute a command for an internal reason."""
 
     code = "NDI-037"
     action = "Power-cycle the unit; if the error recurs, have it serviced."

@@ -1,4 +1,4 @@
-"""Low-level check of a tracker's line: responding baud rate, other users of the port, advice.
+"""Low-level check of a tracker line: baud rate, other users of the port, advice.
 
 The inquiry is the driver's own: every unit answers it, and it changes nothing. A unit is never reset for
 this, not even by a break. A line opened by another program is left alone. So is a server that speaks first,
@@ -62,7 +62,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """Inquiry at one baud rate: the last bytes received, and the text of a reply with a valid CRC."""
+    """Inquiry at one baud rate, with the last bytes received and the text of any valid reply."""
 
     baud: int | None  # None over TCP
     outcome: Outcome
@@ -72,7 +72,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class LineState:
-    """Findings on one line."""
+    """Diagnostic findings for one line."""
 
     endpoint: Endpoint
     opening: Opening
@@ -82,12 +82,12 @@ class LineState:
 
     @property
     def answered_attempt(self) -> Attempt | None:
-        """Attempt that got a reply, if any."""
+        """First attempt that got a reply, if any."""
         return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
 
     @property
     def last_bytes(self) -> bytes:
-        """Last bytes received on the line."""
+        """Bytes received in the last attempt that got any."""
         return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
 
 
@@ -100,7 +100,7 @@ _OPENING_BY_ERROR = {
 
 
 def check_line(endpoint: Endpoint) -> LineState:
-    """Check a serial or TCP line. Never raises for line behaviour; CFG-002 for other schemes."""
+    """Check a serial or TCP line, reporting all problems in the result; raises CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)
@@ -157,7 +157,7 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
 
 
 def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
-    """Return the doctor's finding for a line, with the bytes of every attempt.
+    """Return the doctor's finding for a line, with the bytes received in each attempt.
 
     Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
     """

@@ -1,4 +1,4 @@
-"""Measuring volume as read from the unit, against which the driver itself tests positions."""
+"""Measuring volume as reported by the unit, for the driver's own position checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DIMENSION = re.compile(rf"[+-][0-9]{{{ndi.SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """Measuring volume in tracker coordinates, mm: a pyramid with a knee, entirely at negative z."""
+    """Measuring volume in tracker coordinates, mm: a truncated pyramid with a knee, at negative z."""
 
     shape: str
     far_z_mm: float  # D1
@@ -35,7 +35,7 @@ class MeasuringVolume:
     cap_x_mm: float  # D10
 
     def contains(self, position_mm: Vector3) -> bool | None:
-        """Return whether a position is inside; None if the formula of this shape is unknown."""
+        """Return whether a position is inside, or None for an unknown volume shape."""
         if self.shape != PYRAMID_SHAPE:
             return None
         x, y, z = position_mm
@@ -46,7 +46,7 @@ class MeasuringVolume:
 
     @property
     def sections_mm(self) -> tuple[Section, ...]:
-        """Sections where the faces bend, near to far: z, half x, half y; empty for unknown shapes."""
+        """Cross-sections at the bends, near to far, as (z, half x, half y); empty for unknown shapes."""
         if self.shape != PYRAMID_SHAPE:
             return ()
         depths_mm = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
@@ -56,7 +56,7 @@ class MeasuringVolume:
         return tuple((z, *self._half_extents_mm(z)) for z in bends_mm)
 
     def _half_extents_mm(self, z_mm: float) -> tuple[float, float]:
-        """Return half the extent along x and along y, mm."""
+        """Return the half extents along x and y at a depth, mm."""
         behind_knee_mm = self.knee_z_mm - z_mm
         slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
         half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)
@@ -64,7 +64,7 @@ class MeasuringVolume:
 
 
 def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
-    """Parse the reply to SFLIST 03: a count of one digit, then one record per volume. Raises NDI-006."""
+    """Parse an SFLIST 03 reply: a one-digit count, then one record per volume; raises NDI-006."""
     count, records = text[:1], text[1:].strip(ndi.LF).split(ndi.LF)
     if not count.isdecimal() or int(count) != len(records):
         raise MalformedReply(f"SFLIST announces {count or 'no'} volumes but sends {len(records)}")
@@ -85,7 +85,7 @@ def _parse_volume(record: str) -> MeasuringVolume:
 
 
 def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | None:
-    """Select volume `wanted` (from 1) if given; return the volume in use, None if unknown."""
+    """Select volume `wanted` (from 1), if given, and return the volume in use, or None if unknown."""
     if wanted is not None:
         link.ask("VSEL", f"{wanted}")
     try:

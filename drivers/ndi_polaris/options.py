@@ -23,7 +23,7 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
 class ToolOption(Strict):
-    """Passive tool to load."""
+    """Passive tool to be tracked."""
 
     name: Annotated[str, Field(min_length=1, description="Name of the tool in readings and calibrations.")]
     rom: Annotated[
@@ -43,7 +43,7 @@ class ToolOption(Strict):
     ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
-        """Read the definition named by `rom`; raises NDI-011, or NDI-013 for another hash."""
+        """Read the tool definition; raises NDI-011, or NDI-013 if its hash differs from `sha256`."""
         definition = read_definition(find_definition(Path(self.rom), folder))
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
@@ -56,7 +56,7 @@ class ToolOption(Strict):
 
 
 class PolarisOptions(Strict):
-    """Options of a Polaris unit, all with working defaults."""
+    """Polaris tracker options, all with working defaults."""
 
     tools: Annotated[
         tuple[ToolOption, ...],
@@ -107,16 +107,16 @@ class PolarisOptions(Strict):
         return self
 
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
-        """Read the definitions by tool name, relative to `folder`; raises NDI-011 to NDI-013."""
+        """Read all tool definitions, with paths relative to `folder`; raises NDI-011 to NDI-013."""
         tools = {tool.name: tool.definition(folder) for tool in self.tools}
         check_distinct(tools)
         return tools
 
     def limits_s(self) -> dict[str, float]:
-        """Return the default time limits by command, overridden by those of the theatre file."""
+        """Return the time limits by command: defaults, overridden by the theatre file."""
         return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
 
 
 def read_options(config: DeviceConfig) -> PolarisOptions:
-    """Parse the tracker options of the theatre file; raises NDI-010 listing every mistake."""
+    """Parse the tracker options from the theatre file; raises NDI-010 listing every mistake."""
     return parse_options(PolarisOptions, config.options, "tracker options", BadOptions)

@@ -1,4 +1,4 @@
-"""Diagnosis of an unresponsive tracker, and search for trackers on this computer's lines."""
+"""Diagnosis of an unresponsive tracker and search for trackers on local lines."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ LINE_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class PolarisProbe:
-    """Probe of the Polaris driver. `probe_endpoints` serves bare endpoints, `find` a new theatre file."""
+    """Diagnosis and discovery for the Polaris driver."""
 
     endpoint_schemes = frozenset({"serial", "tcp"})
     table = "tracker"
@@ -56,7 +56,7 @@ class PolarisProbe:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every line with a responding unit, and report lines that do not exist.
+        """Propose every line with a responding unit, and report missing lines.
 
         A unit is identified as a procedure would identify it.
         """

@@ -1,4 +1,4 @@
-"""Replies to TX and BX with options 0001, 0800 and 1000, decoded and assembled into readings. No I/O."""
+"""Decoding of TX and BX replies with options 0001, 0800 and 1000, and assembly of readings. No I/O."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _STRAY = re.compile(_POSITION * 3)
 
 
 class HandleReport(NamedTuple):
-    """Report on one handle; pose and error only for a visible tool.
+    """State of one handle, with pose and error only for a visible tool.
 
     Port status and frame also for a missing tool, neither for a disabled or unoccupied handle.
     """
@@ -54,7 +54,7 @@ class HandleReport(NamedTuple):
 
 
 class TrackingReply(NamedTuple):
-    """Content of one tracking reply as sent, common to both decoders."""
+    """Decoded tracking reply, in a form common to TX and BX."""
 
     handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]
@@ -63,7 +63,7 @@ class TrackingReply(NamedTuple):
 
 
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode the body of a BX reply, CRC already checked; `strays` if option 1000 was requested.
+    """Decode a BX reply body with checked CRC; `strays` states whether option 1000 was requested.
 
     Raises NDI-006 when the body does not match the options.
     """
@@ -119,7 +119,7 @@ def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tu
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode the text of a TX reply, CRC already checked; `strays` if option 1000 was requested.
+    """Decode a TX reply text with checked CRC; `strays` states whether option 1000 was requested.
 
     Raises NDI-006 when the text does not match the options.
     """
@@ -202,7 +202,7 @@ def _malformed_error(what: str, text: str) -> MalformedReply:
 
 
 def frame_number(reply: TrackingReply) -> int:
-    """Return the frame number of a reply; raises NDI-006 if no handle carries one."""
+    """Return a reply's frame number; raises NDI-006 if no handle has one."""
     numbers = [report.frame for report in reply.handles if report.frame is not None]
     if not numbers:
         raise MalformedReply("no handle of the reply carries a frame number")
@@ -218,7 +218,7 @@ def assemble_frame(
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """Assemble one frame of readings: STALE if repeated, PARTIAL for a doubtful system status."""
+    """Assemble a frame from a reply: STALE if repeated, PARTIAL for a doubtful system status."""
     frame = frame_number(reply)
     reports = {report.handle: report for report in reply.handles}
     readings = []
@@ -280,7 +280,7 @@ def _make_stray_readings(
 def _is_marker_of_any(
     tracked_tools: list[tuple[LoadedTool, ToolReading]], position: Vector3, nearest_mm: float
 ) -> bool:
-    """Return whether the stray is one of the tools' own markers."""
+    """Return whether a stray is a marker of a tracked tool."""
     for tool, reading in tracked_tools:
         assert tool.definition is not None
         assert reading.rotation is not None
@@ -294,7 +294,7 @@ def _is_marker_of_any(
 
 
 def _normalise(rotation: Quaternion) -> Quaternion | None:
-    """Normalise a quaternion to a non-negative scalar part; None if it is not a rotation."""
+    """Normalise a quaternion to a non-negative scalar part, or return None if it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also rejects NaN
@@ -311,7 +311,7 @@ def _is_plausible_position(position_mm: Vector3) -> bool:
 def _to_tracker_mm(
     markers_mm: tuple[Vector3, ...], rotation: Quaternion, position_mm: Vector3
 ) -> list[Vector3]:
-    """Transform markers to tracker coordinates: v + 2 w (u x v) + 2 u x (u x v) + t for q = (w, u)."""
+    """Transform markers to tracker coordinates by v + 2 w (u x v) + 2 u x (u x v) + t, q = (w, u)."""
     w, ux, uy, uz = rotation
     tx, ty, tz = position_mm
     placed_mm = []

@@ -223,7 +223,7 @@ def _read_tool(path: Path) -> ToolDefinition:
 
 
 def _short_name(path: Path, others: list[Path]) -> str:
-    """Return the stem of a file name, or its full path if another file has the same stem."""
+    """Return a file's stem, or its full path if the stem is ambiguous."""
     return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
 
 

@@ -18,7 +18,7 @@ ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0)
 
 
 def build_shipped_definitions() -> dict[str, ToolDefinition]:
-    """Build the shipped definitions by file name; markers in mm, in the tool's own frame."""
+    """Build the shipped definitions, keyed by file name; markers in mm, in the tool frame."""
     robot_frame = make_planar_tool(
         "RONNA-M", ROBOT_FRAME_MARKERS_MM, manufacturer=MANUFACTURER, made_on=date(2025, 1, 6)
     )
@@ -33,7 +33,7 @@ def build_shipped_definitions() -> dict[str, ToolDefinition]:
 
 
 def find_definition(path: Path, folder: Path | None = None) -> Path:
-    """Resolve the path of a definition, relative to `folder` or else the working directory.
+    """Resolve the path of a tool definition relative to `folder`, by default the working directory.
 
     A bare name without an existing file, with or without `.rom`, selects the shipped definition of that name.
     """
@@ -44,7 +44,7 @@ def find_definition(path: Path, folder: Path | None = None) -> Path:
 
 
 def main() -> None:
-    """Write all shipped definitions."""
+    """Write all shipped definitions as .rom files."""
     FOLDER.mkdir(exist_ok=True)
     for name, tool in build_shipped_definitions().items():
         (FOLDER / name).write_bytes(encode_definition(tool))

@@ -23,7 +23,7 @@ CHECKSUM_BYTES = 2
 
 @dataclass(frozen=True)
 class Difference:
-    """Differing property; `distance_mm` is the distance between two marker positions."""
+    """Difference in one property; `distance_mm` is the distance between differing marker positions."""
 
     field: str
     first: str
@@ -32,7 +32,7 @@ class Difference:
 
 
 def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[Difference, ...]:
-    """List all differences in field order, then bytes that no published field explains.
+    """List all differences in field order, followed by differing bytes that no field explains.
 
     The checksum is ignored, since it follows from the rest. Empty if and only if all other bytes agree.
     """
@@ -68,7 +68,7 @@ def _find_marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any
 
 
 def _find_unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
-    """Find runs of differing bytes outside all fields, or inside a field of equal value."""
+    """Find runs of differing bytes that differences in named fields do not explain."""
     named_fields = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
     explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
     for property_ in FIELDS:
@@ -113,7 +113,7 @@ def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition)
 
 @dataclass(frozen=True)
 class AlikeSegments:
-    """Two marker distances too similar to distinguish, of two tools or one (named twice)."""
+    """Two indistinguishable marker distances, in two tools or within one."""
 
     first_tool: str
     second_tool: str
@@ -130,7 +130,7 @@ class AlikeSegments:
 def find_alike(
     tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
 ) -> tuple[AlikeSegments, ...]:
-    """Find all segments that violate the unique-geometry rules, within each tool and between tools."""
+    """Find all pairs of segments too similar for unique geometry, within each tool and between tools."""
     lengths_mm = {name: segment_lengths_mm(tool.markers_mm) for name, tool in tools.items()}
     within = [
         AlikeSegments(name, name, a, b)
@@ -148,7 +148,7 @@ def find_alike(
 
 
 def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
-    """Raise NDI-012 if two of the named tools share a triangle of markers."""
+    """Raise NDI-012 if any two tools share a triangle of markers."""
     for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
         if shares_triangle(tool, other):
             raise SameGeometry(
@@ -160,7 +160,7 @@ def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
 def shares_triangle(
     first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
 ) -> bool:
-    """Return whether three markers of one tool are congruent with three of the other."""
+    """Return whether any three markers of one tool are congruent with three of the other."""
     triangles = [
         segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
     ]
@@ -173,5 +173,5 @@ def shares_triangle(
 
 
 def segment_lengths_mm(markers_mm: tuple[Vector3, ...]) -> tuple[float, ...]:
-    """Return the distances between all pairs of markers, mm, ascending."""
+    """Return all distances between pairs of markers, mm, in ascending order."""
     return tuple(sorted(math.dist(a, b) for a, b in itertools.combinations(markers_mm, 2)))

@@ -1,4 +1,4 @@
-"""Tool definitions and .rom files. Lengths in mm, in the tool's own frame.
+"""Tool definitions and .rom files; lengths in mm, in the tool frame.
 
 A property is written only where it differs from the bytes already there, so that unpublished content and the
 padding and rounding of foreign files survive reading and writing.
@@ -42,7 +42,7 @@ def blank_block() -> bytes:
 
 @dataclass(frozen=True)
 class ToolDefinition:
-    """A passive rigid body with one or more faces of retro-reflective markers."""
+    """Passive rigid body with one or more faces of retro-reflective markers."""
 
     part_number: str
     markers_mm: tuple[Vector3, ...]
@@ -73,7 +73,7 @@ def make_planar_tool(
     manufacturer: str,
     made_on: date,
 ) -> ToolDefinition:
-    """Build a tool with one face whose markers all point along `normal`, like most passive rigid bodies."""
+    """Build a tool with a single face, all of whose markers point along `normal`."""
     return ToolDefinition(
         part_number=part_number,
         markers_mm=markers_mm,
@@ -86,7 +86,7 @@ def make_planar_tool(
 
 
 def face_normal_of(normal: Vector3) -> Vector3:
-    """Return the face normal for markers that point along `normal`; real files use the opposite."""
+    """Return the face normal for a marker normal; real files store the opposite vector."""
     return -normal[0] or 0.0, -normal[1] or 0.0, -normal[2] or 0.0
 
 
@@ -102,7 +102,7 @@ def read_definition(path: Path) -> ToolDefinition:
 
 
 def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
-    """Decode the bytes of a .rom, with optional zero padding; raises NDI-011."""
+    """Decode .rom bytes with optional zero padding; raises NDI-011."""
     if not layout.ROM_BYTES <= len(block) <= layout.ROM_FILE_LIMIT_BYTES or any(block[layout.ROM_BYTES :]):
         raise BadToolFile(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
     if block[: len(layout.ROM_MAGIC)] != layout.ROM_MAGIC:
@@ -123,7 +123,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
-    """Encode a definition as the 752 bytes of a .rom; raises NDI-011 for an impossible one.
+    """Encode a definition as 752 .rom bytes; raises NDI-011 if it is invalid.
 
     An unchanged definition yields exactly the bytes that were read.
     """
@@ -138,7 +138,7 @@ def encode_definition(tool: ToolDefinition) -> bytes:
 
 
 def definition_hash(tool: ToolDefinition) -> str:
-    """Return the SHA-256 of the 752 bytes, in hex."""
+    """Return the SHA-256 of the encoded definition, in hex."""
     return hashlib.sha256(encode_definition(tool)).hexdigest()
 
 
@@ -167,13 +167,13 @@ def _check_definition(tool: ToolDefinition, name: str = "") -> None:
 
 
 def checksum(block: bytes | bytearray) -> int:
-    """Sum all bytes after the checksum field; zero padding does not change the sum."""
+    """Return the 16-bit sum of all bytes after the checksum field."""
     return sum(block[layout.CHECKSUM_FROM :]) & 0xFFFF
 
 
 @dataclass(frozen=True)
 class Field:
-    """Field of the 752 bytes: name in `ToolDefinition`, bytes (offset, length), reader and writer."""
+    """Field of a .rom file: attribute name, byte spans (offset, length), reader and writer."""
 
     name: str
     spans: tuple[tuple[int, int], ...]

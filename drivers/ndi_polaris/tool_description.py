@@ -1,4 +1,4 @@
-"""TOML description of a tool, from which `ronna-rom make` writes a definition.
+"""TOML tool description, from which `ronna-rom make` builds a definition.
 
     part_number = "POINTER-1"
     markers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 0]]
@@ -54,7 +54,7 @@ Byte = Annotated[int, Field(ge=0, le=LARGEST_BYTE)]
 
 
 class ToolDescription(Strict):
-    """Tool as described by its maker; lengths in mm, in the tool's own frame."""
+    """Tool description as written by hand; lengths in mm, in the tool frame."""
 
     part_number: Annotated[str, Field(min_length=1, max_length=layout.PART_NUMBER_BYTES)]
     markers_mm: Annotated[tuple[Numbers3, ...], Field(min_length=3, max_length=layout.ROM_MARKERS)]
@@ -95,7 +95,7 @@ class ToolDescription(Strict):
         return self
 
     def definition(self) -> ToolDefinition:
-        """Convert to a definition; raises NDI-011 for content that a definition cannot express."""
+        """Convert to a tool definition; raises NDI-011 for content that the format cannot express."""
         count = len(self.markers_mm)
         normals = tuple(_normalise(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals
@@ -133,7 +133,7 @@ def read_description(path: Path) -> ToolDescription:
 
 
 def describe_tool(tool: ToolDefinition) -> dict[str, Any]:
-    """Describe a definition in the form from which `make` writes the same tool."""
+    """Convert a definition to the description from which `make` builds the same tool."""
     return {
         "part_number": tool.part_number,
         "manufacturer": tool.manufacturer,
@@ -164,7 +164,7 @@ def _round_vector(vector: Vector3) -> list[float]:
 
 
 def _round_single(value: float) -> float:
-    """Round to the shortest number with the same single-precision value, as stored in files."""
+    """Round to the seven significant digits of single precision, as stored in files."""
     return float(f"{value:.7g}")
 
 

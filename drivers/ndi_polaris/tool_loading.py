@@ -32,7 +32,7 @@ PART_NUMBER = slice(33, 53)
 
 @dataclass(frozen=True)
 class LoadedTool:
-    """Tool with its port handle; the dummy tool has neither name nor definition."""
+    """Tool loaded under a port handle; the dummy tool has neither name nor definition."""
 
     handle: int
     name: str | None
@@ -40,7 +40,7 @@ class LoadedTool:
 
     @cached_property
     def radius_mm(self) -> float:
-        """Distance of the outermost marker from the tool's origin."""
+        """Distance from the tool's origin to its outermost marker."""
         markers_mm = self.definition.markers_mm if self.definition else ()
         return max((math.hypot(*marker) for marker in markers_mm), default=0.0)
 
@@ -50,7 +50,7 @@ def load_tools(
     tools: Iterable[tuple[ToolOption, ToolDefinition]],
     note: Callable[[str], None],
 ) -> tuple[LoadedTool, ...]:
-    """Free all handles, then load, initialise and enable each tool; `note` receives warnings.
+    """Free all port handles, then load, initialise and enable each tool; `note` receives warnings.
 
     Without tools the dummy passive tool is loaded, because a unit detects strays only while a passive handle
     is enabled. If the reply to PHRQ is lost, loading starts over once: repeating PHRQ would leak a handle.
@@ -108,7 +108,7 @@ def _initialise(link: CommandLink, handle: int, name: str, note: Callable[[str],
 
 
 def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefinition) -> str | None:
-    """Return a notice if serial or part number differs; raises NDI-013 if both differ.
+    """Return a notice if the unit reports another serial or part number; raises NDI-013 if both differ.
 
     Either byte order of the serial number is accepted, since firmware differs. A unit
     without PHINF is trusted.
@@ -133,7 +133,7 @@ def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefi
 
 
 def request_handle(link: CommandLink, argument: str) -> int:
-    """Request a handle by PHRQ without retries, as a lost reply would leak a handle."""
+    """Request a port handle with PHRQ, without retries because a lost reply would leak a handle."""
     text = link.ask("PHRQ", argument, retry=False)
     try:
         handle = int(text, 16)
@@ -145,7 +145,7 @@ def request_handle(link: CommandLink, argument: str) -> int:
 
 
 def free_handle(link: CommandLink, handle: int) -> None:
-    """Free a handle. Freeing a free handle is not an error."""
+    """Free a port handle; a handle that is already free is not an error."""
     try:
         link.ask("PHF", f"{handle:02X}")
     except HandleRefused:
@@ -153,7 +153,7 @@ def free_handle(link: CommandLink, handle: int) -> None:
 
 
 def list_handles(link: CommandLink, query: HandleQuery) -> dict[int, PortStatus]:
-    """List the handles selected by a PHSR query, with their status."""
+    """List the port handles for a PHSR query, with their status."""
     text = link.ask("PHSR", f"{query.value:02X}", reply_bytes=PHSR_BYTES)
     width = ndi.HANDLE_DIGITS + PHSR_STATUS_DIGITS
     try:

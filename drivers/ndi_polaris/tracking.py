@@ -1,4 +1,4 @@
-"""Tracking from TSTART to TSTOP, with one request per reading, in frame number order."""
+"""Tracking from TSTART to TSTOP, with one request per reading."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
 @dataclass
 class TrackingStatistics:
-    """Frame statistics since `start`, from the unit's frame numbers."""
+    """Frame statistics of a tracking run, from the unit's frame numbers."""
 
     frames: int = 0
     repeated: int = 0
@@ -45,7 +45,7 @@ class TrackingStatistics:
 
 
 class Tracking:
-    """Tracking run of a configured unit, with its tools, volume and clock."""
+    """Tracking with a configured unit, from loaded tools and measuring volume to readings."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class Tracking:
         self.frame_clock = FrameClock()
 
     def start(self) -> None:
-        """Send TSTART; frame numbers begin at 0."""
+        """Start tracking with the frame counter reset to 0."""
         try:
             self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, retry=False)
         except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
@@ -88,7 +88,7 @@ class Tracking:
         self._reset()
 
     def read(self) -> TrackerFrame:
-        """Read the next frame; raises like `PolarisTracker.read_frame`."""
+        """Read the next frame; raises the errors of `PolarisTracker.read_frame`."""
         requested_s = self._clock.now_s()
         retries = self._link.statistics.retries
         reply, count = self._request_newest()
@@ -121,7 +121,7 @@ class Tracking:
         )
 
     def _request_newest(self) -> tuple[TrackingReply, int]:
-        """Request a reply and its frame count, once more if it is older than the previous one."""
+        """Request a reply and its frame count, repeating once if the reply is older than the last."""
         for _ in range(2):
             reply = self._request()
             count = unwrap_frame_number(frame_number(reply), self._last_count)
@@ -147,7 +147,7 @@ class Tracking:
 
 
 def stop_tracking(link: CommandLink) -> None:
-    """Send TSTOP. A unit that is not tracking is not an error."""
+    """Stop tracking; a unit that is not tracking is not an error."""
     try:
         link.ask("TSTOP")
     except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
@@ -155,7 +155,7 @@ def stop_tracking(link: CommandLink) -> None:
 
 
 class FrameClock:
-    """Unwrapped frame numbers of one tracking run, with a linear fit to theatre time.
+    """Linear fit of theatre time to the frame numbers of one tracking run.
 
     The delay of a reply is never negative, so the least delayed replies lie on the lower edge of time over
     frame number. The least delayed reply of each second is kept. The slope is the median over all pairs of
@@ -175,7 +175,7 @@ class FrameClock:
         self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
 
     def add_reply(self, count: int, arrived_s: float) -> float:
-        """Add a reply for frame `count`; return the fitted theatre time of the frame."""
+        """Add a reply to the fit and return the fitted theatre time of its frame."""
         if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
             self._reset()
         window = count // WINDOW_FRAMES

@@ -1,4 +1,4 @@
-"""Byte transport to the unit by serial line, pseudo-terminal or TCP, optionally recorded."""
+"""Byte transport to the unit over a serial line, pseudo-terminal or TCP, with optional recording."""
 
 from __future__ import annotations
 
@@ -41,37 +41,37 @@ _REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial
 
 
 class Transport(Protocol):
-    """Bidirectional byte stream; `baud` is None where it has no meaning."""
+    """Bidirectional byte stream; `baud` is None if it does not apply."""
 
     @property
     def baud(self) -> int | None: ...
 
     def write(self, data: bytes) -> None:
-        """Send all bytes; raises NDI-008 if the peer is gone."""
+        """Send all bytes; raises NDI-008 if the connection is lost."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes received, waiting at most `timeout_s` for the first; empty if none arrived.
+        """Return received bytes, waiting up to `timeout_s` for the first; empty on time-out.
 
         Raises NDI-008 when the peer is gone.
         """
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Switch our end of the line to another baud rate."""
+        """Switch the host's port to another baud rate."""
         ...
 
     def send_break(self) -> None:
-        """Send a break, which resets the unit; no effect where a break has no meaning."""
+        """Send a break, which resets the unit, if the transport supports it."""
         ...
 
     def close(self) -> None:
-        """Close the line; never raises."""
+        """Close the transport; never raises."""
         ...
 
 
 def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
-    """Open a serial:// or tcp:// endpoint; raises NDI-001 if it cannot be opened, CFG-002 for others."""
+    """Open a serial:// or tcp:// endpoint; raises NDI-001 on failure, CFG-002 for other schemes."""
     endpoint.require("serial", "tcp")
     if endpoint.scheme == "serial":
         return SerialTransport(endpoint)
@@ -79,7 +79,7 @@ def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
 
 
 class _Descriptor:
-    """File descriptor with time limits for reading and writing."""
+    """File descriptor with read and write time limits."""
 
     def __init__(self, endpoint: Endpoint, descriptor: int) -> None:
         self._endpoint = endpoint
@@ -111,7 +111,7 @@ class _Descriptor:
         return data
 
     def _write_slowly(self, data: bytes) -> None:
-        """Send the bytes that did not fit into the buffers; raises NDI-008 if the peer does not read."""
+        """Send bytes that did not fit the buffer; raises NDI-008 if the peer does not accept them."""
         writable = select.poll()
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
@@ -127,7 +127,7 @@ class _Descriptor:
                 raise self._lost_error(error) from error
 
     def _forget(self) -> None:
-        """Forget the closed descriptor, so that later calls cannot reach a file that reuses it."""
+        """Forget a closed descriptor, because its number may be reused."""
         self._descriptor = CLOSED
 
     def _lost_error(self, error: OSError) -> LinkLost:
@@ -135,7 +135,7 @@ class _Descriptor:
 
 
 class SerialTransport(_Descriptor):
-    """Serial port, 8N1 without handshake, opened exclusively."""
+    """Serial port, 8N1 without flow control, opened exclusively."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         try:
@@ -207,7 +207,7 @@ class TcpTransport(_Descriptor):
 
 
 def _unavailable_error(endpoint: Endpoint, error: Exception) -> PortUnavailable:
-    """Build the error with advice for its cause."""
+    """Build the error for a line that cannot be opened, with advice for the cause."""
     number, reason = _error_number(error), _error_reason(error)
     users = find_serial_port_users(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
     holder_text = f", {' and '.join(map(str, users))}" if users else ""
@@ -219,7 +219,7 @@ def _unavailable_error(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 
 def _error_number(error: Exception) -> int | None:
-    """Return the errno of an error, which pyserial keeps in the cause for a file that is not a port."""
+    """Return the errno of an exception, or of its cause as pyserial reports a file that is not a port."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):
@@ -236,7 +236,7 @@ def _error_reason(error: Exception) -> str:
 
 
 class RecordedTransport:
-    """Transport that passes its traffic to a recorder."""
+    """Transport wrapper that records all traffic."""
 
     def __init__(self, transport: Transport, link: str, sink: ByteSink) -> None:
         self._transport = transport

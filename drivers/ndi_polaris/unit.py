@@ -1,4 +1,4 @@
-"""State of the tracker unit: identity, user parameters, alerts, illuminator rate, time limits."""
+"""Unit status and settings: identity, parameters, alerts, illuminator rate, time limits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _MODEL_ENDS_AT = " Control Firmware"
 
 
 def read_identity(link: CommandLink) -> Identity:
-    """Read model, serial number and firmware by VER, GET and APIREV; raises NDI-003 for another device."""
+    """Read model, serial number and firmware; raises NDI-003 if the device is not a Polaris."""
     text = _ask_or_empty(link, "VER", "4") or _ask_or_empty(link, "VER", "0")
     lines = text.split(ndi.LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
@@ -78,7 +78,7 @@ def read_identity(link: CommandLink) -> Identity:
 
 
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
-    """Raise NDI-004 if model or serial number is not as expected; None accepts any."""
+    """Raise NDI-004 unless model and serial number are as expected; None accepts any."""
     if model is not None and model.lower() not in identity.model.lower():
         raise WrongUnit("wrong model of unit", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
@@ -86,7 +86,7 @@ def check_identity(identity: Identity, model: str | None, serial: str | None) ->
 
 
 def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:
-    """Return the reply, or an empty text if the unit lacks the command or parameter."""
+    """Return the reply to a command, or an empty text if the unit rejects the command."""
     try:
         return link.ask(name, argument, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:
@@ -94,7 +94,7 @@ def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:
 
 
 def refuse_pending_alerts(link: CommandLink) -> None:
-    """Raise NDI-020 or NDI-021 for an unread fault or bump from before this connection."""
+    """Raise NDI-020 or NDI-021 for a fault or bump that predates this connection."""
     value = read_parameter_or(link, ndi.PARAMETER_ALERTS, "0")
     alerts = Alert(parse_whole_number(value) or 0)
     if alerts & FAILURE_ALERTS:
@@ -108,7 +108,7 @@ def refuse_pending_alerts(link: CommandLink) -> None:
 
 
 def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
-    """Return the fault or hold indicated by the system status, or None.
+    """Return the error indicated by the system status, if any.
 
     While diagnostics are pending the alerts are read, which also makes the unit send poses again.
     """
@@ -126,7 +126,7 @@ def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
 
 
 def read_new_alerts(link: CommandLink) -> Alert:
-    """Read the alerts raised since the last reading, which clears the pending bit."""
+    """Read new alerts, which also clears the pending bit."""
     value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
     alerts = parse_whole_number(value)
     if alerts is None:
@@ -135,7 +135,7 @@ def read_new_alerts(link: CommandLink) -> Alert:
 
 
 def clear_bump(link: CommandLink) -> None:
-    """Acknowledge a bump; raises NDI-021 if the unit still reports one afterwards."""
+    """Clear a bump; raises NDI-021 if the unit still reports one."""
     link.ask("SET", f"{ndi.PARAMETER_BUMP_CLEAR}=1")
     read_new_alerts(link)
     if read_parameter(link, ndi.PARAMETER_BUMPED) == "1":
@@ -143,7 +143,7 @@ def clear_bump(link: CommandLink) -> None:
 
 
 def set_illuminator_rate(link: CommandLink, rate_hz: int) -> int:
-    """Set the rate by SET, or IRATE on older firmware; return the rate in use, Hz."""
+    """Set the illuminator rate by SET, or by IRATE on older firmware, and return the rate in use, Hz."""
     code = next(code for code, rate in ndi.ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
     for name, argument in (("SET", f"{ndi.PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
         try:
@@ -156,7 +156,7 @@ def set_illuminator_rate(link: CommandLink, rate_hz: int) -> int:
 
 
 def read_time_limits(link: CommandLink) -> dict[str, float]:
-    """Read the unit's time limits in seconds by command; empty if it reports none."""
+    """Read the unit's time limits by command, in seconds; empty if not reported."""
     try:
         text = link.ask("GET", f"{ndi.PARAMETER_TIMEOUT_PREFIX}*", reply_bytes=TIME_LIMITS_BYTES)
     except UnitError:
@@ -172,7 +172,7 @@ def read_time_limits(link: CommandLink) -> dict[str, float]:
 
 
 def read_parameter(link: CommandLink, name: str) -> str:
-    """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 if it replies with another."""
+    """Read a parameter; raises NDI-036 if the unit lacks it, NDI-006 if the reply is for another one."""
     for _ in range(2):
         text = link.ask("GET", name, reply_bytes=PARAMETER_REPLY_BYTES)
         replied_name, _, value = text.partition("=")
@@ -183,12 +183,12 @@ def read_parameter(link: CommandLink, name: str) -> str:
 
 
 def parse_whole_number(value: str) -> int | None:
-    """Parse a parameter as a 32-bit whole number; None if it is not one."""
+    """Parse a parameter as an integer of up to ten digits, or return None."""
     return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
 
 
 def read_parameter_or(link: CommandLink, name: str, missing: str) -> str:
-    """Read one parameter, or return `missing` if the unit lacks it."""
+    """Read a parameter, or return `missing` if the unit lacks it."""
     try:
         return read_parameter(link, name)
     except UnitError:

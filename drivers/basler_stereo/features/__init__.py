@@ -1,1 +1,1 @@
-"""GenICam features of a camera, mapped to registers by the camera's own description."""
+"""GenICam camera features, mapped to registers by the camera's own description."""

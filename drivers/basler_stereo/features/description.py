@@ -32,7 +32,7 @@ _FLOATS = {4: "f", 8: "d"}
 
 @dataclass(frozen=True)
 class Field:
-    """Child element of a node: tag, text, attributes."""
+    """XML child element of a node."""
 
     tag: str
     text: str
@@ -41,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Node:
-    """Named node with its kind (the tag, such as IntReg) and ordered fields."""
+    """GenICam node: kind (the XML tag, such as IntReg), name and ordered fields."""
 
     kind: str
     name: str
@@ -50,16 +50,16 @@ class Node:
     conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
 
     def text(self, tag: str) -> str | None:
-        """Return the text of the first field with this tag, or None."""
+        """Return the text of the first field with this tag, if any."""
         return next((each.text for each in self.fields if each.tag == tag), None)
 
     def all(self, tag: str) -> Iterator[Field]:
-        """Return all fields with this tag."""
+        """Iterate over all fields with this tag."""
         return (each for each in self.fields if each.tag == tag)
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
-    """Download the description as XML from the first address stored on the camera.
+    """Download the XML description stored on the camera.
 
     Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
     """
@@ -96,7 +96,7 @@ def unzip_description(data: bytes) -> bytes:
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
-    """Parse all nodes by name; raises GEV-009 for malformed XML or a document type declaration."""
+    """Parse a description into nodes by name; raises GEV-009 for invalid XML or with a DTD."""
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -107,7 +107,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
 
 
 def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
-    """Yield named elements, including those in groups, and the entries of shared registers."""
+    """Yield all named nodes, descending into groups and splitting shared registers."""
     for element in group:
         kind = _local_name(element.tag)
         if kind == "Group":
@@ -119,7 +119,7 @@ def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """Yield the named parts of one register; each part inherits the fields that it lacks."""
+    """Yield the entries of a shared register, which inherit the fields that they lack."""
     entries = [
         child for child in shared if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib
     ]
@@ -189,13 +189,13 @@ def register_length(node: Node) -> int:
 
 
 def shares_register(node: Node) -> bool:
-    """Return whether a node uses only some bits of its register, so that writing must preserve the others."""
+    """Return whether a node uses only some bits of its register, so that writes must preserve the rest."""
     length = register_length(node)
     return register_bits(node, length)[1] < 8 * length
 
 
 def decode_register(node: Node, data: bytes) -> Number:
-    """Decode a value from the bytes of a register."""
+    """Decode a node's value from its register bytes."""
     if node.kind == "FloatReg":
         number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
         if not math.isfinite(number):
@@ -207,7 +207,7 @@ def decode_register(node: Node, data: bytes) -> Number:
 
 
 def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
-    """Encode a value for a register; `current` are its present bytes, whose other bits are preserved."""
+    """Encode a value as register bytes, preserving the other bits of `current`."""
     length = register_length(node)
     if node.kind == "FloatReg":
         try:
@@ -229,7 +229,7 @@ def _is_signed(node: Node) -> bool:
 
 
 def register_bits(node: Node, length: int) -> tuple[int, int]:
-    """Return the lowest bit and the number of bits of a register's value.
+    """Return the lowest bit and the width of a node's value in its register.
 
     In a big-endian register the description counts bits from the most significant one.
     """

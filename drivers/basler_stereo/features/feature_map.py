@@ -1,4 +1,4 @@
-"""Camera features by name, resolved through the nodes of the description to registers.
+"""Camera features by name, resolved to registers through the nodes of the description.
 
 Supported nodes: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
 Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: a feature
@@ -39,7 +39,7 @@ _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 @dataclass(frozen=True)
 class Limits:
-    """Minimum, maximum and step of a value; None where the description gives none."""
+    """Minimum, maximum and step of a value; None if the description states none."""
 
     minimum: Number | None
     maximum: Number | None
@@ -47,14 +47,14 @@ class Limits:
 
 
 class RegisterMemory:
-    """Register memory of the camera, through the control channel until `deadline_s`."""
+    """Camera memory, accessed over the control channel with the deadline `deadline_s`."""
 
     def __init__(self, control: ControlChannel) -> None:
         self._control = control
         self.deadline_s = 0.0
 
     def read(self, address: int, count: int) -> bytes:
-        """Read `count` bytes, a multiple of 4; raises GEV-006, GEV-007, GEV-008."""
+        """Read a multiple of 4 bytes; raises GEV-006, GEV-007, GEV-008."""
         if count == REGISTER_BYTES:
             return self._control.read_register(address, self.deadline_s).to_bytes(REGISTER_BYTES, "big")
         return self._control.read_memory(address, count, self.deadline_s)
@@ -68,7 +68,7 @@ class RegisterMemory:
 
 
 class FeatureMap:
-    """Features of one camera. Unknown names or values raise GEV-010, inconsistent nodes GEV-009."""
+    """Features of one camera; unknown names or values raise GEV-010, inconsistent nodes GEV-009."""
 
     def __init__(self, nodes: dict[str, Node], memory: RegisterMemory) -> None:
         self._nodes = nodes
@@ -77,12 +77,12 @@ class FeatureMap:
         self._budget = COST_LIMIT
 
     def has(self, name: str) -> bool:
-        """Return whether the camera has this feature and it is currently available."""
+        """Return whether the feature exists and is currently available."""
         self._budget = COST_LIMIT
         return name in self._nodes and self._is_available(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Return names and values of the available entries of an enumeration."""
+        """Return the available entries of an enumeration, by name."""
         self._budget = COST_LIMIT
         node = self._find_node(name)
         return {
@@ -97,11 +97,11 @@ class FeatureMap:
         return self._read(name, 0)
 
     def whole(self, name: str) -> int:
-        """Read an integer feature."""
+        """Read a feature as an integer."""
         return int(self.number(name))
 
     def choice(self, name: str) -> str:
-        """Read an enumeration and return the name of its entry."""
+        """Read an enumeration and return its entry name."""
         value = self.whole(name)
         for entry, number in self._find_node(name).entries.items():
             if number == value:
@@ -114,7 +114,7 @@ class FeatureMap:
         self._write(name, value, 0)
 
     def choose(self, name: str, entry: str) -> None:
-        """Set an enumeration by the name of its entry."""
+        """Set an enumeration by entry name."""
         entries = self.entries(name)
         if entry not in entries:
             raise MissingFeature(f"{name} cannot be {entry}", expected=" or ".join(sorted(entries)))
@@ -138,7 +138,7 @@ class FeatureMap:
         )
 
     def limits(self, name: str) -> Limits:
-        """Return a feature's current limits: its own, within those of the nodes below it."""
+        """Return a feature's current limits; any not stated come from the nodes below it."""
         self._budget = COST_LIMIT
         node: Node | None = self._find_node(name)
         found: list[Number | None] = [None, None, None]
@@ -213,7 +213,7 @@ class FeatureMap:
         return self._final_register(self._value_node_name(node, depth) or "", depth + 1)
 
     def _is_available(self, name: str, depth: int) -> bool:
-        """Return whether the conditions of a node and of the node holding its value are met."""
+        """Return whether a feature's conditions are met, including those of its value nodes."""
         node = self._visit(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
@@ -222,7 +222,7 @@ class FeatureMap:
         return child_name is None or self._is_available(child_name, depth + 1)
 
     def _value_node_name(self, node: Node, depth: int) -> str | None:
-        """Return the name of the node holding a node's value, selected by the index if there are several."""
+        """Return the name of the node that holds a node's value, selected by its index if it has several."""
         index_node = None if node.kind in _REGISTERS else node.text("pIndex")
         if index_node is None:
             return node.text("pValue")
@@ -233,7 +233,7 @@ class FeatureMap:
         return node.text("pValueDefault")
 
     def _read_field_number(self, node: Node, tag: str, depth: int) -> Number | None:
-        """Return the number in a field, or in the node named by its `p...` twin; None without either."""
+        """Read a number from a field or from the node that its `p...` variant refers to, if either exists."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
             read = parse_real_number if node.kind == "Float" else parse_whole_number

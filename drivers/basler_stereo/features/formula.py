@@ -55,7 +55,7 @@ def _divide(first: Number, second: Number) -> Number:
 
 
 def _remainder(first: Number, second: Number) -> Number:
-    """Return the remainder of division towards zero, with the sign of the dividend."""
+    """Return the remainder of truncating division, with the sign of the dividend."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.fmod(first, second)
     return first - second * int(_divide(first, second))
@@ -106,7 +106,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Number]] = {
 
 
 def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
-    """Evaluate a formula; `whole` selects integer arithmetic with division towards zero.
+    """Evaluate a formula; `whole` selects integer arithmetic with truncating division.
 
     Raises GEV-009 for a formula that cannot be parsed, an unknown name, or an undefined result.
     """

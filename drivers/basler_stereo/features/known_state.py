@@ -54,13 +54,13 @@ class Features(Protocol):
 
 
 def read_temperature_C(features: Features) -> float | None:
-    """Read the internal temperature; None if not reported."""
+    """Read the internal temperature, or None if the camera does not report it."""
     name = next(filter(features.has, TEMPERATURE_NAMES), None)
     return None if name is None else float(features.number(name))
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """Apply all settings except the area; messages call the camera `camera`.
+    """Apply all settings except the area; `camera` is the name used in messages.
 
     Raises GEV-010 for missing features, GEV-011 for impossible values.
     """
@@ -80,13 +80,13 @@ def apply_known_state(features: Features, options: BaslerOptions, camera: str) -
 
 
 def lock_transport(features: Features, locked: bool) -> None:
-    """Lock geometry and pixel format in the camera while it streams."""
+    """Lock or unlock the image geometry and pixel format in the camera."""
     if features.has("TLParamsLocked"):
         features.set_number("TLParamsLocked", int(locked))
 
 
 def arm_trigger(features: Features, options: BaslerOptions) -> None:
-    """Arm one frame per trigger from the selected source, with all other triggers off; raises GEV-010.
+    """Arm the selected source for one frame per trigger and disable all other triggers; raises GEV-010.
 
     Old firmware may lack the action trigger: then its name is not among the entries.
     """
@@ -108,9 +108,9 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
 
 
 def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, camera: str) -> None:
-    """Set exposure in microseconds and raw gain (None: the smallest); raises GEV-011 with the limits.
+    """Set exposure in microseconds and raw gain (None: the minimum); raises GEV-011 with the limits.
 
-    `camera` names it, for example `left camera`.
+    `camera` is the name used in messages, for example `left camera`.
     """
     exposure, gain = _find_feature(features, EXPOSURE_NAMES), _find_feature(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us, f"exposure_us of the {camera}")
@@ -121,14 +121,14 @@ def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, c
 
 
 def full_area(features: Features) -> AreaOfInterest:
-    """Return the area of the whole sensor."""
+    """Return the full sensor area."""
     width = features.whole(_find_feature(features, SENSOR_WIDTH_NAMES))
     height = features.whole(_find_feature(features, SENSOR_HEIGHT_NAMES))
     return AreaOfInterest(0, 0, width, height)
 
 
 def set_area(features: Features, area: AreaOfInterest) -> None:
-    """Set the part of the sensor to read; raises GEV-011 with the limits.
+    """Set the sensor area to read out; raises GEV-011 with the limits.
 
     The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
     """
@@ -149,12 +149,12 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
 
 
 def read_area(features: Features) -> AreaOfInterest:
-    """Return the part of the sensor that the camera reports."""
+    """Read the current readout area."""
     return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
 
 
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
-    """Return the bytes of one image; raises GEV-009 if the camera's payload size differs."""
+    """Return the image size in bytes; raises GEV-009 if the camera reports another payload size."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (reported_bytes := features.whole("PayloadSize")) != expected:
         raise BadDescription(
@@ -164,7 +164,7 @@ def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -
 
 
 def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
-    """Return the size of an image in bytes, without padding."""
+    """Return the image size in bytes, without padding."""
     bits = pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
     return -(-area.width * area.height * bits // 8)
 

@@ -1,1 +1,1 @@
-"""Stereo pair through the vendor's library pypylon, an optional extra."""
+"""Stereo driver based on the vendor library pypylon, an optional extra."""

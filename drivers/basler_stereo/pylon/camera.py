@@ -1,4 +1,4 @@
-"""Camera access through the vendor's library pypylon, an optional extra."""
+"""Camera access through the vendor library pypylon, an optional extra."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def load_pylon() -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class PylonFrame:
-    """Image from pypylon; `pixels` is our own copy, None for an incomplete image."""
+    """Image from pypylon; `pixels` is our own copy, or None for an incomplete image."""
 
     block_id: int
     ticks: int
@@ -57,7 +57,7 @@ class PylonFrame:
 
 
 class PylonCamera:
-    """Camera found by address, or by serial number if emulated.
+    """Camera selected by address, or by serial number if emulated.
 
     Deadlines are host monotonic time; the library has time limits of its own for all calls but `take`.
     """
@@ -76,7 +76,7 @@ class PylonCamera:
         self.tick_frequency_hz = 0
 
     def connect(self) -> CameraIdentity:
-        """Find the camera without taking control. Raises GEV-001."""
+        """Find the camera without taking control; raises GEV-001."""
         sought_device = self._pylon.DeviceInfo()
         sought_device.SetDeviceClass(self._device_class)
         if self._device_class == EMULATED and self._serial is not None:
@@ -106,7 +106,7 @@ class PylonCamera:
         )
 
     def configure(self) -> None:
-        """Take control and bring all settings to a known state; raises GEV-005, GEV-010, GEV-011."""
+        """Take control and apply the known state; raises GEV-005, GEV-010, GEV-011, GEV-014."""
         try:
             self._camera.Open()
         except self._genicam.GenericException as error:
@@ -124,16 +124,16 @@ class PylonCamera:
 
     @property
     def features(self) -> PylonFeatures:
-        """Camera features; available only while controlled."""
+        """GenICam features of the camera; available only while controlled."""
         return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
 
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
-        """Choose the part of the sensor to read, while not streaming. Raises GEV-011."""
+        """Set the sensor area to read out, while not streaming; raises GEV-011."""
         known_state.set_area(self.features, area)
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
-        """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
+        """Set exposure and gain (None: the minimum), also while streaming; raises GEV-011."""
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def start(self) -> None:
@@ -141,11 +141,11 @@ class PylonCamera:
         self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def stop(self) -> None:
-        """Stop the acquisition, losing images not yet taken."""
+        """Stop the acquisition and discard pending images."""
         self._camera.StopGrabbing()
 
     def trigger(self) -> None:
-        """Trigger one frame as soon as the camera is ready for it; raises GEV-014."""
+        """Trigger one frame as soon as the camera is ready; raises GEV-014."""
         try:
             if self._camera.CanWaitForFrameTriggerReady():
                 self._camera.WaitForFrameTriggerReady(READY_LIMIT_MS, self._pylon.TimeoutHandling_Return)
@@ -154,7 +154,7 @@ class PylonCamera:
             raise self._lost_error(error) from error
 
     def take(self, deadline_s: float) -> PylonFrame | None:
-        """Return the next frame, or None if none arrived by the deadline. Raises GEV-014."""
+        """Return the next frame, or None at the deadline; raises GEV-014."""
         remaining_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
         try:
             result = self._camera.RetrieveResult(round(remaining_s * 1e3), self._pylon.TimeoutHandling_Return)
@@ -187,14 +187,14 @@ class PylonCamera:
 
 
 class PylonFeatures:
-    """Features of an open camera through its node map. Unknown names and values raise GEV-010."""
+    """Features of an open camera, from its node map; unknown names and values raise GEV-010."""
 
     def __init__(self, nodes: Any, genicam: Any) -> None:
         self._nodes = nodes
         self._genicam = genicam
 
     def has(self, name: str) -> bool:
-        """Return whether the camera has this feature and it is currently available."""
+        """Return whether the feature exists and is currently available."""
         node = self._nodes.GetNode(name)
         return node is not None and bool(self._genicam.IsAvailable(node))
 
@@ -204,11 +204,11 @@ class PylonFeatures:
         return value
 
     def whole(self, name: str) -> int:
-        """Read an integer feature."""
+        """Read a feature as an integer."""
         return int(self._find_node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
-        """Return the names of the available entries of an enumeration."""
+        """Return the available entry names of an enumeration."""
         return tuple(self._find_node(name).Symbolics)
 
     def limits(self, name: str) -> Limits:
@@ -228,7 +228,7 @@ class PylonFeatures:
             raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
 
     def choose(self, name: str, entry: str) -> None:
-        """Set an enumeration to one of its entries."""
+        """Set an enumeration by entry name."""
         try:
             self._find_node(name).SetValue(entry)
         except self._genicam.GenericException as error:

@@ -1,4 +1,4 @@
-"""Two Basler cameras through pypylon, an optional extra, as a `StereoPair`.
+"""Two Basler cameras as a `StereoPair`, through the optional vendor library pypylon.
 
 [stereo]
 driver = "basler_pylon"
@@ -28,14 +28,14 @@ T = TypeVar("T")
 
 
 class PylonOptions(BaslerOptions):
-    """Options of the pair; `device_class` selects real or emulated cameras."""
+    """Camera pair options; `device_class` selects real or emulated cameras."""
 
     device_class: Literal["BaslerGigE", "BaslerCamEmu"] = "BaslerGigE"
     trigger: Literal["software"] = "software"
 
 
 class PylonStereoPair(PairDevice[PylonCamera]):
-    """Pair of pypylon cameras. Calls are synchronous, from one thread at a time.
+    """Pair of pypylon cameras with synchronous calls; not thread-safe.
 
     Time limits are host seconds.
     """
@@ -43,7 +43,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
     wire_protocol = ""  # spoken by the vendor's library
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Check options, endpoints and the library. Raises GEV-016, GEV-018, CFG-001 or CFG-002."""
+        """Check library, options and endpoints; raises GEV-016, GEV-018, CFG-001 or CFG-002."""
         load_pylon()
         self._options = read_options(config, PylonOptions)
         super().__init__(name, config, clock, self._options)

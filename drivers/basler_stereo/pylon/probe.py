@@ -1,4 +1,4 @@
-"""Diagnosis of a pypylon pair: each address without the library, then a connection with it."""
+"""Diagnosis of a pypylon pair: addresses without the library, then a connection with it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ronna_hw.devices.probing import (
 def probe(
     name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
 ) -> Sequence[Diagnostic]:
-    """Diagnose a pair as `Probe` describes. Emulated cameras have no address of their own."""
+    """Diagnose a camera pair as described in `Probe`; emulated cameras have no address to check."""
     emulated = config.options.get("device_class") == EMULATED
     addresses = [each for each in endpoints_of(config) if each.scheme == "gev" and not emulated]
     found = cameras.probe.probe_endpoints(addresses, progress)

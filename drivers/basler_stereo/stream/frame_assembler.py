@@ -1,4 +1,4 @@
-"""Assembly of frames from lost, repeated or reordered GVSP packets. No I/O, no clock access.
+"""Assembly of frames from GVSP packets, which may be lost, repeated or reordered. No I/O, no clock.
 
 A frame is complete when leader, trailer and every payload packet have arrived. Missing packets are requested
 again at growing intervals; after the last, the frame is delivered incomplete.
@@ -37,7 +37,7 @@ _UNAVAILABLE = frozenset(
 
 
 class PacketHeader(NamedTuple):
-    """Eight-byte header of every stream packet."""
+    """GVSP packet header of eight bytes."""
 
     status: int
     block_id: int
@@ -46,7 +46,7 @@ class PacketHeader(NamedTuple):
 
 
 class Leader(NamedTuple):
-    """Leader packet that announces an image."""
+    """Fields of a GVSP image leader packet."""
 
     ticks: int
     pixel_format: int
@@ -58,14 +58,14 @@ class Leader(NamedTuple):
 
     @property
     def area(self) -> AreaOfInterest:
-        """Sensor area. Imported here because the receiver process needs neither readings nor NumPy."""
+        """Sensor area; the late import keeps NumPy out of the receiver process."""
         from ronna_hw.devices.readings import AreaOfInterest
 
         return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
 
 
 def decode_header(packet: memoryview) -> PacketHeader | None:
-    """Decode a packet header; None for bytes that are not a standard stream packet."""
+    """Decode a packet header, or return None unless it is a standard stream packet."""
     if len(packet) < gev.GVSP_HEADER_BYTES:
         return None
     status, block_id, word = _PACKET_HEADER.unpack_from(packet)
@@ -76,7 +76,7 @@ def decode_header(packet: memoryview) -> PacketHeader | None:
 
 
 def decode_leader(content: memoryview) -> Leader | None:
-    """Decode an image leader; None for the leader of anything else."""
+    """Decode a leader, or return None unless it announces an image."""
     if len(content) < gev.GVSP_LEADER_BYTES:
         return None
     _, payload_type, ticks, pixel_format, width, height, x, y, padding_x, _ = _LEADER.unpack_from(content)
@@ -86,13 +86,13 @@ def decode_leader(content: memoryview) -> Leader | None:
 
 
 def next_block_id(block_id: int) -> int:
-    """Return the block id after this one; ids wrap around and are never 0."""
+    """Return the next block id; ids wrap around and skip 0."""
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Received image: raw bytes and the leader (None if it never came)."""
+    """Received image: raw bytes and leader (None if it was lost)."""
 
     block_id: int
     leader: Leader | None
@@ -103,7 +103,7 @@ class Frame:
 
 @dataclass
 class StreamCounters:
-    """Statistics of a stream since it was opened."""
+    """Stream statistics since opening."""
 
     packets: int = 0
     ignored: int = 0  # not in standard form, not of an open block, or of the wrong length
@@ -150,17 +150,17 @@ class FrameAssembler:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a frame has begun and is incomplete."""
+        """Whether any frame is still incomplete."""
         return bool(self._open)
 
     def expect(self, block_id: int, from_s: float) -> None:
-        """Expect a triggered block, and request it even if none of its packets has arrived."""
+        """Expect a triggered block, so that it is requested even if all of its packets are lost."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
         self._open_block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
-        """Process one packet; return the frame that it completes, or a frame displaced by a newer block."""
+        """Process one packet; returns a frame that it completes or that a newer block displaces."""
         self.counters.packets += 1
         if self._store_fast(packet, now_s):
             return None
@@ -178,7 +178,7 @@ class FrameAssembler:
         return self._finish_block(block) if block.remaining == 0 else displaced
 
     def find_overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
-        """Return packets to request again, as (block id, first, last packet id), and an abandoned frame."""
+        """Return overdue packets as (block id, first, last packet id), or a frame given up as incomplete."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._resend_pause_s(block):
                 continue
@@ -200,7 +200,7 @@ class FrameAssembler:
         return [], None
 
     def _resend_pause_s(self, block: _Block) -> float:
-        """Return the delay after a block's last packet before it is requested again."""
+        """Return how long to wait after a block's last packet before requesting a resend."""
         if self._is_fulfilled(block):
             return AFTER_TRAILER_S
         if block.rounds == 0 and block.remaining <= self._trailer_id:
@@ -210,7 +210,7 @@ class FrameAssembler:
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _expect_skipped(self, block_id: int, now_s: float) -> None:
-        """Expect the blocks skipped between the newest block and this one."""
+        """Expect all blocks skipped since the newest one."""
         newest, self._newest = self._newest, block_id
         skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
         if skipped >= OPEN_BLOCKS:
@@ -242,7 +242,7 @@ class FrameAssembler:
         return self._finish_block(next(iter(self._open.values())))
 
     def _store_fast(self, packet: memoryview, now_s: float) -> bool:
-        """Store a packet on the fast path: full, new, and of an open block that stays incomplete."""
+        """Store a full-size new packet of an open block, unless it completes the block."""
         if len(packet) != self._full_bytes:
             return False
         status, block_id, word = _UNPACK_HEADER(packet)
@@ -282,7 +282,7 @@ class FrameAssembler:
         block.remaining -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
-        """Store the content of a packet; False if kind, position and length do not match."""
+        """Store a packet's content; returns False if its kind or length does not match its id."""
         packet_id = header.packet_id
         if packet_id == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
@@ -315,7 +315,7 @@ class FrameAssembler:
 
 
 def _group_ranges(numbers: list[int]) -> list[tuple[int, int]]:
-    """Group ascending numbers into runs, as (first, last)."""
+    """Group ascending numbers into consecutive runs, as (first, last)."""
     runs: list[tuple[int, int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

@@ -1,4 +1,4 @@
-"""Driver side of a stream: socket, usable packet size, and receiver process."""
+"""Driver side of stream reception: socket, packet size and receiver process."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PROBES = 2  # per size: one may be lost by chance
 
 
 class ReceiverProcess:
-    """Receiver process for the streams of all cameras. It ends on `close` or when its parent dies."""
+    """Receiver process for all camera streams; ends on `close` or when its parent dies."""
 
     def __init__(self) -> None:
         self._orders, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -71,7 +71,7 @@ class ReceiverProcess:
         packet_bytes: int,
         resend: bool,
     ) -> StreamReceiver:
-        """Start receiving a stream, with resend requests sent on `control`. Raises GEV-017."""
+        """Start receiving a stream and sending resend requests on `control`; raises GEV-017."""
         number = next(self._numbers)
         memory = FrameSlots.allocate(payload_bytes)
         try:
@@ -84,7 +84,7 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send keep-alives to a camera; return the number for stopping them. Raises GEV-017."""
+        """Send keep-alives to a camera; returns a number for `end_keep_alive`. Raises GEV-017."""
         number = next(self._numbers)
         self.give_order(KeepAlive(number, period_s), control.fileno())
         return number
@@ -95,7 +95,7 @@ class ReceiverProcess:
             self.give_order(EndKeepAlive(number))
 
     def ended_error(self, got: OSError | None = None) -> ReceiverEnded:
-        """Build the error for a process that has ended, with its exit status."""
+        """Build the error for a terminated receiver process, with its exit status."""
         try:
             exit_text = describe_exit(self._process.wait(POLL_S))  # it ends shortly after its channels
         except subprocess.TimeoutExpired:
@@ -112,7 +112,7 @@ class ReceiverProcess:
             self._process.wait()
 
     def give_order(self, order: Order, *descriptors: int) -> None:
-        """Send an order. Raises GEV-017."""
+        """Send an order to the process; raises GEV-017."""
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
@@ -120,7 +120,7 @@ class ReceiverProcess:
 
 
 class StreamReceiver:
-    """Frames of one stream, fetched from shared memory in order of completion."""
+    """Receiver for one stream's frames, in order of completion."""
 
     def __init__(
         self, process: ReceiverProcess, number: int, slots: FrameSlots, notes: socket.socket
@@ -132,21 +132,21 @@ class StreamReceiver:
 
     @property
     def counters(self) -> StreamCounters:
-        """Statistics since the stream was opened."""
+        """Stream statistics since opening."""
         return self._slots.counters()
 
     @property
     def has_begun(self) -> bool:
-        """Whether an image packet has arrived since the stream was opened."""
+        """Whether any image packet has arrived since opening."""
         counters = self.counters
         return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
-        """Expect a triggered block; it is requested if it has not begun after `patience_s`."""
+        """Expect a triggered block and request it if none of it arrives within `patience_s`."""
         self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
-        """Return the oldest frame not yet taken, or None at the deadline (host monotonic).
+        """Return the oldest pending frame, or None at the deadline (host monotonic time).
 
         Also None as soon as `give_up()`. Raises GEV-017.
         """
@@ -161,7 +161,7 @@ class StreamReceiver:
                 return None
 
     def discard(self) -> None:
-        """Discard frames not yet taken. Raises GEV-017."""
+        """Discard pending frames; raises GEV-017."""
         while select.select([self._notes], [], [], 0.0)[0]:
             self._next_note()
 
@@ -182,7 +182,7 @@ class StreamReceiver:
 
 
 def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
-    """Open a socket for the stream on a free port of the host's address."""
+    """Open a stream socket on a free port of the host address."""
     stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     # The kernel caps the size at net.core.rmem_max, except for the superuser; packets that do not fit are
     # lost and requested again.
@@ -194,7 +194,7 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
 
 
 def await_packet(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
-    """Wait for a datagram of this packet size from the sender; others are dropped."""
+    """Return whether a packet of this size arrives from the sender in time; discards all others."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even if the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
@@ -207,7 +207,7 @@ def await_packet(stream: socket.socket, sender: str, packet_bytes: int, limit_s:
 def choose_packet_bytes(
     control: ControlChannel, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
 ) -> tuple[int, bool]:
-    """Choose the packet size and set it in the camera; True if a test packet proved it.
+    """Choose and set the packet size; returns whether a test packet confirmed it.
 
     Uses the largest candidate that arrives, or checks the wanted size. For a device that sends
     no test packets, the wanted or the default size is used. Raises GEV-012 when only sizes below

@@ -1,4 +1,4 @@
-"""Interface between driver and receiver process: orders one way, frames in shared memory the other.
+"""Interface between driver and receiver process: orders, and frames in shared memory.
 
 An order is one datagram with the file descriptors it needs. The memory is anonymous and passed by file
 descriptor, so nothing is left behind whichever process dies. Frames rotate through a few slots. Each slot has
@@ -30,7 +30,7 @@ _DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
 
 @dataclass(frozen=True)
 class OpenStream:
-    """Order to receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
+    """Order to receive a stream; passes descriptors of stream, control, memory and note channel."""
 
     stream: int
     payload_bytes: int
@@ -47,7 +47,7 @@ class CloseStream:
 
 @dataclass(frozen=True)
 class ExpectBlock:
-    """Order to request a triggered block that has not begun after `patience_s`."""
+    """Order to request a triggered block if none of it arrives within `patience_s`."""
 
     stream: int
     block_id: int
@@ -56,7 +56,7 @@ class ExpectBlock:
 
 @dataclass(frozen=True)
 class KeepAlive:
-    """Order to send keep-alives to a camera. Descriptor: the control socket."""
+    """Order to send keep-alives to a camera; passes the control socket's descriptor."""
 
     camera: int
     period_s: float
@@ -64,7 +64,7 @@ class KeepAlive:
 
 @dataclass(frozen=True)
 class EndKeepAlive:
-    """Order to stop keep-alives."""
+    """Order to stop sending keep-alives."""
 
     camera: int
 
@@ -78,13 +78,13 @@ _KINDS: dict[str, type[Order]] = {
 
 
 def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
-    """Send an order; raises OSError if the process is gone."""
+    """Send an order; raises OSError if the receiver process has ended."""
     text = json.dumps({"order": type(order).__name__, **asdict(order)}).encode()
     socket.send_fds(channel, [text], list(descriptors))
 
 
 def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
-    """Receive the next order and its descriptors; None if the driver is gone."""
+    """Receive the next order with its descriptors, or None if the driver has ended."""
     text, descriptors, _, _ = socket.recv_fds(channel, LONGEST_ORDER_BYTES, MOST_DESCRIPTORS)
     if not text:
         return None
@@ -102,7 +102,7 @@ def _unpack_leader(values: tuple[int, ...]) -> Leader | None:
 
 
 class _FrameNote(NamedTuple):
-    """Note about a finished frame, with what is needed to fetch it."""
+    """Message that announces a finished frame and its slot in shared memory."""
 
     slot: Annotated[int, "I"]
     use_count: Annotated[int, "Q"]
@@ -118,7 +118,7 @@ NOTE_BYTES = _NOTE.size_bytes
 
 
 class FrameSlots:
-    """View of one stream's shared memory, for either side."""
+    """Shared memory of one stream, as used by driver and receiver process."""
 
     def __init__(self, fd: int, payload_bytes: int) -> None:
         self._payload_bytes = payload_bytes
@@ -130,7 +130,7 @@ class FrameSlots:
 
     @staticmethod
     def allocate(payload_bytes: int) -> int:
-        """Allocate memory for frames of this size; return its descriptor."""
+        """Allocate shared memory for frames of this size and return its descriptor."""
         fd = os.memfd_create("basler_stereo")
         os.ftruncate(fd, _memory_size(payload_bytes))
         return fd
@@ -144,7 +144,7 @@ class FrameSlots:
         return slot, self._view[begin : begin + self._payload_bytes]
 
     def note(self, frame: Frame) -> bytes:
-        """Write the note about a finished frame."""
+        """Encode the note that announces a finished frame."""
         return _NOTE.pack(
             _FrameNote(
                 frame.slot,
@@ -156,7 +156,7 @@ class FrameSlots:
         )
 
     def fetch(self, note: bytes) -> Frame | None:
-        """Return a copy of the frame, or None if newer ones have overwritten it."""
+        """Copy a frame from its slot, or return None if a newer frame has overwritten it."""
         slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
         if self._use_counts[slot] != use_count:
             return None
@@ -167,12 +167,12 @@ class FrameSlots:
         return Frame(block_id, leader, data, missing)
 
     def write_counters(self, counters: StreamCounters) -> None:
-        """Publish the counters to the other side."""
+        """Publish the counters to the driver."""
         for index, count in enumerate(vars(counters).values()):
             self._counters[index] = count
 
     def counters(self) -> StreamCounters:
-        """Read the counters published by the other side."""
+        """Read the counters published by the receiver process."""
         return StreamCounters(*self._counters)
 
 

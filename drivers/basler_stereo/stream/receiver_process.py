@@ -1,4 +1,4 @@
-"""Receiver process of both streams: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
+"""Receiver process for both streams: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
 
 The driver starts it, so that a stalled driver loses no packets. The channel FD carries orders; when it
 closes, the driver is gone. Ctrl-C never reaches it: the driver starts it in a session of its own with
@@ -42,7 +42,7 @@ NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 class _Stream:
-    """Stream of one camera: socket, assembler, memory, and the channel that announces frames."""
+    """One camera's stream: socket, assembler, shared memory and note channel."""
 
     def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
         stream, control, memory, notes = descriptors
@@ -65,14 +65,14 @@ class _Stream:
 
     @property
     def should_gather(self) -> bool:
-        """Whether packets may wait in the socket for a moment."""
+        """Whether packets may briefly accumulate in the socket."""
         return self._may_gather and self._assembler.is_waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
         self._assembler.expect(block_id, from_s)
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
-        """Read arrived packets, up to a limit; True if there may be more."""
+        """Process a limited number of arrived packets; returns whether there may be more."""
         accept, receive = self._assembler.accept, self.socket.recvfrom_into
         now_s = time.monotonic()
         with contextlib.suppress(OSError):  # nothing more has arrived
@@ -89,7 +89,7 @@ class _Stream:
         return False
 
     def request_missing(self, now_s: float) -> None:
-        """Request missing packets again, and abandon frames that stay incomplete."""
+        """Request missing packets, and give up frames that remain incomplete."""
         ranges, abandoned = self._assembler.find_overdue(now_s)
         if self._resend:
             for block_id, first, last in ranges:
@@ -140,7 +140,7 @@ class _KeepAlive:
 
 
 class ReceiverLoop:
-    """Main loop of the process, which waits only for packets and orders."""
+    """Main loop of the receiver process: packets, orders and keep-alives."""
 
     def __init__(self, orders: socket.socket) -> None:
         self._orders = orders
@@ -151,7 +151,7 @@ class ReceiverLoop:
         self._by_descriptor: dict[int, _Stream] = {}
 
     def run(self) -> None:
-        """Run until the driver is gone."""
+        """Run until the driver closes the order channel."""
         buffer = bytearray(gvcp.LARGEST_DATAGRAM_BYTES)
         view = memoryview(buffer)
         while True:
@@ -212,7 +212,7 @@ class ReceiverLoop:
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until the driver is gone; return 2 if not started by it."""
+    """Run the receiver loop; returns 2 if not started by the driver."""
     try:
         orders = socket.socket(fileno=int(arguments[0]))
     except (IndexError, ValueError, OSError) as error:

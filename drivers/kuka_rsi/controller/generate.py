@@ -1,4 +1,4 @@
-"""Generator of the controller's files from the context description in `ronna_hw.wire`."""
+"""Generator of controller files from the RSI context description."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ REAL_VALUES = (
 
 
 def render(context: RsiContext) -> dict[str, str]:
-    """Render all files, by name.
+    """Render all controller files, keyed by file name.
 
     Raises WIR-001 for a context that uses objects missing from these files, and jinja2's error when a
     template refers to something undefined.

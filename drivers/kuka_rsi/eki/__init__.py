@@ -1,1 +1,1 @@
-"""EKI channel for program control, status, tool and base; never for real-time control."""
+"""EKI channel for program control, status, tool and base; not used for real-time control."""

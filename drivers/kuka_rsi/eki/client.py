@@ -1,4 +1,4 @@
-"""Client of the EKI channel: commands with answers, and requested or unsolicited controller states.
+"""EKI channel client: commands with acknowledgements, and requested or unsolicited controller states.
 
 A thread reads everything the controller sends, since it closes the connection if unsolicited telegrams are
 not read.
@@ -48,25 +48,25 @@ _TIMEVAL = struct.Struct("ll")
 
 
 class Ack(NamedTuple):
-    """Controller's answer to a command."""
+    """Controller's acknowledgement of a command."""
 
     code: AckCode
     text: str
 
 
 class Listener(Protocol):
-    """Listener to an EKI connection, called from the reader thread and therefore to return quickly."""
+    """Callbacks for EKI events, called on the reader thread; they must return quickly."""
 
     def on_state(self, state: ControllerState) -> None:
         """Handle a requested or unsolicited state."""
         ...
 
     def on_silence(self) -> None:
-        """Handle a silence of `QUIET_S`; called repeatedly."""
+        """Handle another `QUIET_S` without data from the controller."""
         ...
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Handle a broken connection; not called when we close it."""
+        """Handle the loss of the connection; not called when we close it."""
         ...
 
 
@@ -80,7 +80,7 @@ class EkiClient:
         timeout_s: float,
         on_bytes: Callable[[Direction, bytes], None] | None = None,
     ) -> None:
-        """Connect; raises EKI-001 if nothing answers at the address. `on_bytes` receives all traffic."""
+        """Connect to the controller; raises EKI-001 on failure. `on_bytes` receives all traffic."""
         self._on_bytes = on_bytes
         self.where = f"tcp://{host}:{port}"
         try:
@@ -108,33 +108,33 @@ class EkiClient:
 
     @property
     def silent_s(self) -> float:
-        """Host time since the last state; the controller sends one every 0.1 s."""
+        """Host time since the last state was received; the controller sends one every 0.1 s."""
         latest = self.latest
         return time.monotonic() - latest.received_s if latest is not None else 0.0
 
     def listen(self, listener: Listener) -> None:
-        """Register a listener for every state and for loss of the connection."""
+        """Register a listener for states, silence and loss of the connection."""
         self._listener = listener
         if self.failure is not None and not self._closing:
             listener.on_loss(self.failure)
 
     def status(self, timeout_s: float) -> ControllerState:
-        """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
+        """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
         state = self.await_reply(self.request_state(), timeout_s)
         if state is None:
             raise NoAnswer(f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s")
         return state
 
     def request_state(self) -> int:
-        """Request the state without waiting; return the request's number. Raises EKI-002."""
+        """Request the state without waiting and return the request's number; raises EKI-002."""
         return self._send(CommandName.STATUS, {})
 
     def find_reply(self, number: int) -> ControllerState | None:
-        """Return the state sent in reply to a request; None until it arrives."""
+        """Return the state sent in reply to a request, or None if it has not arrived."""
         return self._states.get(number)
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
-        """Wait for the reply to a request; None after the time limit. Raises EKI-002 or EKI-004."""
+        """Wait for the reply to a request; returns None on time-out, raises EKI-002 or EKI-004."""
         return self._wait_for(lambda: self._states.get(number), timeout_s)
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
@@ -146,7 +146,7 @@ class EkiClient:
         return ack
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
-        """Send a command like `command`; raises EKI-008 unless the answer is OK."""
+        """Send a command as `command` does; raises EKI-008 unless it is acknowledged with OK."""
         ack = self.command(name, timeout_s, **values)
         if ack.code is not AckCode.OK:
             raise CommandRefused(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
@@ -154,7 +154,7 @@ class EkiClient:
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """Wait for a state that meets a condition; None after the time limit.
+        """Wait for a state that meets a condition; returns None on time-out.
 
         States arrive unsolicited; one is nevertheless requested now and then.
         """
@@ -228,13 +228,13 @@ class EkiClient:
             self._listener.on_loss(failure)
 
     def _lost_error(self, how: str) -> ControllerLost:
-        """Build the error for a broken connection. Without any state, it was never really open."""
+        """Build the error for a broken connection, with other advice if no state ever arrived."""
         if self.latest is None:
             return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
     def _receive_bytes(self) -> bytes:
-        """Receive the next bytes; empty if the controller has closed the connection."""
+        """Receive the next bytes, or none once the controller has closed the connection."""
         while True:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
@@ -272,7 +272,7 @@ def _store_reply(store: dict[int, T], number: int, value: T) -> None:
 
 
 class ControllerCommands:
-    """Controller commands for tool, base and override, but neither motion nor the RSI stream.
+    """Controller commands for tool, base and override; excludes motion and the RSI stream.
 
     Each raises EKI-003 without an answer and EKI-008 when refused.
     """

@@ -1,4 +1,4 @@
-"""EKI telegrams: splitting of the byte stream, and parsing of the controller's `State`.
+"""EKI telegrams: splitting the byte stream and parsing the controller's `State`.
 
 EKI has no framing: a telegram ends with its root element. A truncated one is detected by the first bytes of
 the next. Otherwise they would count as part of it, and nothing would be read until the buffer is full.
@@ -37,7 +37,7 @@ _NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
-    """Splitter of a byte stream into complete root elements.
+    """Incremental splitter of a byte stream into complete root elements.
 
     Padding and anything else before a root is skipped. A document type declaration is refused.
     """
@@ -49,7 +49,7 @@ class TelegramScanner:
         self._depth = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield complete telegrams, in order; raises EKI-004 if one is truncated, too long or not XML."""
+        """Yield complete telegrams in order; raises EKI-004 if one is malformed, truncated or too long."""
         self._buffer += data
         while (tag := self._next_tag()) is not None:
             start, end = tag
@@ -78,7 +78,7 @@ class TelegramScanner:
             )
 
     def _next_tag(self) -> tuple[int, int] | None:
-        """Find the next "<" and its ">", respecting quotes; None until both have arrived."""
+        """Find the next complete tag, respecting quotes; returns the positions of "<" and ">"."""
         buffer = self._buffer
         start = buffer.find(b"<", self._scanned)
         if start < 0:
@@ -109,13 +109,13 @@ class TelegramScanner:
 
 
 def _tag_name(tag: bytes) -> bytes:
-    """Return the name of an opening tag; empty for a closing one."""
+    """Return the name of an opening tag, or an empty text for a closing tag."""
     found = _NAME.match(tag)
     return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
-    """Parse the root element; raises EKI-004 if the bytes are not well-formed."""
+    """Parse a telegram as XML; raises EKI-004 if it is not well-formed."""
     try:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:
@@ -124,7 +124,7 @@ def parse_telegram(telegram: bytes) -> ElementTree.Element:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """Content of a `State`. The last seven fields are None if the controller does not report them."""
+    """Decoded controller `State`; the last seven fields are None if not reported."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -146,7 +146,7 @@ class ControllerState:
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
-    """Read a `State` element; raises EKI-004 if a required value is missing or not a number."""
+    """Decode a `State` element; raises EKI-004 if a required value is missing or invalid."""
     get = element.get
     axis = element.find(AXIS)
     if element.tag != STATE or axis is None:
@@ -183,7 +183,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
 def require_matching_setup(
     state: ControllerState, context: RsiContext, variant: ArmVariant
 ) -> tuple[str, ...]:
-    """Return the facts not reported; raises EKI-005 listing every reported value that differs from ours."""
+    """Return the facts that the controller does not report; raises EKI-005 listing all mismatches."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
         ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
@@ -208,14 +208,14 @@ def require_matching_setup(
 def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
-    """Raise EKI-007 listing everything that forbids motion; `drives` requires them to be on already."""
+    """Raise EKI-007 listing every obstacle to motion; with `drives`, the drives must already be on."""
     unmet = unmet_conditions(state, drives=drives, modes=modes)
     if unmet:
         raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
 
 
 def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]) -> list[str]:
-    """List in words everything that forbids motion."""
+    """Describe every obstacle to motion."""
     unmet = []
     if state.mode not in modes:
         unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
@@ -231,7 +231,7 @@ def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[Opera
 
 
 def _parse_number(text: str) -> float:
-    """Parse a number, rejecting NaN, for which every comparison would be false."""
+    """Parse a finite number; NaN would make every comparison false."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(f"{text!r} is not a number")

@@ -1,1 +1,1 @@
-"""Real-time process that answers the controller every cycle and can stop the arm on its own."""
+"""Real-time process that answers the controller in every cycle and can stop the arm by itself."""

@@ -28,7 +28,7 @@ _SCALE = 1.0 / log(RATIO)
 
 
 class Losses:
-    """Counts of lost telegrams and replies; the arm slows down while `degraded`.
+    """Counters of lost telegrams and replies; the arm slows down while `degraded`.
 
     A telegram that never arrived shows as a gap in the time stamps. A reply that was lost or late shows in
     the controller's own count in the next telegram. The controller also counts the cycles of a gap, since
@@ -52,7 +52,7 @@ class Losses:
         self.held_cycles = 0  # consecutive cycles, up to now, without an effective reply
 
     def count(self, ipoc: int, delay: int) -> int | None:
-        """Count cycles missing before this telegram; -1 if repeated or out of order, None for another run."""
+        """Return the cycles missing before a telegram; -1 if out of sequence, None for another run."""
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
@@ -80,7 +80,7 @@ class Losses:
 
     @property
     def is_unusable(self) -> bool:
-        """Whether losses have been too high for too long for any motion to progress."""
+        """Whether losses have been too high for too long to continue any motion."""
         return self._bad_windows >= UNUSABLE_WINDOWS
 
     def _judge_window(self, cycles: int, losses: int) -> None:
@@ -105,10 +105,10 @@ class Losses:
 
 
 class SenderCheck:
-    """Foreign senders since a stream was opened: counted, never answered, named in errors."""
+    """Foreign senders since a stream was opened, counted for error messages."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
-        """Set the axes reported by the controller as expected; None if it was not asked."""
+        """Expect these joint angles in the first telegram; with None, any are accepted."""
         self._expected_rad = expected_rad
         self.count = 0
         self.host = ""  # of the last one
@@ -122,7 +122,7 @@ class SenderCheck:
         self.foreign_sent_last = True
 
     def matches_expected(self, axes_deg: JointVector) -> bool:
-        """Return whether a candidate first telegram has the expected axes."""
+        """Return whether a candidate first telegram has the expected joint angles."""
         expected = self._expected_rad
         if expected is None or all(
             abs(axis - degrees(angle)) <= AXES_AGREE_DEG
@@ -134,14 +134,14 @@ class SenderCheck:
 
 
 def histogram_bin(turnaround_us: float) -> int:
-    """Return the histogram bin for a host time in us; the last bin is open."""
+    """Return the histogram bin of a host time in us; the last bin is open-ended."""
     if turnaround_us < FIRST_EDGE_US:
         return 0
     return min(1 + int(log(turnaround_us / FIRST_EDGE_US) * _SCALE), HISTOGRAM_BINS - 1)
 
 
 def percentile_us(counts: Sequence[int], share: float) -> float:
-    """Return the interpolated time that `share` (0..1) of the cycles stay below; 0 without cycles."""
+    """Return the interpolated percentile of a histogram, `share` in 0..1; 0 for an empty one."""
     total = sum(counts)
     if not total:
         return 0.0
@@ -154,7 +154,7 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
 
 
 def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int] = ()) -> LinkStatistics:
-    """Convert to the device interface's statistics; no counts before a link was opened."""
+    """Convert a link state and its histograms to the statistics of the device interface."""
     return LinkStatistics(
         cycles=state.cycles,
         late_cycles=state.late,

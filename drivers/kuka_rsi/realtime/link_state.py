@@ -1,4 +1,4 @@
-"""Data exchanged by the driver and its real-time process: settings, orders, commands, states, results."""
+"""Data exchanged between driver and real-time process: settings, orders, commands, states, results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """Settings of the process, one line of JSON on standard input. The process reads no files."""
+    """Settings of the real-time process, passed as one line of JSON on standard input."""
 
     host: str
     port: int
@@ -47,12 +47,12 @@ class LinkSettings:
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
-        """Encode as one line."""
+        """Encode as one line of JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str) -> LinkSettings:
-        """Decode the settings; raises TypeError or ValueError if the line is not from `to_json`."""
+        """Decode a line from `to_json`; raises TypeError or ValueError if it is invalid."""
         values = json.loads(line)
         for name in ("send_tags", "receive_tags", "axis_tags"):
             values[name] = tuple(values[name])
@@ -60,7 +60,7 @@ class LinkSettings:
 
 
 class CommandKind(IntEnum):
-    """Kind of a command."""
+    """Command kind."""
 
     MOVE = 1
     OPEN = 2  # answer the next telegrams; the first correction is zero
@@ -69,7 +69,7 @@ class CommandKind(IntEnum):
 
 
 class StopOrder(IntEnum):
-    """Kinds of stop as in `ronna_hw.devices.StopKind`, weakest first."""
+    """Stop kinds as in `ronna_hw.devices.StopKind`, in ascending order of strength."""
 
     HOLD = 1
     PROTECTIVE = 2
@@ -121,7 +121,7 @@ class Result(IntEnum):
 
 
 class Choice(IntEnum):
-    """Content of a reply: the set-point chosen."""
+    """Set-point selected for a reply."""
 
     GO = 0
     STOP = 1
@@ -138,7 +138,7 @@ class Orders(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Command to the process. `plan` is only for MOVE, `limits` of the operating mode only for OPEN."""
+    """Command to the real-time process; `plan` is for MOVE only, `limits` for OPEN only."""
 
     number: int
     kind: CommandKind
@@ -150,7 +150,7 @@ class Command(NamedTuple):
 
 
 class LinkState(NamedTuple):
-    """State of the real-time process, published once per cycle. Angles in rad."""
+    """State of the real-time process, published once per cycle; angles in rad."""
 
     cycles: Annotated[int, "Q"] = 0
     IPOC: Annotated[int, "Q"] = 0
@@ -186,7 +186,7 @@ NO_STATE = LinkState()
 
 
 class RecordedCycle(NamedTuple):
-    """Cycle in the flight recorder. Times are host monotonic."""
+    """Flight recorder entry for one cycle; times are host monotonic."""
 
     cycle: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]

@@ -1,4 +1,4 @@
-"""Main loop of the real-time process: receive, answer, then prepare the next answer.
+"""Main loop of the real-time process: receive, answer, prepare the next reply.
 
 The controller sends first and clocks everything. Nothing is computed between receiving and sending that could
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
@@ -46,7 +46,7 @@ PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pa
 
 
 class LinkLoop:
-    """Main loop of the process. `run` returns when the parent is gone and the arm is at rest."""
+    """Main loop of the real-time process; ends once the parent has exited and the arm is at rest."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class LinkLoop:
         self._cycles_since_fault = 0
 
     def run(self) -> None:
-        """Serve until the parent is gone."""
+        """Run until the parent has exited and the arm is at rest."""
         self._publish()
         while not self._is_done():
             received = self._receive()
@@ -97,12 +97,12 @@ class LinkLoop:
                 self._serve(*received)
 
     def close(self) -> None:
-        """Close the loop's own sockets."""
+        """Close the sockets opened by the loop."""
         self._sockets.disconnect()
         self._rehearsal.close()
 
     def _receive(self) -> Received | None:
-        """Return the controller's newest telegram, or None if none arrived within the waiting time."""
+        """Return the controller's newest telegram, or None if none arrives in time."""
         if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
             self._end_stream()
         received = self._receiver.next()
@@ -132,13 +132,13 @@ class LinkLoop:
         return newest
 
     def _begin_stream(self, peer: Address) -> None:
-        """Adopt the controller that has opened a stream."""
+        """Adopt the sender of the first telegram as the stream's peer."""
         self._mailbox.clear_histograms()
         self._peer = peer
         self._sockets.connect_to(peer)
 
     def _end_stream(self) -> None:
-        """Release the controller: the next stream may come from another port."""
+        """Release the stream's peer, because the next stream may come from another port."""
         self._peer = None
         self._sockets.disconnect()
         self._processor.free()
@@ -194,7 +194,7 @@ class LinkLoop:
         self._finish_cycle(data, telegram.ipoc, orders)
 
     def _match_prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
-        """Match a regular telegram; return the match, and the prepared reply if it fits."""
+        """Match a telegram against the fast parser and the prepared reply."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
@@ -230,7 +230,7 @@ class LinkLoop:
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
     def _finish_cycle(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
-        """Prepare the next reply and record this one."""
+        """Prepare the next reply and record the completed cycle."""
         responder, mailbox = self.responder, self._mailbox
         self._stop_sent = responder.phase is Phase.ENDING
         responder.finish_cycle(self._new_command(orders.command_number))

@@ -1,4 +1,4 @@
-"""Shared memory between driver and real-time process: orders in, state out, last cycles kept.
+"""Shared memory between driver and real-time process: orders, state and recorded cycles.
 
 The memory is anonymous and passed by an inherited file descriptor, so nothing is left behind whichever side
 dies. Every location in it has one writer; half-written rows are detected by their checksum.
@@ -42,7 +42,7 @@ NO_LIMITS = (0.0,) * LIMITS_NUMBERS  # for a command that opens no stream
 
 
 class CommandRow(NamedTuple):
-    """Command in plain numbers; a new `surroundings_number` means that they must be read again."""
+    """Command as plain numbers; a new `surroundings_number` means that the surroundings have changed."""
 
     number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]
@@ -77,7 +77,7 @@ _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
 
 
 class KeptHead(NamedTuple):
-    """Header of a kept telegram and its reply. Times are host monotonic."""
+    """Header of a recorded telegram and its reply; times are host monotonic."""
 
     received_ns: Annotated[int, "q"]
     sent_ns: Annotated[int, "q"]
@@ -89,7 +89,7 @@ _KEPT_HEAD = RowCodec(KeptHead)
 
 
 class KeptCycle(NamedTuple):
-    """Telegram and its reply, which is empty if none was sent. Times are host monotonic."""
+    """Recorded telegram and its reply, empty if none was sent; times are host monotonic."""
 
     received_ns: int
     sent_ns: int
@@ -98,11 +98,11 @@ class KeptCycle(NamedTuple):
 
 
 class MailboxTorn(RuntimeError):
-    """A complete row could not be read: the other side writes constantly, or the memory is foreign."""
+    """No consistent state could be read: the writer never pauses, or the memory is not a mailbox."""
 
 
 class Mailbox:
-    """View of the shared memory, for either side."""
+    """Shared memory as used by driver and real-time process."""
 
     def __init__(self, fd: int) -> None:
         self._memory = mmap.mmap(fd, _MAP.size_bytes)
@@ -114,7 +114,7 @@ class Mailbox:
 
     @staticmethod
     def initialise(fd: int) -> None:
-        """Give new anonymous memory its size, mark and initial state."""
+        """Initialise newly created memory: size, mark and initial state."""
         os.ftruncate(fd, _MAP.size_bytes)
         os.pwrite(fd, _MAP.mark, 0)
         mailbox = Mailbox(fd)
@@ -122,7 +122,7 @@ class Mailbox:
         mailbox.close()
 
     def close(self) -> None:
-        """Release the memory."""
+        """Unmap the memory."""
         self._histogram.release()
         self._jitter.release()
         self._memory.close()
@@ -160,7 +160,7 @@ class Mailbox:
         return Orders(_HEARTBEAT.read(memory), _STOP.read(memory), _COMMAND_NUMBER.read(memory))
 
     def stop_word(self) -> int:
-        """Read the only order that affects the very next reply."""
+        """Read the stop order, the only one that affects the very next reply."""
         return _STOP.read(self._memory)
 
     def read_command(self) -> Command | None:
@@ -174,7 +174,7 @@ class Mailbox:
         return Command(row.number, row.kind, plan, row.stop_number, self._surroundings, axes_rad, limits)
 
     def _read_surroundings(self, number: int) -> bool:
-        """Adopt new surroundings; False while they are being written."""
+        """Read new surroundings; returns False while they are being written."""
         if number == self._surroundings_number:
             return True
         line = _SURROUNDINGS.read(self._memory)
@@ -213,12 +213,12 @@ class Mailbox:
     # ... and read by the driver.
 
     def fetch_kept(self) -> tuple[list[KeptCycle], int]:
-        """Return the cycles kept since the last call, and the number of bytes lost by overwriting."""
+        """Return the cycles recorded since the last call, and the number of bytes lost to overwriting."""
         content, self._fetched, lost = _KEPT.read(self._memory, self._fetched)
         return list(_split_kept_cycles(content)), lost
 
     def read_state(self) -> LinkState:
-        """Read the state of the last cycle; raises MailboxTorn if no complete one can be read."""
+        """Read the latest state; raises MailboxTorn if no consistent one can be read."""
         for _ in range(READ_TRIES):
             state = _STATE.read(self._memory)
             if state is not None:
@@ -226,7 +226,7 @@ class Mailbox:
         raise MailboxTorn("the state row is never consistent")
 
     def read_alive_ns(self) -> int:
-        """Read the host monotonic time of the real-time process' last heartbeat; 0 before the first."""
+        """Read the time of the real-time process' last heartbeat, host monotonic; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
     def read_histogram(self) -> tuple[int, ...]:
@@ -236,7 +236,7 @@ class Mailbox:
         return tuple(self._jitter)
 
     def read_records(self) -> tuple[RecordedCycle, ...]:
-        """Return the recorded cycles, oldest first. Consistent only while nothing is being recorded."""
+        """Return the flight recorder's cycles, oldest first; consistent only while recording is paused."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
         return tuple(sorted(record for record in kept if record.cycle))
 

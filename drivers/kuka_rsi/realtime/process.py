@@ -1,4 +1,4 @@
-"""Entry point of the real-time process, `python -P -m drivers.kuka_rsi.realtime.process`; driver use only.
+"""Real-time process, started by the driver: `python -P -m drivers.kuka_rsi.realtime.process`.
 
 Standard input carries one line of settings and nothing else: when it closes, the parent is gone. Orders and
 state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output. Ctrl-C
@@ -30,7 +30,7 @@ EXIT_NOT_STARTED = 2
 
 
 def main() -> int:
-    """Serve until the parent is gone; return 2 if the settings or the port are invalid."""
+    """Run the loop until the parent exits; returns 2 if the settings or the port are invalid."""
     try:
         settings = LinkSettings.from_json(sys.stdin.readline())
         mailbox = Mailbox(settings.mailbox_fd)

@@ -1,4 +1,4 @@
-"""Responder that computes the answer to each telegram, without any I/O.
+"""Computation of the reply to each telegram, without I/O.
 
 Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
 faults are checked, to decide between the point that continues and the first point of a stop. The measured
@@ -54,7 +54,7 @@ STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Responder:
-    """Link state across cycles: call `answer`, send, `finish_cycle`; without a telegram `monitor_silence`."""
+    """Protocol state machine: `answer` and `finish_cycle` per telegram, `monitor_silence` without one."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
@@ -93,17 +93,17 @@ class Responder:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points are changing."""
+        """Whether a motion is in progress."""
         return self._points is not None and self._points.moving
 
     @property
     def sent_rad(self) -> JointVector:
-        """Last set-point sent."""
+        """Set-point sent last."""
         return self._points.last_rad if self._points else NO_STATE.commanded_rad
 
     @property
     def measured_rad(self) -> JointVector:
-        """Axes of the last telegram."""
+        """Joint angles measured in the last telegram."""
         return self._measured
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
@@ -147,7 +147,7 @@ class Responder:
         return self._replies.heads[self.choice]
 
     def note_answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
-        """Update the state like `answer` for the expected telegram, whose prepared reply was sent."""
+        """Update the state as `answer` does, after the prepared reply has been sent."""
         self._axes_deg = telegram.axes_deg
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self.senders.foreign_sent_last = False
@@ -158,7 +158,7 @@ class Responder:
         self._check_heartbeat(orders.heartbeat, now_ns)
 
     def finish_cycle(self, command: Command | None) -> None:
-        """Check the measured axes, accept a new command, prepare the next reply."""
+        """Check the measured joint angles, accept a new command and prepare the next reply."""
         points = self._points
         if points is None:
             return
@@ -183,7 +183,7 @@ class Responder:
         self._make_ready(points)
 
     def is_expected(self, telegram: Telegram) -> bool:
-        """Return whether this telegram may open the stream; otherwise it gets no reply."""
+        """Return whether a telegram may open the stream."""
         self._axes_deg = telegram.axes_deg
         self._measure()
         return self.senders.matches_expected(telegram.axes_deg)
@@ -211,7 +211,7 @@ class Responder:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def monitor_silence(self, orders: Orders, now_ns: int) -> None:
-        """Monitor silence and heartbeat, and execute stops, while nothing arrives."""
+        """Check silence, heartbeat and stop orders while no telegrams arrive."""
         self.ready = None
         self._check_heartbeat(orders.heartbeat, now_ns)
         if self.phase not in STREAMING_PHASES or self._points is None:
@@ -234,7 +234,7 @@ class Responder:
         return now_ns - self._received_ns
 
     def state(self, *, real_time: bool, locked: bool) -> LinkState:
-        """Return the state for the mailbox."""
+        """Build the state for the mailbox."""
         violation = self.violation
         return LinkState(
             cycles=self.cycles,
@@ -267,7 +267,7 @@ class Responder:
         )
 
     def _answer_loss(self, points: SetPoints) -> bytes:
-        """Return the reply while the arm waits at a point because replies or telegrams were lost."""
+        """Build the reply that makes the arm wait because replies or telegrams were lost."""
         violation = points.monitor.mark_not_accepted() if self._losses.reply_lost else None
         if violation is not None:
             self._trip(violation)
@@ -282,7 +282,7 @@ class Responder:
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
     def _begin_run(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
-        """Return the first reply of a run: a zero correction, relative to these axes."""
+        """Start a run from these joint angles; returns its first reply, a zero correction."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
@@ -374,7 +374,7 @@ class Responder:
         self._stopping = self.moving
 
     def _make_ready(self, points: SetPoints) -> None:
-        """Prepare the complete next reply if only new information could change it."""
+        """Prepare the complete next reply, if nothing but new information can change it."""
         self.ready = None
         is_unsettled = (
             points.violation is not None

@@ -1,4 +1,4 @@
-"""Set-points of one stream: prepared and checked between telegrams, then sent in a reply.
+"""Set-points of a stream, computed and checked between telegrams.
 
 Generator and monitor meet only here. If the monitor rejects the path's own stop, another one replaces it,
 computed only from the points sent: onwards along the arm's present motion.
@@ -25,7 +25,7 @@ NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class SetPoints:
-    """Candidate points of the next reply: call `prepare`, then `commit` with the choice that was sent."""
+    """Candidate points for the next reply: call `prepare`, then `commit` the choice sent."""
 
     def __init__(
         self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
@@ -45,12 +45,12 @@ class SetPoints:
 
     @property
     def last_rad(self) -> JointVector:
-        """Last point sent."""
+        """Point sent last."""
         return self.monitor.last_rad
 
     @property
     def held_rad(self) -> JointVector:
-        """Current point of the controller, according to its last report."""
+        """Point that the controller currently holds, according to its last report."""
         return self.monitor.held_rad
 
     @property
@@ -59,7 +59,7 @@ class SetPoints:
         return self._motion is not None
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
-        """Begin a motion from rest; `speed` scales the planned one. Raises errors of the path and of ruckig.
+        """Start a motion from rest, scaled to `speed`; raises the errors of the path and of ruckig.
 
         From here on the monitor also checks the clearance of these surroundings' bodies.
         """
@@ -79,12 +79,12 @@ class SetPoints:
         self._motion = motion
 
     def limit_speed(self, speed: float) -> None:
-        """Continue at a fraction of the planned speed."""
+        """Limit the motion to a fraction of the planned speed."""
         if isinstance(self._motion, PathMotion):
             self._motion.limit_speed(speed)
 
     def prepare(self) -> None:
-        """Compute and check both candidate points of the next reply."""
+        """Compute and check the points for continuing and for stopping."""
         self._joint_stop = None
         motion = self._motion
         if motion is None:
@@ -108,7 +108,7 @@ class SetPoints:
             self._use_joint_stop()
 
     def commit(self, choice: Choice) -> None:
-        """Record which point was sent."""
+        """Advance the motion by the point that was sent."""
         if choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
@@ -130,7 +130,7 @@ class SetPoints:
             self._motion = None
 
     def abandon(self) -> None:
-        """Drop the motion after the arm has long been at rest at the last point."""
+        """Abandon the motion after the arm has come to rest at the last point."""
         if self._motion is not None:
             self.was_stopped_early = True
         self._motion = None
@@ -152,7 +152,7 @@ class SetPoints:
 
 
 class PreparedReply(NamedTuple):
-    """Complete reply to the next expected telegram, valid if that telegram contains nothing new."""
+    """Complete reply to the next telegram, valid if the telegram contains nothing unexpected."""
 
     delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
     stop_word: int  # no new stop
@@ -161,7 +161,7 @@ class PreparedReply(NamedTuple):
 
 
 class Replies:
-    """Replies of one stream. Corrections are relative to the axes of `begin`; a head ends before the IPOC."""
+    """Reply encoder for one stream, with corrections relative to the joint angles of `begin`."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._writer = ReplyWriter(
@@ -172,11 +172,11 @@ class Replies:
         self.heads = (b"", b"")  # to continue and to stop
 
     def begin(self, base_deg: JointVector) -> None:
-        """Begin a run, whose corrections the controller adds to these axes."""
+        """Start a run with these joint angles as the origin of corrections."""
         self._base_deg = base_deg
 
     def prepare(self, points: SetPoints, *, ending: bool) -> None:
-        """Write the heads for the prepared points; with `ending`, Stop is sent at rest."""
+        """Encode the reply heads for the prepared points; with `ending`, also Stop once at rest."""
         if points.moving:
             self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
         else:
@@ -186,13 +186,13 @@ class Replies:
     def complete(
         self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int
     ) -> PreparedReply:
-        """Return the complete reply to the next telegram."""
+        """Build the complete reply to the next expected telegram."""
         ipoc = str(last_ipoc + self._cycle_ms).encode()
         delay = str(reported_late).encode() if reported_late >= 0 else b""
         return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
 
     def head(self, joints_rad: JointVector, stop: bool) -> bytes:
-        """Write everything before the IPOC; corrections in deg with six decimals."""
+        """Encode a reply up to its IPOC; corrections in deg with six decimals."""
         base = self._base_deg
         a, b, c, d, e, f = joints_rad
         return self._writer.head(

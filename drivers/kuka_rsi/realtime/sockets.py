@@ -1,4 +1,4 @@
-"""Link sockets, and waiting for the next telegram with warm caches.
+"""Link sockets and telegram reception with warm caches.
 
 A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
 controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
@@ -34,7 +34,7 @@ _NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Open the receiving socket without address reuse, since a second listener would take telegrams."""
+    """Open the receiving socket without address reuse; a second listener would steal telegrams."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         link.bind((host, port))
@@ -46,7 +46,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """Sockets of the link: an unconnected one, and one connected to the controller during a stream.
+    """Unconnected link socket, plus one connected to the controller during a stream.
 
     A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
     reply. The kernel also records which processor received the last one.
@@ -80,13 +80,13 @@ class LinkSockets:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
     def disconnect(self) -> None:
-        """Close the stream socket, so that telegrams may come from anywhere again."""
+        """Close the stream socket, so that any sender is received again."""
         if self._peer is not None:
             self._line.close()
             self._line, self._peer = self._listening, None
 
     def receive(self, flags: int = 0) -> Received:
-        """Receive a datagram; raises OSError if none arrived in time, or a reply was refused."""
+        """Receive a datagram; raises OSError on time-out or if a reply was refused."""
         if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
@@ -100,15 +100,15 @@ class LinkSockets:
             self._line.sendto(reply, address)
 
     def sleep(self, limit_s: float) -> bool:
-        """Wait for a datagram; False if none arrived in time."""
+        """Sleep until a datagram arrives; returns False on time-out."""
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
     def has_datagram(self) -> bool:
-        """Return whether a datagram is waiting, more cheaply than by the exception of an empty socket."""
+        """Return whether a datagram is pending, without the cost of an exception."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def foreign_sender(self) -> Address | None:
-        """Receive a datagram from outside the stream and return its sender; None without any."""
+        """Discard a datagram from outside the stream and return its sender, if there is one."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:
@@ -118,7 +118,7 @@ class LinkSockets:
         return address
 
     def processor(self) -> int:
-        """Return the number of the processor that received the last telegram; -1 if unknown."""
+        """Return the processor that received the last telegram, or -1 if unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 
@@ -128,7 +128,7 @@ def _set_receive_timeout(link: socket.socket) -> None:
 
 
 class TelegramReceiver:
-    """Receiver of successive telegrams."""
+    """Receiver that keeps caches warm between telegrams."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class TelegramReceiver:
         rehearse: Callable[[], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Create a receiver that calls `rehearse` `lead_ns` before a telegram is due; 0 disables it."""
+        """Create a receiver; `rehearse` runs `lead_ns` before each telegram is due, or never if 0."""
         self._sockets = sockets
         self._lead_ns = lead_ns
         self._rehearse = rehearse
@@ -149,7 +149,7 @@ class TelegramReceiver:
         self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
-        """Receive the next datagram from any sender; None if none arrived in time."""
+        """Receive the next datagram from any sender, or return None on time-out."""
         try:
             self.was_queued = self._sockets.has_datagram()
             if self._lead_ns and not self.was_queued:
@@ -161,7 +161,7 @@ class TelegramReceiver:
         return received
 
     def note_paced(self) -> bool:
-        """Note that the last datagram came a whole cycle after the previous one; True if the pace is known.
+        """Record a datagram sent at the controller's pace; returns whether the pace is known.
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
@@ -170,7 +170,7 @@ class TelegramReceiver:
         return self._keeps_pace
 
     def note_lock_step(self) -> None:
-        """Note that the last datagram immediately followed the reply, so there is no schedule."""
+        """Record a datagram sent in immediate response to a reply, and discard the schedule."""
         self._pace.forget()
         self._keeps_pace = False
 
@@ -181,7 +181,7 @@ class TelegramReceiver:
 
 
 class Pace:
-    """Predictor of the next telegram on the controller's absolute schedule. Host time in ns.
+    """Estimator of the controller's sending schedule; host times in ns.
 
     The pace is learnt from arrivals alone. A telegram may be delayed on its way, but never arrives before it
     was sent: an early one corrects the schedule at once, a late one only slightly.
@@ -194,7 +194,7 @@ class Pace:
 
     @property
     def due_ns(self) -> int:
-        """Time at which the next telegram is due if not delayed, ns; 0 without a known schedule."""
+        """Expected time of the next telegram if not delayed, ns; 0 without a known schedule."""
         return int(self._scheduled_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
 
     def note_arrival(self, now_ns: int) -> None:
@@ -216,7 +216,7 @@ class Pace:
 
 
 class Rehearsal:
-    """Dry run of receiving and sending, on a loopback socket connected to itself."""
+    """Dry run of sending and receiving on a loopback socket connected to itself."""
 
     def __init__(self) -> None:
         self._own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -224,7 +224,7 @@ class Rehearsal:
         self._own.connect(self._own.getsockname())
 
     def exchange(self, data: bytes) -> None:
-        """Send and receive a datagram like the next one, through the same calls."""
+        """Send and receive a datagram through the same calls as a real exchange."""
         with contextlib.suppress(OSError):  # nothing depends on it
             self._own.send(data)
             self._own.recv(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)

@@ -1,4 +1,4 @@
-"""RSI telegrams: parsing of the controller's telegrams, and writing of replies.
+"""RSI telegrams: parsing of telegrams and encoding of replies.
 
 The reader is a regular expression compiled from the agreed elements. Other telegrams go through a strict XML
 parser, and are rejected if that fails. The reply is written in two parts: everything up to the IPOC can be
@@ -47,7 +47,7 @@ Found = re.Match[bytes]
 
 
 class Telegram(NamedTuple):
-    """Content of a telegram. `ipoc` stays text, as it is echoed unchanged."""
+    """Decoded telegram; `ipoc` stays text because replies echo it unchanged."""
 
     axes_deg: JointVector
     delay: int  # the controller's own count of late packets, -1 if it does not send it
@@ -55,14 +55,14 @@ class Telegram(NamedTuple):
 
 
 class Element(NamedTuple):
-    """XML element of a telegram: attributes, or text if there are none."""
+    """XML element with its attributes, or with text if it has none."""
 
     name: str
     attributes: tuple[str, ...]
 
 
 def group_elements(tags: tuple[str, ...]) -> tuple[Element, ...]:
-    """Group the declared tags into elements, in order; consecutive tags of one group share an element."""
+    """Group declared tags into XML elements; consecutive tags with the same name share one."""
     result: list[Element] = []
     for tag in tags:
         if tag == FREE_TAG:
@@ -83,7 +83,7 @@ def group_elements(tags: tuple[str, ...]) -> tuple[Element, ...]:
 
 
 class TelegramReader:
-    """Parser of telegrams in one context."""
+    """Telegram parser for one RSI context."""
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
@@ -107,17 +107,17 @@ class TelegramReader:
         self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
 
     def match(self, data: bytes) -> Found | None:
-        """Match a telegram in the usual form, for `extract_telegram`; None if it needs the strict parser."""
+        """Match a telegram in the usual layout, or return None if it needs the strict parser."""
         return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
-        """Read a telegram; raises RSI-014 if neither the expression nor the strict parser accepts it."""
+        """Decode a telegram in any layout; raises RSI-014 if it is invalid."""
         found = self._match(data)
         return read_strictly(data) if found is None else extract_telegram(found)
 
 
 def extract_telegram(found: Found) -> Telegram:
-    """Return the numbers of a telegram in the usual form."""
+    """Decode a telegram matched in the usual layout."""
     a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
     return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
@@ -128,7 +128,7 @@ def _match_nothing(_data: bytes) -> None:
 
 
 def read_strictly(data: bytes) -> Telegram:
-    """Parse a telegram as XML, in any order and spacing. Raises RSI-014, also for a DTD."""
+    """Decode a telegram with an XML parser; raises RSI-014, also for a DTD."""
     values: dict[tuple[str, str], str] = {}
     path: list[str] = []
     text: list[str] = []
@@ -184,7 +184,7 @@ def read_strictly(data: bytes) -> Telegram:
 
 
 class ReplyWriter:
-    """Writer of replies in one context: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
+    """Reply encoder for one RSI context: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
 
     def __init__(
         self, sentype: str, receive_tags: tuple[str, ...], axis_tags: tuple[str, ...], stop_tag: str
@@ -207,6 +207,6 @@ class ReplyWriter:
         self._template = template.replace("%(Stop)s", "%d").encode("ascii")
 
     def head(self, corrections_deg: JointVector, stop: bool = False) -> bytes:
-        """Write everything before the IPOC; corrections in deg with six decimals."""
+        """Encode a reply up to its IPOC; corrections in deg with six decimals."""
         head: bytes = self._template % self._pick_in_order((*corrections_deg, stop))
         return head.replace(NEGATIVE_ZERO, ZERO) if NEGATIVE_ZERO in head else head
