@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 
 ROUNDING = 1e-6  # tolerance for being a rotation up to rounding
+UNIT_TOLERANCE = 1e-3  # of a quaternion's norm: trackers send four decimals
 
 
 class Frame(StrEnum):
@@ -76,8 +77,16 @@ class Transform:
         translation_mm: ArrayLike = (0.0, 0.0, 0.0),
         quaternion_wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0),
     ) -> Self:
-        """Build from a translation (3, mm) and a scalar-first unit quaternion (4)."""
-        rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
+        """Build from a translation (3, mm) and a scalar-first unit quaternion (4). Raises FRM-001."""
+        norm = float(np.linalg.norm(quaternion := np.asarray(quaternion_wxyz, dtype=float)))
+        if quaternion.shape != (4,) or not abs(norm - 1.0) <= UNIT_TOLERANCE:
+            raise FrameMismatch(
+                f"the rotation {target} <- {source} is not a unit quaternion",
+                expected="w, x, y, z of norm 1",
+                got=f"{quaternion.tolist()}",
+                action="Normalise the quaternion; its scalar part comes first.",
+            )
+        rotation = Rotation.from_quat(quaternion, scalar_first=True)
         return cls(target, source, build_rigid(np.asarray(translation_mm, dtype=float), rotation))
 
     @classmethod
@@ -111,8 +120,15 @@ class Transform:
         return np.asarray(self.rigid.as_matrix(), dtype=float)
 
     def apply(self, points_mm: ArrayLike) -> Array:
-        """Map points (3,) or (n, 3) in mm from source to target."""
-        return np.asarray(self.rigid.apply(np.asarray(points_mm, dtype=float)), dtype=float)
+        """Map points (3,) or (n, 3) in mm from source to target. Raises FRM-001."""
+        points = np.asarray(points_mm, dtype=float)
+        if points.shape[-1:] != (3,) or points.ndim > 2:
+            raise FrameMismatch(
+                f"the points in {self.source} have shape {points.shape}",
+                expected="(3,) or (n, 3)",
+                action="Give one point a row, x, y, z in mm.",
+            )
+        return np.asarray(self.rigid.apply(points), dtype=float)
 
     def displace(self, by_mm: ArrayLike) -> Transform:
         """Displace the origin by (3,) mm in the target frame, with the same rotation."""

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from procedures.imaging.errors import LocalizationMisused
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume
@@ -77,6 +78,13 @@ def localize_as_thesis(
 ) -> Localization:
     """Localize spheres with the thesis pipeline; arguments and errors as for `localize`."""
     check_request(volume, diameter_mm, expected)
+    if fit not in list(ThesisFit):
+        raise LocalizationMisused(
+            "the thesis has no such fit",
+            expected=" or ".join(ThesisFit),
+            got=repr(fit),
+            action="Give ThesisFit.LINE or ThesisFit.SPHERE.",
+        )
     radius_mm = 0.5 * diameter_mm
     candidates: list[Candidate] = []
     markers: list[Marker] = []

@@ -24,8 +24,9 @@ from procedures.registration.errors import (
     TooFewPoints,
     UnsoundRegistration,
 )
-from procedures.registration.points import FEWEST_PAIRS, validate_points
+from procedures.registration.points import FEWEST_PAIRS, validate_points, validate_transform
 from procedures.registration.rigid_fit import as_transform, fit_rigid
+from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
@@ -51,14 +52,18 @@ class CloudFit:
 
 
 def register_clouds(
-    image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
+    image_mm: ArrayLike,
+    physical_mm: ArrayLike,
+    *,
+    start: RigidTransform | Transform | ArrayLike | None = None,
+    overlap: float = 1.0,
 ) -> CloudFit:
     """Register clouds (n, 3) and (m, 3) in mm, of any size and in any order.
 
-    `start` is an approximate transform physical <- image; without it the principal axes yield four, and both
-    clouds must cover the same part. `overlap` is the share of the image points that have a counterpart.
-    Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only a mirror image fits, REG-011
-    when several orientations fit.
+    `start` is an approximate transform physical <- image, also as a matrix (4, 4) in mm. Without it the
+    principal axes yield four, and both clouds must cover the same part. `overlap` is the share of the image
+    points that have a counterpart. Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only
+    a mirror image fits, REG-011 when several orientations fit.
     """
     image, physical = _validate_cloud(image_mm, "image"), _validate_cloud(physical_mm, "physical")
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
@@ -70,13 +75,7 @@ def register_clouds(
         )
     tree = cKDTree(physical)
     if start is not None:
-        matrix = np.asarray(start.as_matrix())
-        if matrix.shape != (4, 4):
-            raise BadParameter(
-                "the start must be one transform physical <- image",
-                got=f"{len(matrix)} transforms",
-                action="Give one SciPy RigidTransform, or omit the start.",
-            )
+        matrix = np.asarray(validate_transform(start, "start").as_matrix())
         return _as_fit(_iterate_closest_points(image, physical, tree, matrix, overlap))
     fits = [
         _iterate_closest_points(image, physical, tree, one, overlap) for one in _align_axes(image, physical)

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
-from procedures.registration.errors import BadCovariance, BadPoints, DuplicatePoints, TooFewPoints
+from procedures.registration.errors import (
+    BadCovariance,
+    BadParameter,
+    BadPoints,
+    DuplicatePoints,
+    TooFewPoints,
+)
+from ronna_hw.frames import ROUNDING, Transform
 
 Array = NDArray[np.float64]
 
@@ -45,6 +53,44 @@ def validate_targets(points_mm: ArrayLike) -> Array:
     except ValueError:
         single = False
     return validate_points(np.reshape(points_mm, (1, 3)) if single else points_mm, "target")
+
+
+def validate_transform(transform: RigidTransform | Transform | ArrayLike, name: str) -> RigidTransform:
+    """Return a rigid transform given as such, with named frames, or as a matrix (4, 4) in mm.
+
+    Raises REG-007.
+    """
+    rigid = transform.rigid if isinstance(transform, Transform) else transform
+    if isinstance(rigid, RigidTransform):
+        if rigid.single:
+            return rigid
+        got = f"{len(rigid)} transforms"
+    else:
+        try:
+            matrix = np.asarray(rigid, dtype=float)
+        except (TypeError, ValueError):
+            got = type(rigid).__name__
+        else:
+            if _is_rigid(matrix):
+                return RigidTransform.from_matrix(matrix)
+            got = f"an array of shape {matrix.shape}"
+    raise BadParameter(
+        f"the {name} is no rigid transform",
+        expected="a SciPy RigidTransform, a Transform, or a matrix (4, 4) with a proper rotation",
+        got=got,
+        action="Give one rigid transform; translations are in mm.",
+    )
+
+
+def _is_rigid(matrix: Array) -> bool:
+    """Return whether a matrix is (4, 4), finite, with a proper rotation and nothing else in its last row."""
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        return False
+    rotation = matrix[:3, :3]
+    is_orthogonal = float(np.abs(rotation @ rotation.T - np.eye(3)).max()) <= ROUNDING
+    return (
+        is_orthogonal and float(np.linalg.det(rotation)) > 0.0 and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+    )
 
 
 def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:

@@ -18,8 +18,9 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import BadPoints
 from procedures.registration.point_registration import Registration
-from procedures.registration.points import validate_points
+from procedures.registration.points import validate_points, validate_transform
 from ronna_hw.calibration import Strict
+from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,7 @@ def verify_two_way(
     image_mm: ArrayLike,
     tracker_mm: ArrayLike,
     pairs: ArrayLike,
-    coarse: RigidTransform,
+    coarse: RigidTransform | Transform | ArrayLike,
     *,
     fine: Registration | None = None,
     stereo: Sequence[RoomPoint] = (),
@@ -84,11 +85,12 @@ def verify_two_way(
     """Build the two-way table.
 
     `image_mm` (n, 3) are all fiducials of the CT, `tracker_mm` (m, 3) all averaged stray markers, `pairs` (k,
-    2) their correspondence with `coarse` tracker <- CT. `stereo` are the fine measurements in the order in
-    which `fine` was registered from them. `ct_disagreement_mm` is, per fiducial, the distance between the two
-    CT estimators. Raises REG-001.
+    2) their correspondence with `coarse` tracker <- CT, also as a matrix (4, 4) in mm. `stereo` are the fine
+    measurements in the order in which `fine` was registered from them. `ct_disagreement_mm` is, per fiducial,
+    the distance between the two CT estimators. Raises REG-001, 007.
     """
     image, tracker = validate_points(image_mm, "image"), validate_points(tracker_mm, "tracker")
+    tracker_from_ct = validate_transform(coarse, "coarse registration")
     partners = np.asarray(pairs, dtype=int).reshape(-1, 2)
     if len(partners) and (
         partners.min() < 0 or np.any(partners.max(axis=0) >= np.array([len(image), len(tracker)]))
@@ -98,10 +100,10 @@ def verify_two_way(
         raise BadPoints("a stereo measurement names a fiducial that does not exist")
     if fine is not None and fine.pairs != len(stereo):
         raise BadPoints(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
-    rows = _build_ct_rows(image, tracker, partners, coarse, fine, stereo, ct_disagreement_mm or {})
+    rows = _build_ct_rows(image, tracker, partners, tracker_from_ct, fine, stereo, ct_disagreement_mm or {})
     fiducial_of = {reading: fiducial for fiducial, reading in reversed(partners.tolist())}
     readings = [
-        (Instrument.TRACKER, index, fiducial_of.get(index), point, coarse)
+        (Instrument.TRACKER, index, fiducial_of.get(index), point, tracker_from_ct)
         for index, point in enumerate(tracker)
     ]
     if fine is not None:

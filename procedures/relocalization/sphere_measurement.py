@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from procedures.relocalization.circle_search import Circle, GreyImage, find_circles, find_edges, halve_image
 from procedures.relocalization.errors import (
     BadImage,
+    BadMeasurement,
     NoContrast,
     NoSphere,
     RaysDoNotMeet,
@@ -51,8 +52,9 @@ def measure_sphere(
     """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image.
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
-    Raises STE-001 for any other input, STE-002 without contrast, STE-011 when fully saturated, STE-003 when
-    no sphere is in view. A sphere with too little visible rim is returned as UNRELIABLE.
+    Raises STE-001 for any other image, STE-004 for an empty range, STE-002 without contrast, STE-011 when
+    fully saturated, STE-003 when no sphere is in view. A sphere with too little visible rim is returned as
+    UNRELIABLE.
     """
     best: SphereImage | None = None
     round_shapes = 0
@@ -65,9 +67,10 @@ def measure_sphere(
         if best is None or _visible_px(sphere) > _visible_px(best):
             best = sphere
     if best is None:
+        sized = "" if radius_range_px is None else f" with a radius of {_format_range(radius_range_px)}"
         raise NoSphere(
             "no sphere in view",
-            expected="a bright disc",
+            expected=f"a bright disc{sized}",
             got=f"{round_shapes} round shape(s), none of them a sphere",
         )
     return best
@@ -87,6 +90,13 @@ def _iterate_spheres(
 ) -> Iterator[SphereImage | None]:
     """Yield the measurement of each round shape, lazily; None for shapes that are no disc."""
     grey = _validate_image(image)
+    if radius_range_px is not None and not 0.0 < radius_range_px[0] <= radius_range_px[1]:
+        raise BadMeasurement(
+            "the range of radii is empty",
+            expected="0 < smallest <= largest, px",
+            got=_format_range(radius_range_px),
+            action="Give the smallest radius first.",
+        )
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halve_image(grey, halvings)
     dark, bright = (
@@ -101,6 +111,10 @@ def _iterate_spheres(
         sphere = fit_outline(grey, _enlarge_circle(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
+
+
+def _format_range(radius_range_px: tuple[float, float]) -> str:
+    return f"{radius_range_px[0]:g} to {radius_range_px[1]:g} px"
 
 
 def _refuse_uniform(dark: float, bright: float, full_range: float) -> NoReturn:

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.folders import hold_run, remove_if_empty, remove_if_refused
+from procedures.runs.folders import hold_run, remove_if_empty, remove_if_refused, require_outside_runs
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import read_request
 from procedures.runs.simulated_theatre import find_truth
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
+from ronna_hw.command_line.options import require_folder
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
@@ -140,12 +141,15 @@ def write_final_report(
 def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
     """Rebuild the report of any run folder. `after` adds the postoperative check.
 
-    The journal is not continued, and a run without a seal remains without one. Raises without `out`
-    PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
+    The journal is not continued, and a run without a seal remains without one. Raises CLI-005 for an `out` in
+    a run; without `out` PRO-030 where another program has the run open, PRO-033 for a changed one; OSError.
     """
     from procedures.reporting.files import drop_unconfirmed_truth
     from procedures.reporting.report import write_report
 
+    if out is not None:
+        require_folder(out)
+        require_outside_runs(out)
     with contextlib.nullcontext() if out else hold_run(run):
         found = inspect_run(run)
         if out is None:

@@ -36,6 +36,7 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
     require_folder(out)
+    require_outside_runs(out)
     case = request is not None and isinstance(request.procedure, CaseProcedure)
     seed = f"s{request.seed}-" if case and request is not None and request.seed is not None else ""
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
@@ -116,6 +117,18 @@ def require_run(folder: Path) -> None:
             action=f"Give one of them: {folder / held[-1]}.",
         )
     raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
+
+
+def require_outside_runs(out: Path) -> None:
+    """Raise CLI-005 if `--out` is a run's folder or inside one: what is added there breaks its evidence."""
+    place = out.resolve()
+    for folder in (place, *place.parents):
+        if (folder / JOURNAL_FILE).exists() or (folder / REQUEST_FILE).exists():
+            raise PathProblem(
+                f"--out: {out} is {'the folder of a run' if folder == place else f'inside the run {folder}'}",
+                expected="a folder outside every run, which may be new",
+                action=f"Name another, such as {folder.parent}: what is added to a run breaks its seal.",
+            )
 
 
 def is_run(folder: Path) -> bool:

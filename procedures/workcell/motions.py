@@ -105,7 +105,7 @@ class MotionFacts:
         return ReadBack(
             "how many mm it moves first",
             distance_mm,
-            wrong=f"is not it: the question says that it moves {distance_mm} mm first.",
+            wrong="is not it: read the question again, and type the distance of its first motion.",
             shown=f"moves {distance_mm} mm",
             unit="mm",
         )

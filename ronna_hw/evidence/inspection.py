@@ -50,6 +50,9 @@ MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousa
 LARGEST_INPUTS_BYTES = 8_000_000_000  # four times the largest CT that is read
 MOST_LINES_BEFORE_NAME = 100  # of a log: its first line names the run
 SHOWN = 3  # problems named in an error; verify lists all
+BESIDE_ACTION = (
+    "What the run wrote is unchanged. Rename the folder back and move added files out of it, then repeat."
+)
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
@@ -152,6 +155,8 @@ class Inspection:
             state = "as it was left" if self.changes else "finished"
             more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
             named = "; ".join(map(str, problems[:SHOWN]))
+            if action is None and all(problem.beside for problem in problems):
+                action = BESIDE_ACTION
             raise RunChanged(f"{self.folder.name} is not {state}: {named}{more}", action=action)
         return self
 
@@ -202,7 +207,7 @@ def _read_chain(folder: Path, problems: list[Problem]) -> Chain:
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
     run, name = chain.lines[0].get("run") if chain.lines else None, folder.resolve().name
     if run not in (None, name):
-        what = f"of run {run}, in a folder named {name}"
+        what = f"of run {run}, in a folder named {name}; rename the folder to {run}"
         problems.append(Problem(JOURNAL_FILE, what, beside=True))
     return chain
 

@@ -116,8 +116,12 @@ class Ledger:
             write_atomically(self._path, b"".join(kept))
 
     def _append(self, line: Mapping[str, object]) -> None:
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            error.filename = error.filename or str(self._path)  # errors while writing do not name the file
+            raise
 
 
 def _hash(key: str, sums: Sums) -> str:

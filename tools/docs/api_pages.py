@@ -6,10 +6,12 @@ A member without a docstring gets the docstring of its interface: drivers inheri
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from pydantic import BaseModel
 
 import procedures.imaging
 import procedures.registration
@@ -23,9 +25,6 @@ from ronna_hw import frames, theatre
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings, robot
 from ronna_hw.devices.capabilities import RecordsBytes
 from studies.plugins import contracts
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,10 @@ def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
     if issubclass(one, Enum):
         yield f"Members: {', '.join(f'`{name}`' for name in one.__members__)}.\n"
     elif is_dataclass(one):
-        yield from _field_lines(one)
+        yield from _field_lines(one, {field.name: field.type for field in fields(one)})
+    elif issubclass(one, BaseModel):
+        said = {name: field.description or "" for name, field in one.model_fields.items()}
+        yield from _field_lines(one, one.__annotations__, said)
     if inspect.isfunction(call := vars(one).get("__call__")) and getattr(one, "_is_protocol", False):
         yield f"- **`{one.__name__}{_format_signature(call)}`**: {_join_lines(_docstring(call))}"
     for name, member in _list_members(one).items():
@@ -125,15 +127,15 @@ def _list_members(one: type) -> dict[str, Any]:
     return {name: member for base in bases for name, member in vars(base).items()}
 
 
-def _field_lines(one: type[DataclassInstance]) -> Iterator[str]:
-    """Yield each field with its type and its trailing comment, usually the unit."""
+def _field_lines(one: type, types: Mapping[str, Any], said: Mapping[str, str] | None = None) -> Iterator[str]:
+    """Yield each field with its type and its description or trailing comment, usually the unit."""
     lines = inspect.getsource(one).splitlines()
-    for field in fields(one):
-        if field.name.startswith("_"):
+    for name, kind in types.items():
+        if name.startswith("_"):
             continue
-        written = next((line for line in lines if line.startswith(f"    {field.name}:")), "")
-        comment = written.partition("  # ")[2]
-        yield f"- `{field.name}`: `{field.type}`" + (f"; {comment}" if comment else "")
+        written = next((line for line in lines if line.startswith(f"    {name}:")), "")
+        comment = (said or {}).get(name) or written.partition("  # ")[2]
+        yield f"- `{name}`: `{kind}`" + (f"; {comment}" if comment else "")
     yield ""
 
 

@@ -119,7 +119,8 @@ class TheatreOptions:
             )
         if Path(self.scene).suffix and (given := self._list_changed_options(DRAWN)):
             raise UsageMistake(
-                f"{given} and a scene file cannot be combined", action="The scene file defines its own."
+                f"{given} and a scene file cannot be combined",
+                action=f"Omit it: {self.scene} says which seed and which markers it has.",
             )
         if self.sim:
             self.choice.check()

@@ -154,6 +154,14 @@ def test_a_renamed_run_is_refused(run: Path) -> None:
         inspect_run(renamed).require_whole()
 
 
+def test_a_run_beside_which_something_was_added_is_told_apart_from_a_changed_one(run: Path) -> None:
+    renamed = run.rename(run.with_name("another"))
+    with pytest.raises(RunChanged) as refused:
+        inspect_run(renamed).require_whole()
+    assert "rename the folder to run" in str(refused.value)
+    assert "Do not rely" not in str(refused.value)
+
+
 def test_exports_are_not_part_of_the_run(run: Path) -> None:
     (run / "export").mkdir()
     (run / "export" / "spheres.csv").write_text("M1")

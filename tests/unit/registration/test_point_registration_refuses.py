@@ -7,9 +7,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from procedures.registration import match, register, register_clouds
+from procedures.registration import match, register, register_clouds, verify_two_way
 from procedures.registration.errors import (
     BadCovariance,
+    BadParameter,
     BadPoints,
     CollinearPoints,
     DuplicatePoints,
@@ -18,6 +19,7 @@ from procedures.registration.errors import (
 )
 from procedures.registration.rigid_fit import fit_weighted
 from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
 LINE = np.outer([0.0, 30.0, 70.0, 100.0], [1.0, 2.0, 3.0])
@@ -122,3 +124,36 @@ def test_a_weighted_fit_that_does_not_converge_is_reported(monkeypatch):
 def test_the_refusal_of_very_small_points_asks_whether_they_are_metres(image, physical):
     with pytest.raises(DuplicatePoints, match=r"REG-004: .* are these metres\?"):
         register(image, physical)
+
+
+def test_a_transform_may_be_given_with_frames_or_as_a_matrix():
+    fit = register(GOOD, GOOD)
+    named = fit.between(Frame.TRACKER, Frame.CT)
+    expected = verify_two_way(GOOD, GOOD, [(0, 0), (1, 1)], fit.transform)
+    assert verify_two_way(GOOD, GOOD, [(0, 0), (1, 1)], named) == expected
+    assert verify_two_way(GOOD, GOOD, [(0, 0), (1, 1)], named.as_matrix()) == expected
+    assert register_clouds(GOOD, GOOD, start=named.as_matrix()).residual_mm < 1e-9
+
+
+@pytest.mark.parametrize(
+    "transform", [np.eye(3), 2.0 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), "T", [[1.0], [1.0, 2.0]]]
+)
+def test_what_is_no_rigid_transform_is_refused(transform):
+    with pytest.raises(BadParameter, match="is no rigid transform"):
+        verify_two_way(GOOD, GOOD, [(0, 0)], transform)
+
+
+def test_a_misspelt_frame_is_refused():
+    with pytest.raises(BadParameter, match="'robt'"):
+        register(GOOD, GOOD).between("robt", Frame.CT)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (10.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+def test_a_quaternion_that_is_not_of_unit_length_is_refused(quaternion):
+    with pytest.raises(FrameMismatch, match="unit quaternion"):
+        Transform.of(Frame.ROBOT, Frame.CT, quaternion_wxyz=quaternion)
+
+
+def test_points_of_another_shape_are_refused_by_a_transform():
+    with pytest.raises(FrameMismatch, match=r"shape \(1, 4\)"):
+        Transform.of(Frame.ROBOT, Frame.CT).apply([[1.0, 2.0, 3.0, 1.0]])

@@ -9,7 +9,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from procedures.relocalization import AreaImage, SphereStatus, locate_sphere, measure_sphere, measure_spheres
-from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, RaysDoNotMeet, Saturated
+from procedures.relocalization.errors import (
+    BadImage,
+    BadMeasurement,
+    NoContrast,
+    NoSphere,
+    RaysDoNotMeet,
+    Saturated,
+)
 from procedures.relocalization.sphere_measurement import radius_range_px
 
 FOCAL_PX = 62.5e3 / 5.5
@@ -335,3 +342,13 @@ def test_a_fault_in_either_image_is_reported_with_its_camera(renderer, head, loo
     ):
         with pytest.raises(kind, match=said):
             locate_sphere(*images, head.calibration)
+
+
+def test_a_range_of_radii_given_the_wrong_way_round_is_refused(renderer, look):
+    with pytest.raises(BadMeasurement, match="80 to 20 px"):
+        measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=(80.0, 20.0))
+
+
+def test_a_sphere_outside_the_given_range_is_reported_with_the_range(renderer, look):
+    with pytest.raises(NoSphere, match="with a radius of 10 to 20 px"):
+        measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=(10.0, 20.0))

@@ -24,6 +24,7 @@ from procedures.runs import case_outcome
 from procedures.runs.finishing import seal_run
 from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest
+from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
 
@@ -141,3 +142,13 @@ def test_a_folder_of_runs_is_refused_with_the_name_of_the_run_in_it(tmp_path: Pa
     shown = " ".join(one_error(done.stderr))
     assert f"CLI-005: {tmp_path} is not a run; it holds 1 run: {folder.name}" in shown
     assert f"Give one of them: {folder}." in shown
+
+
+@pytest.mark.parametrize("inside", ["", "report", "new/folder"])
+def test_nothing_is_written_into_a_run(run: Path, inside: str) -> None:
+    before = sorted(run.rglob("*"))
+    report = in_this_process(app, "report", run, "--out", run / inside)
+    assert "CLI-005" in one_error(report.stderr)[0]
+    with pytest.raises(PathProblem, match=r"the folder of a run|inside the run"):
+        new_run_folder(RunRequest(procedure=CaseProcedure()), run / inside)
+    assert sorted(run.rglob("*")) == before
