@@ -217,7 +217,7 @@ class CollisionConfig(Strict):
 
 
 def _build_post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """Build the capsule around a sphere and its post, which points to the centre of the head."""
+    """Build the capsule around a sphere and its post, directed towards the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

@@ -93,7 +93,7 @@ LARGEST_COARSE_FINE_MM = 5.75
 
 
 class BadTheatreFile(ConfigurationError):
-    """The theatre file is missing, is not TOML, or contains errors, which are all listed."""
+    """The theatre file is missing, is not TOML, or contains errors (all listed)."""
 
     code = "CFG-001"
     action = "Correct the file; docs/reference/theatre-file.md lists every key."
@@ -156,9 +156,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """Return the parsed endpoint for a role such as `rsi`, or the only endpoint; raises CFG-001 if
-        absent.
-        """
+        """Return the parsed endpoint for a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -184,7 +182,7 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """Records that are present, by name."""
+        """Records in the theatre file, by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 

@@ -28,7 +28,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class BadTemplate(ConfigurationError):
-    """The marker template is missing, is not TOML, or contains errors, which are all listed."""
+    """The marker template is missing, is not TOML, or contains errors (all listed)."""
 
     code = "TPL-001"
     action = "Make one with `ronna-plan template`, or correct the lines named here."

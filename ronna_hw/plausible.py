@@ -59,9 +59,7 @@ def not_in_micrometres(largest_mm: float) -> AfterValidator:
 
 
 def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
-    """Build a validator for a position at its origin or at a plausible distance; metres would be too
-    close.
-    """
+    """Build a validator for a position at its origin or plausibly far from it; metres would be too close."""
 
     def check_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
@@ -74,9 +72,7 @@ def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterV
 
 
 def are_degrees(angles: tuple[float, ...]) -> bool:
-    """Return whether any angle is too large for radians (more than one turn), so the pose must be in
-    degrees.
-    """
+    """Return whether any angle would exceed a full turn if in radians, so the pose must be in degrees."""
     return any(abs(angle) > math.tau for angle in angles)
 
 

@@ -57,9 +57,7 @@ class Theatre:
     """
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
-        """Create the theatre without opening anything; `make` creates the driver objects and can be
-        replaced.
-        """
+        """Create the theatre without opening anything; `make` creates the driver objects."""
         self.file = file
         self._clock = clock
         self._make = make
@@ -296,7 +294,7 @@ class SimulatedTheatre(Theatre):
 
     @classmethod
     def of(cls, process: TheatreProcess) -> Self:
-        """Open the theatre of a process that is already running and ready."""
+        """Open the theatre of a ready process."""
         theatre = cls.from_file(process.file)
         theatre.control = process.control
         return theatre

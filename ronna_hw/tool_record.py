@@ -108,7 +108,7 @@ class Gauge(Strict):
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
-        """Range of readings that a dial can plausibly show, mm."""
+        """Plausible range of dial readings, mm."""
         recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
         return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 

@@ -47,7 +47,7 @@ class Body(NamedTuple):
 
 
 def bodies() -> tuple[Body, ...]:
-    """Return the two bars and the foot, which extends down to the skin."""
+    """Return the two bars and the foot, the latter down to the skin."""
     bars = (
         Body(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
         for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)

@@ -152,9 +152,7 @@ class Monitor:
             self._watch.sent(joints_rad)
 
     def mark_not_accepted(self) -> Violation | None:
-        """Record that the last set-point was not accepted and the previous one stays in effect; recheck
-        the step.
-        """
+        """Record that the last set-point was not accepted and the previous one applies; recheck the step."""
         held = self._followed_rad = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]

@@ -1,4 +1,4 @@
-"""Command execution: options, exit code, termination. Re-exports everything that commands share.
+"""Command execution: options, exit code, termination. Re-exports all shared command helpers.
 
 Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
@@ -189,7 +189,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Discard output that a full disk or closed pipe rejected, so that the interpreter exits quietly."""
+    """Discard output rejected by a full disk or closed pipe, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

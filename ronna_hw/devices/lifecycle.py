@@ -105,7 +105,7 @@ class Device(Protocol):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Non-error observations from `configure` that the operator should know about."""
+        """Non-error observations from `configure` of interest to the operator."""
         ...
 
     def observe(self) -> LastKnown[object]:

@@ -56,7 +56,7 @@ Motion = JointMove | LineMove
 
 
 class StopKind(StrEnum):
-    """Kind of stop, excluding emergency stops, which are the controller's responsibility."""
+    """Kind of stop, excluding the controller's own emergency stop."""
 
     HOLD = "hold"  # along the path, to rest; the stream continues
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched

@@ -257,7 +257,7 @@ def hash_files_at_closing(folder: Path) -> dict[str, str]:
 
 
 def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hash the outside files and folders that a run used, by path."""
+    """Hash the outside files and folders used by a run, keyed by path."""
     hashes = {}
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
@@ -368,7 +368,7 @@ def is_sealed(folder: Path) -> bool:
 
 
 def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yield files that the run itself could have written; any others were added."""
+    """Yield files possibly written by the run itself; any others were added."""
     for name, path in iterate_files(folder):
         status = path.lstat()
         regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES

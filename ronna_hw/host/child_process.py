@@ -106,8 +106,7 @@ class ChildProcess:
         since: float | None = None,
         idle_s: float = IDLE_TIMEOUT_S,
     ) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the last messages after ending the child within
-        `stop_s`.
+        """Wait for the READY line; raises PRC-001 with the last messages and ends the child within `stop_s`.
 
         `since` is the monotonic time from which the limit counts, for children that share one; by default
         now. A child without processor time for `idle_s` has failed.

@@ -63,7 +63,7 @@ FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which sta
 
 
 def own_udp_endpoint(number: int = 0) -> str:
-    """Return a `udp://` endpoint that is unique among running processes and per `number`.
+    """Return a `udp://` endpoint unique among running processes and per `number`.
 
     For a device that must be configured with its client's address: no race for free ports. The process id, at
     most 22 bits, determines the address: Linux answers on all of 127.0.0.0/8.

@@ -90,7 +90,7 @@ class Feedback(_Table):
 
 
 class Program(_Table):
-    """RSI_ON parameters in the KRL program, and the arm that the program is written for."""
+    """RSI_ON parameters in the KRL program, and the program's target arm."""
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]

@@ -373,7 +373,7 @@ class LiveWatch:
         return Violation(ViolationKind.ZONE_SPEED, nearest_pair, speed, limit)
 
     def _motions_mm(self, placed: PlacedBodies) -> list[float]:
-        """Return each body's motion since the last set-point, mm: that of the end that moved farther."""
+        """Return each body's motion since the last set-point, mm, at its faster end."""
         return [
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(placed, self._placed, strict=True)

@@ -153,7 +153,7 @@ def sweep_path(
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
-    """Return each pair's minimum distance (pairs,), relaxed for pairs that start too close together."""
+    """Return each pair's minimum distance (pairs,), relaxed for pairs too close together at the start."""
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
