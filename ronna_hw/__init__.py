@@ -1,4 +1,4 @@
-"""Contracts and foundations shared by drivers, simulators and procedures. Imports none of these.
+"""Shared interfaces and base modules for the drivers, simulators and procedures; imports none of them.
 
 The front door is exported here and imported on first use: device processes do not need it.
 """

@@ -35,7 +35,7 @@ from ronna_hw.host.files import open_regular
 
 
 class InputRefused(DataError):
-    """External input exceeds the bounds of anything legitimate: too large, too deep or too dense."""
+    """External input exceeds plausible bounds: too large, too deep or too dense."""
 
     code = "INP-001"
     action = "Find out where it comes from; files written by these programs are far below the limit."
@@ -47,7 +47,7 @@ FILE_ADVICE = "Give a file: pipes, sockets and devices are not read."
 def read_bounded(
     path: Path, limit_bytes: int, *, follow_links: bool = True, start_bytes: int | None = None
 ) -> bytes:
-    """Read a file, or only its first `start_bytes`. Raises INP-001 above `limit_bytes`, and OSError.
+    """Read a file, or only its first `start_bytes`. Raises OSError, and INP-001 above `limit_bytes`.
 
     Never blocks: a pipe, socket or device in its place is refused, and without `follow_links` also a link
     (OSError).
@@ -105,7 +105,7 @@ def read_json_bytes(
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow_links: bool = True) -> bytes:
-    """Read JSON lines, of which the last may be torn; `follow_links` as in `read_bounded`.
+    """Read a JSON Lines file whose last line may be truncated; `follow_links` as in `read_bounded`.
 
     Raises INP-001, OSError.
     """
@@ -115,7 +115,7 @@ def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow
 def check_json(
     content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
 ) -> bytes:
-    """Return the bytes if within limits, else raise INP-001. Numeric values are not limited."""
+    """Check JSON bytes against the limits and return them; raises INP-001. Numeric values are not checked."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
     _check_count(content, most_values)
@@ -131,12 +131,12 @@ def _check_count(content: bytes, most_values: int) -> bytes:
 
 
 def count_values(content: bytes) -> int:
-    """Return an upper bound for the number of values in a JSON text."""
+    """Return an upper bound on the number of values in a JSON text."""
     return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
 
 
 def _is_too_deep(content: bytes) -> bool:
-    """Return whether brackets remain after removing the innermost ones once per allowed level."""
+    """Return whether brackets nest too deeply, stripping the innermost pairs once per allowed level."""
     brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
     for _ in range(DEEPEST):
         if not brackets:
@@ -152,7 +152,7 @@ def _parse_whole(digits: str) -> int:
 
 
 def _finite(number: str) -> float:
-    """Parse a fractional number; refuse NaN and Infinity, which are not JSON."""
+    """Parse a fractional number; raises INP-001 if it is not finite."""
     value = float(number)
     if not math.isfinite(value):
         raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])
@@ -184,7 +184,7 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
 
 
 def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """Parse the bytes of a TOML file with this name; raises `refusal` like `read_toml`."""
+    """Parse the bytes of the TOML file `name`; raises `refusal` like `read_toml`."""
     try:
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:
@@ -239,7 +239,7 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # only these can be unpac
 
 
 def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
-    """Inflate zlib data, or raw deflate data with `raw`. Raises INP-001, also for damaged data."""
+    """Inflate zlib data, or raw deflate data if `raw`. Raises INP-001 for oversized or damaged data."""
     unpacker = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
     try:
         content = unpacker.decompress(packed, limit_bytes + 1)
@@ -253,7 +253,7 @@ def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
 
 
 def unzip(packed: bytes, limit_bytes: int) -> bytes:
-    """Unpack the first member of a ZIP file (stored or deflated). Raises INP-001, also for a damaged file."""
+    """Unpack the first member of a ZIP file (stored or deflated). Raises INP-001 if oversized or damaged."""
     if len(packed) > LARGEST_ZIP_BYTES:
         raise InputRefused("a ZIP file is too large", limit=f"{LARGEST_ZIP_BYTES} bytes")
     try:
@@ -283,7 +283,7 @@ NAMES_BYTES = 20_000_000  # in total: a namespace name is repeated in that of ev
 
 
 def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
-    """Parse XML and return the root element. Raises INP-001, also for invalid XML."""
+    """Parse XML and return the root element. Raises INP-001 if it is oversized or invalid."""
     if len(data) > limit_bytes:
         raise InputRefused("the XML is too large", limit=f"{limit_bytes} bytes", got=str(len(data)))
     parser = ElementTree.XMLParser(target=_Builder())

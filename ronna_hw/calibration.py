@@ -84,7 +84,7 @@ class CalibrationExpired(DataError):
 
 
 class Strict(BaseModel):
-    """Base of every model of the theatre file: strict types, finite numbers, no unknown keys, immutable."""
+    """Base of all theatre-file models: strict types, finite numbers, no unknown keys, immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -144,7 +144,7 @@ class CameraCalibration(Strict):
 
     @model_validator(mode="after")
     def _fits_sensor(self) -> Self:
-        """Check principal point and focal length against the sensor size (swapped axes, other pixels)."""
+        """Check the principal point and the focal length for plausibility against the sensor size."""
         for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
             if not 0.25 * count < at_px < 0.75 * count:
                 raise ValueError(
@@ -180,7 +180,7 @@ class Dated(Strict):
         return self
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 if the record has expired at `moment`, or is dated later.
+        """Raise CAL-001 if the record has expired at `moment` or is dated after it.
 
         With a clock that was set back, an expired record would appear valid.
         """
@@ -200,7 +200,7 @@ class Dated(Strict):
 
     @property
     def _renewing(self) -> str | None:
-        """Advice for an expired record, if it differs from that for a calibration."""
+        """Advice for renewing an expired record, or None to use the advice for calibrations."""
         return None
 
 
@@ -211,7 +211,7 @@ class DatedRecord(Dated):
 
 
 class StereoHeadCalibration(DatedRecord):
-    """Calibration of both cameras, and the nominal tool centre point of the head on the flange."""
+    """Calibration of both cameras, and the stereo head's nominal tool centre point on the flange."""
 
     stated_error_mm: StatedError = Field(
         description="Stated error of a point measured in the tool frame, one standard deviation; not that of "
@@ -244,7 +244,7 @@ class ToolTipCalibration(DatedRecord):
 
 
 class TrackerFrameCalibration(DatedRecord):
-    """Calibration of the reference frame M on the tool mount: its pose, and its name as a tracked tool."""
+    """Calibration of the reference frame M on the tool mount: its pose and tracked-tool name."""
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
     tool: Words = Field(description="Name of the tool definition in the tracker's options.")
@@ -252,7 +252,7 @@ class TrackerFrameCalibration(DatedRecord):
 
 
 def _parse_rows(rows: object) -> object:
-    """Parse rows of numbers from lines of text; return anything else unchanged."""
+    """Parse text lines into rows of numbers; return anything else unchanged."""
     if isinstance(rows, list | tuple):
         return tuple(tuple(map(float, row.split())) if isinstance(row, str) else row for row in rows)
     return rows
@@ -330,7 +330,7 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """Check the shape and row sizes of the remaining errors.
+        """Check the shape and row magnitudes of `remaining`.
 
         A triangle cannot be asymmetric or indefinite.
         """

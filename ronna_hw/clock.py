@@ -1,4 +1,4 @@
-"""Theatre time, read from the clock that an endpoint names.
+"""Theatre time, read from the clock at a given endpoint.
 
 Dwell, age, averaging and guards use this clock. I/O time limits use the host's monotonic clock. With `host:`
 both are the same. With `shm://` the time is that of the simulated theatre. It stands still unless a device
@@ -39,7 +39,7 @@ class Clock(Protocol):
 
     @property
     def paced(self) -> bool:
-        """Whether theatre time follows the host's clock, which makes host durations meaningful."""
+        """Whether theatre time follows the host clock, so that host durations are meaningful."""
         ...
 
     def now_s(self) -> float:
@@ -47,12 +47,12 @@ class Clock(Protocol):
         ...
 
     def sleep(self, duration_s: float) -> None:
-        """Return when `duration_s` of theatre time has passed."""
+        """Sleep for `duration_s` of theatre time."""
         ...
 
 
 class HostClock:
-    """Monotonic clock of the host, counted from the moment of opening."""
+    """Monotonic host clock that starts at zero when opened."""
 
     def __init__(self) -> None:
         self._epoch_ns = time.monotonic_ns()
@@ -112,7 +112,7 @@ class SharedClock:
 
     @staticmethod
     def initialise(memory: mmap.mmap, *, paced: bool, begins_ns: int = 0) -> None:
-        """Write a clock at theatre time `begins_ns` into the first bytes of a block."""
+        """Initialise a clock at theatre time `begins_ns` in the first bytes of a block."""
         CLOCK.mark_memory(memory)
         VERSION.write(memory, LAYOUT_VERSION)
         PACED.write(memory, int(paced))
@@ -138,7 +138,7 @@ class SharedClock:
         self.wait_until_ns(self.now_ns() + round(max(0.0, duration_s) * 1e9))
 
     def wait_until_ns(self, moment_ns: int) -> None:
-        """Return once theatre time reaches `moment_ns`, advancing it unless a device streams."""
+        """Wait until theatre time reaches `moment_ns`, advancing it unless a device is streaming."""
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
@@ -156,7 +156,7 @@ class SharedClock:
             time.sleep(WAIT_STEP_S)
 
     def has_waiters(self) -> bool:
-        """Whether any process waits for a future theatre time."""
+        """Whether any process is waiting for a future theatre time."""
         return WANTED_NS.read(self._memory) > TIME_NS.read(self._memory)
 
     def is_streaming(self) -> bool:
@@ -175,18 +175,18 @@ class SharedClock:
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """Set the due time of the next measurement of a device read one by one; 0 clears it."""
+        """Set when the next individually read measurement is due; 0 clears it."""
         UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
-        """Whether the next cycle would pass a measurement that no reader awaits yet."""
+        """Whether the next cycle would reach a measurement that no reader is waiting for yet."""
         due_ns = UNREAD_NS.read(self._memory)
         if due_ns == 0 or self._paced or self.has_waiters():
             return False
         return TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
-        """Stop controlling the pace of time at the end of a cyclic stream."""
+        """Mark the cyclic stream as ended, so that it no longer paces theatre time."""
         with self.hold_lock():
             STREAM_HOST_NS.write(self._memory, 0)
 
@@ -201,7 +201,7 @@ class SharedClock:
                 fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Release the shared memory; may be called twice."""
+        """Release the shared memory; safe to call twice."""
         self._memory.close()
         self._file_closer()
 

@@ -1,4 +1,4 @@
-"""Table `[cell]` of the theatre file: collision bodies of the arm, patient and room.
+"""Theatre-file table `[cell]`: collision bodies of the arm, patient and room.
 
 Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin at the tool
 centre point, z along the tool), the patient's surroundings in the head frame (origin at the centre of the
@@ -44,14 +44,14 @@ HEAD, FIDUCIAL = "head", "fiducial"
 
 
 class BodyFrame(StrEnum):
-    """Frame in which a collision body is described."""
+    """Reference frame of a collision body."""
 
     HEAD = "head"
     ROBOT = "robot"
 
 
 class BodyConfig(Strict):
-    """Capsule given by the two ends of its axis, and its radius."""
+    """Capsule defined by its axis end points and its radius."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
     start_mm: Place = Field(description="Start of the axis.")
@@ -79,7 +79,7 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Conservative radii of the arm's bodies about their axes."""
+    """Conservative capsule radii of the arm's bodies."""
 
     column_mm: Millimetres = Field(default=150.0, description="Radius from the base to A2.")
     upper_arm_mm: Millimetres = Field(default=85.0, description="Radius from A2 to A3.")
@@ -89,7 +89,7 @@ class ArmThickness(Strict):
 
 
 class HeadZone(Strict):
-    """Speed limit of all moving parts, linear in the distance to the head between two points."""
+    """Speed limit for all moving parts, interpolated linearly over the distance to the head."""
 
     near_mm: NotNegative = Field(default=20.0, description="Up to this distance, near_speed_mm_s applies.")
     near_speed_mm_s: Annotated[float, Field(gt=0, le=FASTEST_NEAR_HEAD_MM_S)] = Field(
@@ -187,7 +187,7 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Build the surroundings in the frames that the arm uses.
+        """Build the surroundings in the frames used by the arm.
 
         `fiducials_mm` are in $ROBROOT, as localized so far.
         """
@@ -217,7 +217,7 @@ class CollisionConfig(Strict):
 
 
 def _build_post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """Build the capsule of a sphere on its post, which points to the centre of the head."""
+    """Build the capsule around a sphere and its post, directed towards the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

@@ -57,7 +57,7 @@ def require_expiry(theatre: TheatreFile) -> None:
 
 
 def require_outside_hand(theatre: TheatreFile) -> None:
-    """Raise ValueError if a tool or the axis of the guide lies inside the arm's hand: the unit is wrong."""
+    """Raise ValueError if a tool or guide axis is inside the arm's hand, a sign of wrong units."""
     if theatre.calibration is None:
         return
     hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
@@ -75,7 +75,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
 
 
 def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
-    """Return the distance of the flange centre from a tip, or from a guide's axis up to its upper end, mm."""
+    """Return the distance in mm from the flange centre to a tip, or to a guide's axis up to its upper end."""
     w, x, y, z = flange_from_tool.quaternion_wxyz
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     tip_mm = flange_from_tool.translation_mm
@@ -93,7 +93,7 @@ LARGEST_COARSE_FINE_MM = 5.75
 
 
 class BadTheatreFile(ConfigurationError):
-    """The theatre file is missing, is not TOML, or has mistakes, which are all listed."""
+    """The theatre file is missing, is not TOML, or contains errors (all listed)."""
 
     code = "CFG-001"
     action = "Correct the file; docs/reference/theatre-file.md lists every key."
@@ -131,11 +131,11 @@ class DeviceConfig(Strict):
 
     @property
     def folder(self) -> Path | None:
-        """Folder of the theatre file, the base of relative paths in `options`; None without a file."""
+        """Theatre-file folder against which `options` resolve relative paths, or None without a file."""
         return self._folder
 
     def with_folder(self, folder: Path) -> Self:
-        """Return a copy whose options resolve relative paths in `folder`."""
+        """Return a copy whose options resolve relative paths against `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -156,7 +156,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """Return the parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
+        """Return the parsed endpoint for a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -182,7 +182,7 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """Existing records by name."""
+        """Records in the theatre file, by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 
@@ -262,7 +262,7 @@ class ProcedureSettings(Strict):
 
 
 class TheatreFile(Strict):
-    """Content of a theatre file, with any number of named robots."""
+    """Contents of a theatre file, with any number of named robots."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of the file format."
@@ -318,7 +318,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """Bodies around the arm, including those in the tool records."""
+        """Collision bodies around the arm, including those from the tool records."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()
@@ -374,7 +374,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
 
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
-    """Validate the content of a theatre file; raises CFG-001 listing every mistake."""
+    """Validate theatre-file contents; raises CFG-001 listing every mistake."""
     if "trajectories" in content and "theatre" not in content:
         raise BadTheatreFile(
             f"{name} is a plan, not a theatre file", action="Give the path of a theatre file."

@@ -1,4 +1,4 @@
-"""Client of the control port of a simulated theatre or device.
+"""Client for the control port of a simulated theatre or device.
 
 The port speaks JSON lines over TCP, with one answer per line. The first line carries the token from the READY
 line, `{"token": "..."}`. Requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount",
@@ -26,7 +26,7 @@ _TOKEN_MARK = f"?{TOKEN_KEY}="
 
 
 class ControlPortSilent(ConnectError):
-    """No theatre or simulated device replies at the control port."""
+    """No simulated theatre or device answers at the control port."""
 
     code = "CTL-001"
     action = "Copy the control endpoint from the READY line; if that program has ended, start it again."
@@ -48,7 +48,7 @@ class ControlAddress:
 
     @classmethod
     def parse(cls, text: str) -> ControlAddress:
-        """Parse an address; raises CFG-002 for invalid ones, without quoting the token."""
+        """Parse an address; raises CFG-002, without revealing the token, if it is invalid."""
         location, _, token = text.partition(_TOKEN_MARK)
         endpoint = parse_endpoint(location).require("tcp")
         if not token:
@@ -86,7 +86,7 @@ class ControlPortClient:
             raise
 
     def ask(self, action: str, **arguments: Any) -> dict[str, Any]:
-        """Send a request and return the answer; raises CTL-001 without one, CTL-002 for a refusal."""
+        """Send a request and return the answer; raises CTL-001 if none arrives, CTL-002 if refused."""
         return self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
@@ -120,7 +120,7 @@ class ControlPortClient:
         return answer
 
     def _receive_answer(self) -> bytes:
-        """Receive one line within a total time limit; less if the server hangs up."""
+        """Receive one line within a total time limit, or part of it if the server hangs up."""
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
@@ -141,6 +141,6 @@ class ControlPortClient:
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
-    """Send a single request on its own connection; raises CTL-001, CTL-002 or CFG-002."""
+    """Send a single request over its own connection; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
         return port.ask(action, **arguments)

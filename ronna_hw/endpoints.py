@@ -22,7 +22,7 @@ SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
 
 
 class BadEndpoint(ConfigurationError, ValueError):
-    """Text is not an endpoint, or its scheme is not allowed here."""
+    """The text is not an endpoint, or its scheme is not allowed in this context."""
 
     code = "CFG-002"
     action = "Write it as scheme://address, for example serial:///dev/ttyUSB0 or tcp://127.0.0.1:8765."

@@ -85,7 +85,7 @@ class RonnaError(Exception):
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle by fields, since recreating the error from its one-line form would repeat everything."""
+        """Pickle by field, because rebuilding from the one-line message would duplicate every part."""
         return _restore_error, (type(self), self.args, vars(self))
 
     def _one_line(self) -> str:
@@ -103,13 +103,13 @@ def _restore_error(kind: type[RonnaError], line: tuple[str], content: dict[str, 
 
 
 class ConfigurationError(RonnaError):
-    """A file or an option is wrong."""
+    """A file or option is invalid."""
 
     exit_code = EXIT_USAGE
 
 
 class DataError(RonnaError, ValueError):
-    """An input is invalid: a series, a plan, a set of points."""
+    """Input data is invalid, such as a series, a plan or a point set."""
 
 
 class ConnectError(RonnaError):
@@ -156,7 +156,7 @@ def summary_of(problem: Exception) -> str:
 
 
 def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
-    """Return every imported error class with a code, in order of definition."""
+    """Yield every imported error class with a code, in definition order."""
     for child in root.__subclasses__():
         if child.code and "code" in vars(child):
             yield child

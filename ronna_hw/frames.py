@@ -1,4 +1,4 @@
-"""Named frames, and transforms that refuse composition across different frames.
+"""Named frames, and transforms that can be composed only across matching frames.
 
 Lengths are millimetres, angles radians. `CT` is the patient frame of the series, DICOM LPS.
 A `Transform(target, source, ...)` maps coordinates in `source` to coordinates in `target`.
@@ -131,7 +131,7 @@ class Transform:
         return np.asarray(self.rigid.apply(points), dtype=float)
 
     def displace(self, by_mm: ArrayLike) -> Transform:
-        """Displace the origin by (3,) mm in the target frame, with the same rotation."""
+        """Shift the origin by (3,) mm in the target frame, keeping the rotation."""
         place_mm = self.translation_mm + np.asarray(by_mm, dtype=float)
         return Transform(self.target, self.source, build_rigid(place_mm, self.rigid.rotation))
 

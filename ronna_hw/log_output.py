@@ -45,7 +45,7 @@ def show_log(stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
-    """Write the log to `folder/log.jsonl` during the block: rotated, limited, closed at the end.
+    """Write the log to `folder/log.jsonl` during the block, with rotation and a size limit.
 
     It begins with versions and platform; `facts` are added to that line. A full disk loses log
     lines and stops nothing.
@@ -67,7 +67,7 @@ def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
 
 
 def describe_computer() -> dict[str, Any]:
-    """Describe versions, platform and the redacted command line, as needed first for support."""
+    """Describe versions, platform and the redacted command line for support requests."""
     from importlib import metadata
 
     versions = {}
@@ -84,7 +84,7 @@ def describe_computer() -> dict[str, Any]:
 
 
 class _TolerantHandler(logging.Handler):
-    """Log handler that drops lines refused by a full disk or a closed pipe. A run needs only its journal."""
+    """Log handler that drops lines rejected by a full disk or a closed pipe; a run needs only its journal."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Drop the line."""
@@ -95,7 +95,7 @@ class _StreamOutput(_TolerantHandler, logging.StreamHandler[TextIO]):
 
 
 class _BoundedFile(_TolerantHandler, logging.handlers.RotatingFileHandler):
-    """Handler for a rotated file of limited size."""
+    """Handler for a rotated, size-limited file."""
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -103,7 +103,7 @@ class _BoundedFile(_TolerantHandler, logging.handlers.RotatingFileHandler):
 
 
 def _attach(handler: logging.Handler, renderer: Any) -> logging.Handler:
-    """Attach a handler to the root logger, which also receives lines from libraries."""
+    """Attach a handler to the root logger, which also receives library log lines."""
     import structlog
 
     handler.setFormatter(
@@ -128,7 +128,7 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """Redact a log line of a library.
+    """Redact a log line from a library.
 
     Warnings keep their location; libraries that read patient files keep no text.
     """

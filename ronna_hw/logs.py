@@ -1,4 +1,4 @@
-"""Logging of one JSON line per event, with the name of its device, engine or command.
+"""JSON Lines logging with the device, engine or command of each event.
 
 A part gets its logger once and logs events of interest to a lab: state changes, identities, retries, faults.
 Nothing appears anywhere until a command shows the log (`--verbose`) or a run keeps it
@@ -24,7 +24,7 @@ logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets u
 
 
 class Logger:
-    """Logger of structlog with bound names. structlog is imported at the first logged event."""
+    """structlog logger with bound names; structlog is imported at the first logged event."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
@@ -35,7 +35,7 @@ class Logger:
         self._log(logging.DEBUG, event, facts)
 
     def info(self, event: str, **facts: Any) -> None:
-        """Log a change of state, an identity or a configuration."""
+        """Log a state change, an identity or a configuration."""
         self._log(logging.INFO, event, facts)
 
     def warning(self, event: str, **facts: Any) -> None:
@@ -43,7 +43,7 @@ class Logger:
         self._log(logging.WARNING, event, facts)
 
     def error(self, event: str, **facts: Any) -> None:
-        """Log a fault that ended the work."""
+        """Log a fault that ended the current work."""
         self._log(logging.ERROR, event, facts)
 
     def _log(self, level: int, event: str, facts: dict[str, Any]) -> None:
@@ -78,7 +78,7 @@ def logger(**names: str) -> Logger:
 
 
 def list_loggers() -> tuple[str, ...]:
-    """List the first parts allowed in logger names."""
+    """List the permitted first parts of logger names."""
     return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
 
 

@@ -28,14 +28,14 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class BadTemplate(ConfigurationError):
-    """The file of a marker template is missing, is not TOML, or has mistakes, which are all listed."""
+    """The marker template is missing, is not TOML, or contains errors (all listed)."""
 
     code = "TPL-001"
     action = "Make one with `ronna-plan template`, or correct the lines named here."
 
 
 class TemplateMarker(Strict):
-    """Marker sphere: its centre, and the direction of its post."""
+    """Marker sphere, given by its centre and the direction of its post."""
 
     centre_mm: Point = Field(
         description="Centre of the sphere, LPS of the CT on which the template was made."

@@ -1,4 +1,4 @@
-"""Wording of pydantic validation errors for the person who edits the file."""
+"""Wording of pydantic validation errors for people editing the file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
 def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """Describe each mistake in one line (place, expectation, finding), then the number of others.
+    """Describe each mistake in one line (location, expected, found), then count any not shown.
 
     With the validated model, an unknown key is reported with the known ones at its place.
     """
@@ -42,13 +42,13 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
 
 
 def count_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Count and describe all mistakes in one line: `2 mistakes: a: is missing; b: unknown key`."""
+    """Describe the mistakes in one line with their count: `2 mistakes: a: is missing; b: unknown key`."""
     mistakes = describe_mistakes(error, model)
     return f"{format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
-    """Return all mistakes, except lists that are too short only because their items have mistakes."""
+    """Return all mistakes, except lists that are too short only because some of their items are invalid."""
     return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
 
 
@@ -62,7 +62,7 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
 
 
 def _format_place(parts: tuple[int | str, ...]) -> str:
-    """Format the place of a mistake, such as `trajectories 1.entry_mm`; list items count from 1."""
+    """Format the location of a mistake, such as `trajectories 1.entry_mm`; list items count from 1."""
     text = ""
     for part in parts:
         text += f" {part + 1}" if isinstance(part, int) else f".{part}"
@@ -70,7 +70,7 @@ def _format_place(parts: tuple[int | str, ...]) -> str:
 
 
 def list_known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """Return the keys of a model, or of the model nested at a place; an empty tuple without a model."""
+    """Return the keys of a model or of the model nested at `place`, or an empty tuple without a model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
@@ -100,7 +100,7 @@ def _suggest_keys(key: str, known: Sequence[str]) -> str:
 
 
 def describe_mistake(item: ErrorDetails) -> str:
-    """Describe one mistake without its place and its finding."""
+    """Describe a mistake without its location or the value found."""
     context = item.get("ctx", {})
     match item["type"]:
         case "missing":

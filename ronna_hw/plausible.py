@@ -1,4 +1,4 @@
-"""Plausibility bounds of numbers in theatre files, plans and scenes, against typing errors and wrong units.
+"""Plausibility bounds for numbers in theatre files, plans and scenes, to catch typos and wrong units.
 
 Each bound of a theatre file is far from anything built or measured, so that no intended value is refused. A
 plan and a scene share one set of bounds: the plan of a simulated patient is made from its scene, so no scene
@@ -37,7 +37,7 @@ LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibrat
 
 
 def not_in_metres(shortest_mm: float) -> AfterValidator:
-    """Build a validator for a length that is 0 or at least this long; in metres it would be shorter."""
+    """Build a validator for a length of 0 or at least `shortest_mm`; values in metres would fall below it."""
 
     def check_millimetres(length_mm: float) -> float:
         if 0.0 < length_mm < shortest_mm:
@@ -48,7 +48,7 @@ def not_in_metres(shortest_mm: float) -> AfterValidator:
 
 
 def not_in_micrometres(largest_mm: float) -> AfterValidator:
-    """Build a validator for an error smaller than this; in micrometres it would be larger."""
+    """Build a validator for an error below `largest_mm`; values in micrometres would exceed it."""
 
     def check_millimetres(error_mm: float) -> float:
         if error_mm >= largest_mm:
@@ -59,7 +59,7 @@ def not_in_micrometres(largest_mm: float) -> AfterValidator:
 
 
 def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
-    """Build a validator for a position at its origin or this far from it; in metres it would be closer."""
+    """Build a validator for a position at its origin or plausibly far from it; metres would be too close."""
 
     def check_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
@@ -72,7 +72,7 @@ def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterV
 
 
 def are_degrees(angles: tuple[float, ...]) -> bool:
-    """Return whether the joint angles of a pose can be degrees; in radians all would be within one turn."""
+    """Return whether any angle would exceed a full turn if in radians, so the pose must be in degrees."""
     return any(abs(angle) > math.tau for angle in angles)
 
 

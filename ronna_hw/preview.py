@@ -1,4 +1,4 @@
-"""Preview of a motion before execution: planned, slowed near the head, predicted for people and records.
+"""Preview of a motion before execution: planned, slowed near the head, and summarised for users and records.
 
 Where the arm must slow down, near the head and in some operating modes, the path parameter gets a few steps
 of speed. The generator follows them; the monitor does not know them and measures independently.
@@ -33,7 +33,7 @@ ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
 def plan_motion(
     kinematics: Kinematics, start_rad: JointVector, motion: Motion, limits: MotionLimits
 ) -> MotionPlan:
-    """Plan a motion from `start_rad` at its fraction of the limits.
+    """Plan a motion from `start_rad`, scaling the limits by its speed fraction.
 
     Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames,
     ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and `plan_line`.
@@ -50,7 +50,7 @@ def plan_motion(
 
 
 def _tool_in_flange(flange_from_tool: Transform) -> Transform:
-    """Return the transform; raises FRM-001 if it is not FLANGE <- TOOL."""
+    """Return a tool transform unchanged; raises FRM-001 if it is not FLANGE <- TOOL."""
     if (flange_from_tool.target, flange_from_tool.source) != (Frame.FLANGE, Frame.TOOL):
         raise FrameMismatch(
             "a tool needs flange <- tool", got=f"{flange_from_tool.target} <- {flange_from_tool.source}"

@@ -38,7 +38,7 @@ class RecordExists(DataError):
 
 
 class OtherVersion(DataError):
-    """A program version with different field meanings wrote a record."""
+    """A record was written by a program version with different field meanings."""
 
     code = "REC-003"
     action = "Read it with the version that wrote it, or repeat the step."
@@ -71,7 +71,7 @@ FILE_FIELDS = frozenset(record_field.name for record_field in fields(Record)) | 
 
 
 def canonical_json(content: Any) -> bytes:
-    """Encode content in canonical form: sorted keys, no blanks, no NaN."""
+    """Encode content in canonical form: sorted keys, no whitespace, no NaN."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -86,12 +86,12 @@ def write_record(record: Record, folder: Path) -> Path:
 
 
 def file_sha256(record: Record) -> str:
-    """Return the hash of the file that `write_record` writes."""
+    """Return the hash of the file written by `write_record`."""
     return hashlib.sha256(_encode_record(record)).hexdigest()
 
 
 def is_stored(path: Path, sha256: str) -> bool:
-    """Return whether the file of a record exists with exactly these bytes; cheaper than reading it back."""
+    """Return whether a record file exists with the given hash; cheaper than reading it back."""
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
     except (OSError, ValueError):
@@ -104,7 +104,7 @@ def _encode_record(record: Record) -> bytes:
 
 
 def _iterate_encoded(record: Record) -> Iterator[str]:
-    """Yield the canonical content of a record's file in parts."""
+    """Yield a record file's canonical content in parts."""
     content = {
         **vars(record),
         "parents": list(record.parents),
@@ -143,7 +143,7 @@ def write_atomically(path: Path, content: bytes, *, exclusive: bool = False, flu
 
 
 def read_record(path: Path) -> Record:
-    """Read a record and check its hash and its exact byte form; raises REC-001."""
+    """Read a record and verify its hash and exact byte form; raises REC-001."""
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
         content = parse_json(found)
@@ -166,7 +166,7 @@ def read_record(path: Path) -> Record:
 
 
 def _has_canonical_form(found: bytes, record: Record) -> bool:
-    """Return whether a record's file has canonical form, compared part by part up to the first difference."""
+    """Return whether a record file is in canonical form, comparing in parts up to the first difference."""
     at = 0
     for part in _iterate_encoded(record):
         if not found.startswith(part.encode(), at):

@@ -61,7 +61,7 @@ _FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b"
 
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Remove everything personal or secret from an event, as a structlog processor."""
+    """Remove all personal or secret data from an event, as a structlog processor."""
     return {key: redact_value(key, value) for key, value in event.items()}
 
 
@@ -106,7 +106,7 @@ def scrub_text(text: str) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """Return the text of an error about a device, a limit or the theatre; otherwise only its code or type."""
+    """Return an error's text if it concerns a device, a limit or the theatre, otherwise its code or type."""
     code = error.code if isinstance(error, RonnaError) else ""
     if isinstance(error, _LOGGED_IN_FULL) and not code.startswith(_CODES_WITH_TRAJECTORIES):
         return scrub_text(str(error))

@@ -34,7 +34,7 @@ PROBE_GROUP = "ronna_hw.probes"
 
 
 class DriverFactory(Protocol):
-    """Class or function with these three arguments, as the target of a driver entry point."""
+    """Target of a driver entry point: a class or function that takes these three arguments."""
 
     def __call__(self, name: str, config: DeviceConfig, clock: Clock) -> Device: ...
 
@@ -70,17 +70,17 @@ def load_probe(driver: str) -> Probe:
 
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
-    """Return probes that can check bare endpoints, by driver."""
+    """Return probes that can check bare endpoints, keyed by driver."""
     return {driver: probe for driver, probe in _load_probes() if isinstance(probe, EndpointProbe)}
 
 
 def load_finders() -> dict[str, Finder]:
-    """Load probes that can search lines and networks for their devices, by driver."""
+    """Load probes that can search lines and networks for their devices, keyed by driver."""
     return {driver: probe for driver, probe in _load_probes() if isinstance(probe, Finder)}
 
 
 def _load_probes() -> list[tuple[str, Any]]:
-    """Load every installed probe, by driver."""
+    """Load every installed probe with the name of its driver."""
     return sorted((point.name, point.load()) for point in entry_points(group=PROBE_GROUP))
 
 

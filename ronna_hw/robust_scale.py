@@ -1,4 +1,4 @@
-"""Robust standard deviation and weights of residuals with outliers."""
+"""Robust standard deviation and weights for residuals with outliers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CAUCHY = 2.385  # 95 % efficiency on normal noise
 
 
 def robust_sigma(residuals: NDArray[np.float64]) -> float:
-    """Estimate the standard deviation of residuals about zero from the median of their absolute values.
+    """Estimate the standard deviation of residuals about zero from their median absolute value.
 
     Half of them may be outliers.
     """
@@ -18,5 +18,5 @@ def robust_sigma(residuals: NDArray[np.float64]) -> float:
 
 
 def cauchy_weights(residuals: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Return weights (n,), from 1 down to almost 0 for outliers, for noise of this standard deviation."""
+    """Return Cauchy weights (n,) for noise of standard deviation `sigma`, almost 0 for outliers."""
     return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * sigma)) ** 2))

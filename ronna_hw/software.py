@@ -1,4 +1,4 @@
-"""Identity of this software: version, commit of a checkout, and package lock.
+"""Identity of this software: version, checkout commit, and package lock.
 
 A result can only be recomputed with the packages that computed it, so each run records the hash of the lock
 file and the names of packages installed in other versions.
@@ -66,7 +66,7 @@ def identify_software(checkout: Path = CHECKOUT) -> Software:
 
 
 def _read_commit(checkout: Path) -> str | None:
-    """Read the git commit; None without git or if the folder is not its own checkout."""
+    """Read the git commit, or return None without git or if the folder is not its own checkout."""
     if not (checkout / ".git").exists():
         return None
     try:
@@ -84,7 +84,7 @@ def _read_commit(checkout: Path) -> str | None:
 
 
 def _find_differing_packages(lock: str) -> list[str]:
-    """List locked packages installed in another version. Missing packages are not needed here."""
+    """List locked packages whose installed version differs; missing packages are not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):
         locked.setdefault(match["name"], set()).add(match["version"])

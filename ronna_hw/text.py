@@ -1,4 +1,4 @@
-"""Text for display: safe names, counts, values next to limits, and typed numbers.
+"""Text formatting for display (safe names, counts, values next to limits) and parsing of typed numbers.
 
 Names of files, series, patients and devices must neither steer nor flood a terminal.
 """
@@ -32,7 +32,7 @@ def printable_lines(text: str) -> str:
 
 
 def escape_controls(text: str) -> str:
-    """Replace white space by blanks, and escapes, direction marks and the like by `\x1b`, `\u202e`."""
+    """Replace whitespace with spaces, and other unprintable characters with backslash escapes."""
     if text.isprintable():
         return text
     return "".join(map(_escape_character, text))
@@ -57,12 +57,12 @@ MOST_SHOWN = 5  # of a list of names
 
 
 def format_count(number: int, one: str, several: str | None = None) -> str:
-    """Count things in words: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
+    """Format a count with its noun: `1 mistake`, `2 mistakes`; `several` is an irregular plural."""
     return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def format_names(names: Sequence[str]) -> str:
-    """List the first names and the number of others: `a, b and 4 more`."""
+    """List the first few names and count the rest: `a, b and 4 more`."""
     listed = ", ".join(names[:MOST_SHOWN])
     return listed if len(names) <= MOST_SHOWN else f"{listed} and {len(names) - MOST_SHOWN} more"
 
@@ -71,7 +71,7 @@ MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals
 
 
 def format_against_limit(value: float, limit: float, decimals: int) -> str:
-    """Format a value with enough decimals to show which side of a fully shown limit it is on.
+    """Format a value with enough decimals to show which side of a fully printed limit it is on.
 
     `format_against_limit(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """

@@ -1,4 +1,4 @@
-"""Main entry point: all devices of a theatre file, opened for a block.
+"""Main entry point: opens all devices of a theatre file for the duration of a block.
 
     with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracker:
         frame = tracker.read_frame()
@@ -57,7 +57,7 @@ class Theatre:
     """
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
-        """Open nothing. `make` creates the driver objects, so callers can substitute others."""
+        """Create the theatre without opening anything; `make` creates the driver objects."""
         self.file = file
         self._clock = clock
         self._make = make
@@ -69,7 +69,7 @@ class Theatre:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], make: DriverOfTable = make_device) -> Self:
-        """Read the file and open its clock, but no device. Raises CFG-001 or CLK-001."""
+        """Read the file and open its clock, but no devices. Raises CFG-001 or CLK-001."""
         file = read_theatre_file(Path(path))
         return cls(file, open_clock(file.clock.endpoint), make)
 
@@ -112,7 +112,7 @@ class Theatre:
         return self._get_device_as(f"device.{name}", interface)
 
     def require(self, *names: str) -> None:
-        """Raise DEV-007 listing all of these tables, such as `robot.master`, that the file lacks."""
+        """Raise DEV-007 listing any of the given tables, such as `robot.master`, that the file lacks."""
         known = self.file.devices
         if missing := [name for name in names if name not in known]:
             raise NotInTheatre(
@@ -139,7 +139,7 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> list[str]:
-        """Stop all arms simultaneously, as far as their links still permit; never raises.
+        """Stop all arms simultaneously, as far as their links allow; never raises.
 
         Returns what went wrong, for each arm that may not be at rest.
         """
@@ -156,7 +156,7 @@ class Theatre:
         return failures
 
     def close(self) -> None:
-        """Stop the arms, then close all connections, the arms' first. Bounded in time; never raises.
+        """Stop the arms, then close all connections, starting with the arms. Bounded in time; never raises.
 
         An interruption in the meantime takes effect afterwards.
         """
@@ -294,14 +294,14 @@ class SimulatedTheatre(Theatre):
 
     @classmethod
     def of(cls, process: TheatreProcess) -> Self:
-        """Open the theatre of a process that is ready."""
+        """Open the theatre of a ready process."""
         theatre = cls.from_file(process.file)
         theatre.control = process.control
         return theatre
 
 
 class TheatreProcess:
-    """Process of a starting `ronna-sim theatre`. Call `await_ready`, and finally `end`."""
+    """A `ronna-sim theatre` process: after creating it, call `await_ready`, and finally `end`."""
 
     def __init__(
         self, *arguments: str, on_controller_message: Callable[[str], None] = lambda _line: None
@@ -317,7 +317,7 @@ class TheatreProcess:
         )
 
     def await_ready(self) -> None:
-        """Wait until every device is ready; raises PRC-001 with the message of the command."""
+        """Wait until every device is ready; raises PRC-001 with the command's message."""
         self.child.await_ready()
 
     @property
@@ -331,6 +331,6 @@ class TheatreProcess:
         return str(self.child.ready["endpoints"]["control"])
 
     def end(self) -> None:
-        """End the process in bounded time; never raises. Interruptions take effect afterwards."""
+        """End the process in bounded time, deferring interruptions until then; never raises."""
         with defer_interruption():
             self.child.stop()

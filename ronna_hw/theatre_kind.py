@@ -1,4 +1,4 @@
-"""Distinction of simulated and real theatres. A simulated theatre must declare itself.
+"""Distinction between simulated and real theatres; a simulated one must declare itself.
 
 The address decides. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
 in shared memory; a real one is at a serial port or a network address. The clock of a simulated theatre
@@ -36,7 +36,7 @@ class MixedTheatre(RefusedError):
 
 
 def is_on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Return whether an address is local to this computer; None if it does not tell.
+    """Return whether an address is local to this computer, or None if it cannot be determined.
 
     Links and names count as what they lead to.
     """
@@ -55,7 +55,7 @@ def is_on_this_computer(endpoint: Endpoint) -> bool | None:
 
 
 def is_simulated(theatre: Addresses) -> bool:
-    """Return whether all devices are simulated, as far as their addresses tell."""
+    """Return whether all devices are simulated, judging by their addresses."""
     simulated, real = _sort_by_kind(theatre)
     return bool(simulated) and not real
 
@@ -77,7 +77,7 @@ def require_one_kind(theatre: Addresses) -> None:
 
 
 def _sort_by_kind(theatre: Addresses) -> tuple[list[str], list[str]]:
-    """Separate simulated and real devices, each with its address."""
+    """Separate simulated from real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
     for name, addresses in theatre.addresses.items():

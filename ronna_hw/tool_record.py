@@ -74,7 +74,7 @@ class GuideBore(Strict):
 
 
 class Gauge(Strict):
-    """Reference pose for checking a tool, and the table gauge readings when it was measured."""
+    """Reference pose for checking a tool, with the table gauge readings from when it was measured."""
 
     joints_deg: Angles6 = Field(description="Joint angles of the arm with the mandrel in the gauge.")
     reading_mm: tuple[DialReading, DialReading, DialReading] = Field(
@@ -108,20 +108,20 @@ class Gauge(Strict):
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
-        """Range of readings that a dial can show, mm."""
+        """Plausible range of dial readings, mm."""
         recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
         return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 
 
 class ToolFrame(Strict):
-    """Frame of spheres on the tool itself, for identification by the tracker."""
+    """Frame of spheres mounted on the tool, for identification by the tracker."""
 
     tool: Words = Field(description="Name of the frame among the tracker's tools.")
     mount_from_frame: MountPose = Field(description="Pose of the frame in that on the arm's mount.")
 
 
 class TipInHead(Strict):
-    """Tool tip pose in the stereo head frame, unaffected by calibrations of head and arm."""
+    """Tool-tip pose in the stereo-head frame, unaffected by head and arm calibrations."""
 
     translation_mm: Numbers3 = Field(description="Position of the tip.")
     quaternion_wxyz: Numbers4 = Field(description="Rotation as a unit quaternion, scalar first.")

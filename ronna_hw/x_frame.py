@@ -38,7 +38,7 @@ OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are visible from this sid
 
 
 class Body(NamedTuple):
-    """Rod of the frame, mm in the frame's own coordinates."""
+    """Rod of the frame, in mm and in the frame's own coordinates."""
 
     name: str
     start_mm: Point
@@ -47,7 +47,7 @@ class Body(NamedTuple):
 
 
 def bodies() -> tuple[Body, ...]:
-    """Return both bars and the foot, down to the skin."""
+    """Return the two bars and the foot, the latter down to the skin."""
     bars = (
         Body(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
         for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)

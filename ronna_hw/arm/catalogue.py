@@ -1,4 +1,4 @@
-"""Catalogue of known arms by name: those of this package, and others registered as entry points.
+"""Catalogue of arms by name: the built-in ones and those registered as entry points.
 
 A driver package with an arm of its own declares, for example::
 
@@ -20,7 +20,7 @@ GROUP = "ronna_hw.arms"
 
 
 def find_kinematics(name: str) -> Kinematics:
-    """Find an arm by its `Kinematics.name`; raises ARM-009 listing the known names."""
+    """Look up an arm by its `Kinematics.name`. Raises ARM-009 listing the known names."""
     if name in (own := [str(variant) for variant in ArmVariant]):
         return kr6_r900(name)
     others = {point.name: point for point in entry_points(group=GROUP)}

@@ -51,14 +51,14 @@ class NotClear(LimitError):
 
 
 class SurroundingsTooLarge(DataError):
-    """[cell] has more bodies than the real-time process can hold."""
+    """[cell] defines more bodies than the real-time process supports."""
 
     code = "ARM-008"
     action = "Use fewer bodies and shorter names in [cell] of the theatre file."
 
 
 class UnknownArm(ConfigurationError):
-    """A calibration record or a driver names an arm that is not in the catalogue."""
+    """A calibration record or a driver refers to an arm that is not in the catalogue."""
 
     code = "ARM-009"
     action = "Correct the name, or install the package that brings the arm."

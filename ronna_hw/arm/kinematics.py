@@ -22,7 +22,7 @@ Segment = tuple[Vector3, Vector3]
 
 
 class ArmPart(StrEnum):
-    """Arm parts whose thickness a theatre file states (`[cell.arm]`)."""
+    """Arm parts whose thickness is set in the theatre file (`[cell.arm]`)."""
 
     COLUMN = "column"
     UPPER_ARM = "upper_arm"
@@ -32,7 +32,7 @@ class ArmPart(StrEnum):
 
 
 class Joint(NamedTuple):
-    """Joint of a chain. With all joints at zero, every frame is parallel to the base.
+    """Joint of a kinematic chain. With all joints at zero, every frame is parallel to the base.
 
     `axis` is a unit vector, about which angles are positive; `to_next_mm` leads to the next joint, or from
     the last joint to the flange, in the frame that turns with this one.
@@ -43,7 +43,7 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Nominal chain from the robot base through the joints to the flange.
+    """Nominal kinematic chain from the robot base to the flange.
 
     `flange_rotation` rotates the frame of the last link into that of the flange.
     """
@@ -54,7 +54,7 @@ class Chain(NamedTuple):
 
 
 class Link(NamedTuple):
-    """Body of a link: a capsule in the frame that rotates with joint `joint`, counted from 0.
+    """Collision body of a link: a capsule in the frame that rotates with joint `joint`, counted from 0.
 
     `touches` names the preceding bodies, possibly `COLUMN_NAME`, that it touches by construction.
     """
@@ -71,7 +71,7 @@ COLUMN_NAME = "base column"
 
 
 class ArmBodies(Protocol):
-    """Positions of an arm's collision bodies. A tool on the flange touches the last link only."""
+    """Positions of an arm's collision bodies. A flange-mounted tool is in contact with the last link only."""
 
     @property
     def chain(self) -> Chain:
@@ -97,7 +97,7 @@ class ArmBodies(Protocol):
         ...
 
     def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
-        """Bound the motion of any point of the links or tool (flange frame), mm per radian of each joint."""
+        """Return upper bounds on the motion of any link or tool point, in mm per radian of each joint."""
         ...
 
 
@@ -108,14 +108,14 @@ RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is no violation
 
 
 class Solution(NamedTuple):
-    """Joint angles that bring the flange to a pose, and their branch."""
+    """Inverse-kinematics solution: joint angles and their branch."""
 
     branch: Branch
     joints_rad: JointVector
 
 
 class SingularMeasure(NamedTuple):
-    """Distances from the three kinds of singularity, each from 0 (singular) to 1.
+    """Normalized distances from the three kinds of singularity, each from 0 (singular) to 1.
 
     `wrist`: two wrist axes aligned; `elbow`: upper arm and forearm aligned; `shoulder`: the
     wrist on the first axis.
@@ -132,7 +132,7 @@ class SingularMeasure(NamedTuple):
 
 
 class JointRanges(Protocol):
-    """Ranges and capabilities of an arm's joints, one value per joint from the base outwards."""
+    """Joint ranges and capabilities of an arm, one value per joint from the base outwards."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -153,11 +153,11 @@ class JointRanges(Protocol):
 
 
 class Kinematics(JointRanges, ArmBodies, Protocol):
-    """Nominal kinematics of one arm: ROBOT <- FLANGE from joint angles, and the inverse."""
+    """Nominal kinematics of an arm: forward, ROBOT <- FLANGE, and inverse."""
 
     @property
     def name(self) -> str:
-        """Name of the arm, as in calibration records."""
+        """Arm name, as used in calibration records."""
         ...
 
     @property
@@ -167,15 +167,15 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """All branches, the most common ones first."""
+        """All branches, most common first."""
         ...
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        """Return the pose of the flange in the robot base, in plain floats."""
+        """Return the flange pose in the robot base, as plain floats."""
         ...
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """Return the pose of the flange as a checked transform, ROBOT <- FLANGE."""
+        """Return the flange pose as a checked transform, ROBOT <- FLANGE."""
         ...
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
@@ -195,7 +195,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-        """Return the solution in one branch, with the whole turns nearest to `near`. Real-time safe.
+        """Return the solution in a given branch, unwrapped to be nearest `near`. Real-time safe.
 
         Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """
@@ -206,7 +206,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
-        """Return the angle by which the wrist is bent away from its singularity, not negative."""
+        """Return the wrist's bend away from its singularity, as a non-negative angle."""
         ...
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:

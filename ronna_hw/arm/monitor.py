@@ -27,7 +27,7 @@ History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """Per-axis limits of the monitor, as differences over one cycle of `cycle_s`, with a margin.
+    """Per-axis monitor limits with a margin, expressed as differences over one cycle of `cycle_s`.
 
     The corrections limit the distance from the pose at RSI_ON. `following_cycles`: the arm has to be where a
     set-point of these last cycles was, within `FOLLOWING_RAD`.
@@ -48,7 +48,7 @@ class MonitorLimits:
 def monitor_limits(
     arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
-    """Build the limits of a stream that started at `start_rad`, for the arm's operating mode.
+    """Build the monitor limits for a stream that started at `start_rad`.
 
     The total correction is limited by the end switches minus the start pose, as in the context of the
     controller.
@@ -76,7 +76,7 @@ def monitor_limits(
 
 
 class Monitor:
-    """Monitor of one stream of set-points.
+    """Monitor for a single stream of set-points.
 
     `check` changes nothing; `sent` and the methods after it record what happened.
     """
@@ -110,7 +110,7 @@ class Monitor:
         return self._followed_rad
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """Return the first limit that this set-point would exceed if sent next, or None."""
+        """Return the first limit violation that sending this set-point next would cause, or None."""
         limits = self.limits
         latest, previous, earlier, _ = self._last
         for i in range(len(joints_rad)):
@@ -152,7 +152,7 @@ class Monitor:
             self._watch.sent(joints_rad)
 
     def mark_not_accepted(self) -> Violation | None:
-        """Record that the last set-point was not accepted, so the previous one is held; recheck the step."""
+        """Record that the last set-point was not accepted and the previous one applies; recheck the step."""
         held = self._followed_rad = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
@@ -165,7 +165,7 @@ class Monitor:
         return Violation(ViolationKind.SPEED, index + 1, step_rad / self.limits.cycle_s, most)
 
     def mark_sent_again(self) -> None:
-        """Record that the last set-point was sent again. The next one is checked as if without a pause."""
+        """Record a repeat of the last set-point. The next one is checked as if there had been no pause."""
         self._followed_rad = self._last[0]
         self._recent.append(self._followed_rad)
 

@@ -1,4 +1,4 @@
-"""Numeric preview of a planned path for people, records and JSON, made by `ronna_hw.preview`."""
+"""Numeric preview of a planned path for display, records and JSON, made by `ronna_hw.preview`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.arm.kinematics import SingularMeasure
 
 @dataclass(frozen=True)
 class PathPreview:
-    """Numeric preview of a planned path. Angles in rad; `largest_speed_mm_s` covers everything that moves."""
+    """Numeric preview of a planned path. Angles in rad; `largest_speed_mm_s` covers all moving bodies."""
 
     duration_s: float
     joint_ranges_rad: tuple[tuple[float, float], ...]
@@ -28,7 +28,7 @@ class PathPreview:
         return self.refused is None
 
     def as_payload(self) -> dict[str, Any]:
-        """Return plain numbers for a record or for JSON."""
+        """Return plain numbers for records and JSON."""
         closest: dict[str, Any] | None = None
         if self.closest is not None:
             closest = asdict(self.closest)

@@ -1,4 +1,4 @@
-"""Poses and joint vectors in plain floats.
+"""Poses and joint vectors as plain floats.
 
 The real-time loop of the robot creates a pose per cycle, so it consists of tuples and imports neither NumPy
 nor SciPy. `to_transform` and `from_transform` convert to the checked transforms used elsewhere.
@@ -33,7 +33,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_kuka(cls, X: float, Y: float, Z: float, A: float, B: float, C: float) -> Self:
-        """Build from mm and deg in KUKA's convention: R = Rz(A) Ry(B) Rx(C)."""
+        """Build from mm and degrees in KUKA's convention: R = Rz(A) Ry(B) Rx(C)."""
         ca, sa = math.cos(math.radians(A)), math.sin(math.radians(A))
         cb, sb = math.cos(math.radians(B)), math.sin(math.radians(B))
         cc, sc = math.cos(math.radians(C)), math.sin(math.radians(C))
@@ -63,7 +63,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_quaternion(cls, position_mm: Vector3, quaternion: Quaternion) -> Self:
-        """Build from mm and a scalar-first quaternion of any non-zero length."""
+        """Build from a position in mm and a scalar-first quaternion of any non-zero length."""
         w, x, y, z = quaternion
         n = 2.0 / (w * w + x * x + y * y + z * z)
         rotation = (
@@ -142,7 +142,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_matrix(cls, matrix: Sequence[Sequence[float]]) -> Self:
-        """Build from a 4x4 homogeneous matrix in mm that is known to be rigid."""
+        """Build from a 4x4 homogeneous matrix in mm, assumed to be rigid."""
         a, b, c = (tuple(float(v) for v in row) for row in list(matrix)[:3])
         return cls((a[3], b[3], c[3]), (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]))
 
@@ -170,11 +170,11 @@ class Pose(NamedTuple):
 
 
 def radians6(a: float, b: float, c: float, d: float, e: float, f: float) -> JointVector:
-    """Convert six angles from degrees."""
+    """Convert six angles from degrees to radians."""
     return (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
 
 def degrees6(joints_rad: JointVector) -> JointVector:
-    """Convert six angles to degrees."""
+    """Convert six angles from radians to degrees."""
     a, b, c, d, e, f = joints_rad
     return (degrees(a), degrees(b), degrees(c), degrees(d), degrees(e), degrees(f))

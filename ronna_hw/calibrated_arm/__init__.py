@@ -1,1 +1,1 @@
-"""The calibrated arm: deviations from the nominal chain, and the error budget."""
+"""Calibrated arm model: deviations from the nominal chain, and the error budget."""

@@ -1,4 +1,4 @@
-"""Deviations of an arm from its nominal chain, and the commanded pose that compensates them.
+"""Deviations of an arm from its nominal chain, and compensation of commanded poses.
 
 The effective angle of a joint is
 
@@ -58,11 +58,11 @@ class ArmDeviations:
 
     @classmethod
     def of(cls, record: ArmCalibration) -> Self:
-        """Take the deviations from a calibration record."""
+        """Extract the deviations from a calibration record."""
         return cls(*(np.array(getattr(record, field.name)) for field in fields(cls)))
 
     def as_plain(self) -> dict[str, Any]:
-        """Return the values under their names in a calibration record."""
+        """Return the values keyed by their names in a calibration record."""
         plain: dict[str, Any] = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -86,14 +86,14 @@ class ArmDeviations:
 
 
 class Compensation(NamedTuple):
-    """Joints that bring the flange to the wanted pose, and the pose to command."""
+    """Joints that place the flange at the desired pose, and the pose to command."""
 
     joints_rad: JointVector
     commanded: Pose
 
 
 class CalibratedArm:
-    """Arm with its deviations; without any, exactly the nominal arm."""
+    """Arm model with deviations; identical to the nominal arm if there are none."""
 
     def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
         self.nominal = nominal
@@ -105,7 +105,7 @@ class CalibratedArm:
         return self._deviations is None
 
     def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
-        """Return the pose of the flange in the robot base.
+        """Return the flange pose in the robot base.
 
         `flanks`, +1 or -1, give the side of its backlash on which each joint rests: the direction in which it
         arrived. Without them, each joint is assumed to be in the middle.
@@ -117,7 +117,7 @@ class CalibratedArm:
         return Pose.from_matrix(pose.tolist())
 
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
-        """Transform the surroundings to the controller's coordinates, exact at these joints.
+        """Transform the surroundings into the controller's coordinates, exactly at the given joints.
 
         The driver of the controller checks clearances with the nominal chain. Within reach of one head the
         deviations vary by some tenths of a millimetre, which margins and corridors allow for.
@@ -127,13 +127,13 @@ class CalibratedArm:
         return surroundings.moved(self.nominal.forward(at_rad).compose(self.forward(at_rad).inverse()))
 
     def flange_pose(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Transform:
-        """Return the pose of the flange as a checked transform, ROBOT <- FLANGE."""
+        """Return the flange pose as a checked transform, ROBOT <- FLANGE."""
         return self.forward(joints_rad, flanks).to_transform()
 
     def compensate(
         self, flange: Transform, near: JointVector, flanks: Sequence[float] | None = None
     ) -> Compensation:
-        """Find the joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
+        """Find the joints, in the branch of `near`, that place the flange at a pose ROBOT <- FLANGE.
 
         `flanks` as in `forward`, after arrival. Raises ARM-001 to ARM-003 like `Kinematics.solve_branch`;
         ARM-001 also near a singularity, where no commanded pose leads to the wanted one.

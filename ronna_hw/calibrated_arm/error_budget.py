@@ -1,4 +1,4 @@
-"""Error budget of an arm: sizes of its geometric errors, and the tool displacement caused by each.
+"""Error budget of an arm: its geometric errors and the tool displacement each one causes.
 
 An uncalibrated arm is off by tenths of a millimetre, and not at random: errors of length and twist of each
 link are the same in all views. Each kind of error is one column here. Sizes are those of an uncalibrated arm
@@ -56,7 +56,7 @@ SAGGING = (1, 2)  # joints, counted from 0
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Remaining errors of an arm as fractions of set S; those of the tool frame in mm per axis.
+    """Residual arm errors as fractions of parameter set S; tool-frame errors in mm per axis.
 
     `links` includes the joint offsets, `joints` harmonics and sag. `backlash` is the fraction remaining if it
     is known on which side a joint rests; otherwise all of it remains. Predictions for an `identified` arm use
@@ -71,7 +71,7 @@ class ErrorSizes:
 
     @classmethod
     def stated(cls, settings: ProcedureSettings, arm: ArmCalibration | None) -> Self:
-        """Take the sizes from the arm's record, capped at set S; without a record, use set S.
+        """Return the sizes from the arm's record, capped at set S, or set S itself without a record.
 
         Without a record the settings give the error of the tool frame. It is at least that of the last link:
         no measurement separates the two.
@@ -85,7 +85,7 @@ class ErrorSizes:
 
 
 def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> float:
-    """Return the local error of the arm per axis, mm: from its record, else from the settings.
+    """Return the arm's local error per axis, mm, from its record or, failing that, the settings.
 
     Without a record it is at least that of an uncalibrated arm.
 
@@ -99,7 +99,7 @@ def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> flo
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedArm:
-    """Errors that remain after the calibration of an arm, with their correlations.
+    """Residual errors of a calibrated arm, with their correlations.
 
     Views of spheres hardly separate a link from its neighbour, or the last link from the head on the flange.
     They determine the combined displacement of the tool far better. Independent errors of these sizes would
@@ -114,7 +114,7 @@ class IdentifiedArm:
 
     @classmethod
     def of(cls, record: ArmCalibration) -> Self | None:
-        """Read the errors from a record; None if it does not state the covariance."""
+        """Read the errors from a record, or return None if it has no covariance."""
         if record.remaining is None:
             return None
         remaining = np.zeros((len(record.remaining), len(record.remaining)))
@@ -123,7 +123,7 @@ class IdentifiedArm:
 
 
 def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Array:
-    """Return tool covariances (p, 3, 3) at points (p, 3) mm from backlash with unknown sides."""
+    """Return tool covariances (p, 3, 3) at points (p, 3) mm due to backlash of unknown side."""
     arm = sizes.identified
     backlash_rad = BACKLASH_RAD if arm is None else arm.backlash_rad
     half = FLANK_SHARE * backlash_rad * displacements(chain, joints_rad, points_mm, sizes).swings_mm
@@ -132,7 +132,7 @@ def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Error
 
 @dataclass(frozen=True)
 class Displacements:
-    """Tool displacement at `p` poses caused by each error at one standard deviation."""
+    """Tool displacement at `p` poses due to each error of one standard deviation."""
 
     links_mm: Array  # (p, 3, k)
     joints_mm: Array  # (p, 3, m) harmonics, then sag
@@ -140,7 +140,7 @@ class Displacements:
 
 
 def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Displacements:
-    """Compute the tool displacement by every error, at joints (p, axes) and tool origins (p, 3) mm."""
+    """Compute the tool displacement due to each error, at joints (p, axes) and tool origins (p, 3) mm."""
     columns = error_columns(chain, joints_rad, points_mm)
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD
@@ -152,7 +152,7 @@ def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Erro
 
 
 def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
-    """Return the displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
+    """Return displacements (n, 3, k) in mm of a flange-fixed point at `ball_mm` in the robot frame.
 
     One column per error, at one standard deviation: six for every link at its far end, offset and harmonics
     for every joint. `joints_rad` is (n, axes).
@@ -177,7 +177,7 @@ def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
 
 
 def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array) -> Array:
-    """Return the displacement (p, 3, k), per mm or rad, of points (p, 3) mm fixed to the flange, robot frame.
+    """Return displacements (p, 3, k), per mm or rad, of flange-fixed points (p, 3) mm in the robot frame.
 
     In the order of `ArmDeviations.flat`; then x, y, z of the head on the flange. `joints_rad` and `sides`,
     the side of its backlash on which each joint rests, are (p, axes).

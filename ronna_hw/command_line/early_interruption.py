@@ -1,4 +1,4 @@
-"""Print one word, without a traceback, if a command is interrupted during its imports. Import this first."""
+"""Replace the traceback with one word if a command is interrupted during imports. Import this first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EXIT_INTERRUPTED = 130  # as in ronna_hw.errors, which is too slow to import her
 
 
 def say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Report an early interruption as the exception hook; nothing needs cleaning up yet."""
+    """Report an early interruption; installed as the exception hook while there is nothing to clean up."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

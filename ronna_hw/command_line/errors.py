@@ -25,14 +25,14 @@ class UsageMistake(RonnaError):
 
 
 class InternalFault(RonnaError):
-    """The program has an unexpected error."""
+    """The program encountered an unexpected error."""
 
     code = "CLI-002"
     action = "This is a bug: run again with --verbose and report the traceback."
 
 
 class DiskFull(RonnaError):
-    """No disk space is left, or the quota is used up."""
+    """The disk is full, or the quota is exhausted."""
 
     code = "CLI-003"
     action = (
@@ -41,7 +41,7 @@ class DiskFull(RonnaError):
 
 
 class NotWritable(RonnaError):
-    """This user may not read or write a file or folder."""
+    """The current user lacks permission to read or write a file or folder."""
 
     code = "CLI-004"
     action = "Choose another folder, or change its permissions."
@@ -55,7 +55,7 @@ class PathProblem(RonnaError):
 
 
 class PortInUse(RonnaError):
-    """Another program uses this network port."""
+    """The network port is already in use by another program."""
 
     code = "CLI-006"
     action = "Stop the other program or choose another endpoint."
@@ -94,7 +94,7 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
 
 
 def as_ronna_error(problem: BaseException) -> RonnaError:
-    """Convert any exception to a RonnaError; errors of the system or the program get a code."""
+    """Convert any exception to a RonnaError, assigning codes to system and program errors."""
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
@@ -135,7 +135,7 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
 
 
 def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
-    """Convert a usage error of typer to our own: option, value, expectation, help."""
+    """Convert a typer usage error to a UsageMistake: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
     see = f"See {help_of}."
@@ -192,7 +192,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 
 def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
-    """Return the expected and the given value of a failed validation; None for other errors."""
+    """Return the expected and actual values of a failed validation, or None for other errors."""
     errors = getattr(cause, "errors", None)
     if errors is None:
         return None

@@ -1,4 +1,4 @@
-"""Messages, tables and progress of a command.
+"""Messages, tables and progress bars for commands.
 
 Messages go to standard error: coloured and wrapped on a terminal, one unwrapped line elsewhere. Tables go to
 standard output: framed on a wide enough terminal, tab-separated lines elsewhere.
@@ -39,20 +39,20 @@ def tell(line: str) -> None:
 
 
 def tell_address(addresses: Mapping[str, str], tell: Callable[[str], None] = tell) -> None:
-    """Print the address of a served page on one line for scripts, and as a link on a terminal."""
+    """Print a served page's address as a line for scripts and, on a terminal, also as a link."""
     tell(f"CONSOLE {json.dumps(addresses)}")
     if on_terminal(sys.stderr):
         tell(f"open {addresses['url']}")
 
 
 def say(line: str = "") -> None:
-    """Print lines of text on standard output."""
+    """Print text to standard output."""
     sys.stdout.write(printable_lines(line) + "\n")
     sys.stdout.flush()
 
 
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
-    """Print an error like `run`, for commands that continue afterwards.
+    """Print an error as `run` does, for commands that continue afterwards.
 
     `advice` replaces the error's own if the caller knows better what to do.
     """
@@ -111,7 +111,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 
 
 def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
-    """Return column widths that fill the terminal without splitting a word; None if there are none."""
+    """Return column widths that fit the terminal without splitting a word, or None if impossible."""
     by_column = list(zip(*rows, strict=True))
     widths = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in by_column]
     wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
@@ -132,7 +132,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @contextlib.contextmanager
 def progress_bar(description: str) -> Iterator[ProgressBar]:
-    """Show a progress bar on standard error after two seconds of work; none without a terminal."""
+    """Show a progress bar on standard error after two seconds, provided it is a terminal."""
     bar = ProgressBar(description, shown=on_terminal(sys.stderr))
     try:
         yield bar

@@ -28,7 +28,7 @@ VERBOSE_FLAG = "--verbose"
 
 
 def with_common_options(command: Any) -> Any:
-    """Add the common options to typer's command and all commands of a group; returns the command."""
+    """Add the common options to a typer command, or to every command of a group, and return it."""
     declared = _create_options()
     for one in _walk_commands(command):
         is_group = bool(getattr(one, "commands", {}))
@@ -37,14 +37,14 @@ def with_common_options(command: Any) -> Any:
 
 
 def _walk_commands(command: Any) -> Iterator[Any]:
-    """Yield a command and all commands below it."""
+    """Yield a command and all its subcommands."""
     yield command
     for one in getattr(command, "commands", {}).values():
         yield from _walk_commands(one)
 
 
 def _create_options() -> list[Any]:
-    """Create the common options as typer does. Their callbacks do the work; commands receive no value."""
+    """Create the common options as typer would; callbacks handle them, so commands receive no value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
     @app.command()
@@ -125,7 +125,7 @@ def set_log_levels(levels: Sequence[str]) -> None:
 
 
 def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
-    """Set log levels in this process and every process that it starts or becomes; raises CLI-001."""
+    """Set log levels for this process and any that it starts or execs; raises CLI-001."""
     if not levels:
         return
     set_log_levels(levels)
@@ -134,19 +134,19 @@ def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
 
 
 def set_log_levels_from_environment() -> None:
-    """Set the comma-separated log levels in RONNA_LOG; options are applied later and take precedence."""
+    """Set log levels from the comma-separated RONNA_LOG; options are applied later and take precedence."""
     given = os.environ.get(LEVELS_VARIABLE)
     if given:
         set_log_levels(given.split(","))
 
 
 def command_logger() -> Logger:
-    """Return the logger of the command of this process."""
+    """Return the logger of the current command."""
     return logger(command=Path(sys.argv[0]).name)
 
 
 def log_failure(problem: Exception, error: RonnaError) -> None:
-    """Log the error of a failed command and where it was raised, without any values."""
+    """Log a failed command's error and where it was raised, omitting all values."""
     import traceback
 
     frames = traceback.extract_tb(problem.__traceback__)
@@ -158,7 +158,7 @@ Returned = TypeVar("Returned")
 
 
 def with_option_records(command: Callable[..., Returned]) -> Callable[..., Returned]:
-    """Decorate a typer command, replacing each dataclass parameter by its fields.
+    """Decorate a typer command, replacing each dataclass parameter with its fields.
 
     A field is declared like a parameter, `name: Annotated[type, typer.Option(...)] = default`. The command
     itself receives the record.
@@ -196,13 +196,13 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
 
 
 def require_folder(out: Path) -> None:
-    """Raise CLI-005 if `--out` names a file instead of a folder."""
+    """Raise CLI-005 if `--out` is a file instead of a folder."""
     if out.exists() and not out.is_dir():
         raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
 def require_folder_of(*files: Path) -> None:
-    """Raise CLI-005 for a file whose folder does not exist; call before the work that writes the file."""
+    """Raise CLI-005 if a file's folder does not exist; call before the work that writes the file."""
     for file in files:
         if not file.parent.is_dir():
             raise PathProblem(

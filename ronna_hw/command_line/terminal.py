@@ -1,4 +1,4 @@
-"""Execution of a command: options, exit code, termination. Re-exports everything that commands share.
+"""Command execution: options, exit code, termination. Re-exports all shared command helpers.
 
 Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
@@ -72,7 +72,7 @@ _NO_ARGUMENTS: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHe
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command with the arguments of this process and exit with the documented code."""
+    """Run a command with this process's arguments and exit with the documented code."""
     limit_to_one_thread()
     code = exit_code_of(app, sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to exit
@@ -138,7 +138,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 
 def _command_of(app: typer.Typer, requested: str) -> Any:
-    """Build the typer command; for a group, only the selected one, as each takes two milliseconds."""
+    """Build the typer command; in a group, only the selected one, since each takes two milliseconds."""
 
     def name_of(candidate: typer.models.CommandInfo) -> str:
         assert candidate.callback is not None
@@ -189,7 +189,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop output refused by a full disk or a closed pipe, so that the interpreter exits quietly."""
+    """Discard output rejected by a full disk or closed pipe, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Address at which a page is served to remote viewers over TLS."""
+"""Address for serving a page to remote viewers over TLS."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ READABLE_BY_OTHERS = 0o044
 
 @dataclass(frozen=True)
 class ViewersAddress:
-    """Address of this computer for remote viewers, and its TLS certificate."""
+    """This computer's address for remote viewers, with its TLS certificate."""
 
     address: str
     certificate: Path
@@ -73,11 +73,11 @@ class ViewersAddress:
         return socket.AF_INET6 if ":" in self.address else socket.AF_INET
 
     def host(self, port: int) -> str:
-        """Host as written in a URL and in the Host header."""
+        """Return the host as written in URLs and the Host header."""
         return f"[{self.address}]:{port}" if ":" in self.address else f"{self.address}:{port}"
 
     def context(self) -> ssl.SSLContext:
-        """TLS context. Raises CLI-001 unless the files are a certificate and its key."""
+        """Build the TLS context. Raises CLI-001 unless the files are a certificate and its key."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         try:
             context.load_cert_chain(self.certificate, self.key, password=lambda: "")
@@ -102,7 +102,7 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
 
 
 def viewers_address(bind: str | None, certificate: Path | None, key: Path | None) -> ViewersAddress | None:
-    """Build the viewers' address from the options; None if they name none. Raises CLI-001."""
+    """Build the viewers' address from the options, or return None without any. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
             raise UsageMistake("--certificate and --key require --bind")

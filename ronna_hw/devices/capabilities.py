@@ -37,20 +37,20 @@ class ByteSink(Protocol):
         ...
 
     def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
-        """Receive traffic, in order, that another process recorded since the last query."""
+        """Receive, in order, the traffic that another process has recorded since the last query."""
         ...
 
     def note(self, link: str, **facts: str | float) -> None:
-        """Receive facts about the link other than bytes: a new rate, lost bytes, an image of a stream."""
+        """Receive link facts other than bytes, such as a new rate, lost bytes or a streamed image."""
         ...
 
 
 @runtime_checkable
 class RecordsBytes(Protocol):
-    """Device whose driver passes on the bytes of its links."""
+    """Device whose driver can forward the bytes on its links."""
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        """Pass every byte to `sink` from the next `connect` on; None stops this."""
+        """Forward every byte to `sink` from the next `connect` on; None disables forwarding."""
         ...
 
 
@@ -59,7 +59,7 @@ MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowled
 
 @dataclass(frozen=True)
 class Fact:
-    """Condition reported by a device, such as `operating mode`, with the finding.
+    """Condition reported by a device, such as `operating mode`, and its finding.
 
     If it keeps a case from beginning, `ready` is False and `advice` says what to do.
     """
@@ -71,16 +71,16 @@ class Fact:
 
 
 def report_count(name: str, count: int) -> tuple[Fact, ...]:
-    """Report a driver's count as an unsolicited fact; nothing while it is 0."""
+    """Report a driver's non-zero count as an unsolicited fact."""
     return (Fact(name, str(count)),) if count else ()
 
 
 @runtime_checkable
 class TellsReadiness(Protocol):
-    """Device that reports details of its readiness beyond answering."""
+    """Device that reports its readiness in detail, beyond merely responding."""
 
     def readiness(self, timeout_s: float = 1.0) -> Sequence[Fact]:
-        """Read everything that decides whether the device can be activated. Allowed from CONNECTED.
+        """Read all conditions for activating the device. Allowed from CONNECTED.
 
         Moves nothing and changes nothing. Raises the errors of reading from the device.
         """

@@ -20,7 +20,7 @@ class WrongState(StateError):
 
 
 class MotionInterrupted(StateError):
-    """`stop` from elsewhere ended a motion early; the arm rests on its path in HOLD.
+    """A `stop` call from elsewhere ended a motion early; the arm is at rest on its path in HOLD.
 
     Each arm driver has its own subclass, with its code.
     """
@@ -66,21 +66,21 @@ class NoNewFrame(LinkTimeout):
 
 
 class UnknownTool(ConfigurationError, LookupError):
-    """The tracker has no tool of this name."""
+    """The tracker has no tool with this name."""
 
     code = "DEV-003"
     action = "Use the name of a tool in the tracker's options, or add the tool there."
 
 
 class NoPose(DataError):
-    """A reading has no pose, or none that can be trusted."""
+    """A reading has no pose, or its pose cannot be trusted."""
 
     code = "DEV-004"
     action = "Check the validity of the reading before using its pose."
 
 
 class BadStrays(DataError):
-    """The strays to group are not positions, or a grouping parameter is out of range."""
+    """The strays are not valid positions, or a grouping parameter is out of range."""
 
     code = "DEV-005"
     action = "Pass positions of three finite numbers in mm, a positive radius and a share between 0 and 1."

@@ -1,4 +1,4 @@
-"""Common interface and lifecycle of all devices, and activation for a block.
+"""Common device interface and lifecycle, and activation for the duration of a block.
 
 DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD; FAULT is latched
 and cleared only by an explicit `recover`, which re-reads the device; CLOSED is final. Reading is allowed from
@@ -57,7 +57,7 @@ _ALLOWED: dict[Lifecycle, set[Lifecycle]] = {  # and from each but CLOSED to CLO
 
 @dataclass(frozen=True)
 class Identity:
-    """Device identity as read at connect, never taken from the configuration."""
+    """Device identity as read on connecting, never taken from the configuration."""
 
     vendor: str
     model: str
@@ -68,7 +68,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class LastKnown(Generic[R_co]):
-    """Last known state, latched fault and reading; the stamp of the reading gives its age."""
+    """Last known state, latched fault and reading; the reading's stamp tells its age."""
 
     state: Lifecycle
     fault: RonnaError | None
@@ -100,12 +100,12 @@ class Device(Protocol):
 
     @property
     def fault(self) -> RonnaError | None:
-        """Error that latched FAULT; None in any other state."""
+        """Error that latched FAULT, or None in any other state."""
         ...
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations at `configure` that are not errors but matter to the operator."""
+        """Non-error observations from `configure` of interest to the operator."""
         ...
 
     def observe(self) -> LastKnown[object]:
@@ -117,7 +117,7 @@ class Device(Protocol):
         ...
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Activate the device for a block, from whatever state it is in; deactivate it on leaving.
+        """Activate the device for a `with` block, whatever its state, and deactivate it on exit.
 
         `hold_active` implements this for every driver.
         """
@@ -143,14 +143,14 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Read and configure the device again after a fault: FAULT -> CONFIGURED. `activate` comes next.
+        """Re-read and reconfigure the device after a fault: FAULT -> CONFIGURED. Call `activate` next.
 
         Moves nothing. Raises DEV-006 without a name.
         """
         ...
 
     def close(self) -> None:
-        """Close the connection in bounded time. Never raises because the peer is gone."""
+        """Close the connection in bounded time; a vanished peer raises no error."""
         ...
 
 
@@ -200,7 +200,7 @@ def _deactivate(device: Device, timeout_s: float) -> None:
 
 
 def require_person(name: str) -> str:
-    """Return the name of the acknowledging or confirming person; raises DEV-006 if it has no letters."""
+    """Validate and return a person's name; raises DEV-006 if it contains no letters."""
     if not any(map(str.isalpha, name)):
         raise PersonNotNamed(
             "an acknowledgement or confirmation needs the name of a person",
@@ -234,7 +234,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the state is one of `allowed`; a latched fault names its cause."""
+        """Raise DEV-001 unless the state is one of `allowed`; the error quotes any latched fault."""
         states = tuple(allowed)
         state, fault = self._now
         if state in states:

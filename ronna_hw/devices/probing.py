@@ -1,4 +1,4 @@
-"""Probes for diagnosing unresponsive devices and finding devices.
+"""Probes for finding devices and diagnosing unresponsive ones.
 
 `ronna-procedure doctor` and `new-theatre` show the findings. A driver's package declares its probe under the
 name of the driver::
@@ -39,7 +39,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One finding of the doctor: subject, verdict, observation, advice.
+    """Doctor finding: subject, verdict, observation, advice.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
     JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
@@ -61,7 +61,7 @@ def refusal(subject: str, error: RonnaError) -> Diagnostic:
 
 
 def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
-    """Report each fact as a finding of the doctor, with advice if it prevents a case."""
+    """Report each fact as a doctor finding, with advice if it prevents a case."""
     for fact in device.readiness():
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
@@ -139,7 +139,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 
 def explain_unreachable(endpoint: Endpoint) -> str:
-    """Explain why a TCP endpoint accepts no connection; returns an empty text if it does, or is not TCP."""
+    """Explain why a TCP endpoint refuses connections; empty if it accepts them or is not TCP."""
     if endpoint.scheme != "tcp":
         return ""
     try:
@@ -156,7 +156,7 @@ ONLY = ""  # role of the endpoint of a device with only one
 
 @dataclass(frozen=True)
 class Search:
-    """Places to search. Nothing is sent to any other line, network or address."""
+    """Scope of a device search; nothing is sent to any other line, network or address."""
 
     interfaces: tuple[Interface, ...] = ()
     lines: tuple[Endpoint, ...] = ()  # of trackers, serial or TCP
@@ -194,19 +194,19 @@ class Finder(Protocol):
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Find all devices of this kind, and explain the failure at every other given address.
+        """Find all devices of this kind, and explain why any other given address failed.
 
         Nothing moves and no setting is changed.
         """
         ...
 
     def example(self, search: Search) -> Proposal:
-        """Return an example table, with invented addresses, for a device that was not found."""
+        """Return an example table, with placeholder addresses, for a device that was not found."""
         ...
 
 
 def describe_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
-    """Describe the options of a driver, with the values of the chosen ones."""
+    """Describe a driver's options, including the chosen values."""
     return tuple(
         Option(
             name,

@@ -1,4 +1,4 @@
-"""Device readings as frozen records of plain numbers, with units in the names.
+"""Device readings as frozen records of plain numbers, with units in the field names.
 
 Missing data is expressed by the validity, never as NaN or zeros. Transforms are built from
 a reading on demand.
@@ -75,7 +75,7 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """Return the pose as `TRACKER <- source`; raises DEV-004 without a trustworthy pose.
+        """Return the pose as `TRACKER <- source`; raises DEV-004 if it is missing or untrustworthy.
 
         Raises FRM-001 for another target. Outside the measuring volume the tracker's error is not specified:
         use those numbers only for aiming.
@@ -100,7 +100,7 @@ class ToolReading:
 
 @dataclass(frozen=True)
 class StrayReading:
-    """Marker that belongs to no tool; it has no identity from frame to frame."""
+    """Marker not belonging to any tool; its identity does not persist between frames."""
 
     position_mm: Vector3
     validity: Validity
@@ -126,7 +126,7 @@ class TrackerFrame:
 
 @dataclass(frozen=True)
 class ArmReading:
-    """State of the arm: axes as measured by the controller, and commanded axes."""
+    """Arm state: axes as measured by the controller, and commanded axes."""
 
     stamp: Stamp
     validity: Validity
@@ -145,7 +145,7 @@ class ToolIdentity:
 
 @dataclass(frozen=True)
 class LinkStatistics:
-    """Health of the real-time link since activation. Times in microseconds of host time."""
+    """Real-time link statistics since activation, with times in microseconds of host time."""
 
     cycles: int
     late_cycles: int

@@ -1,4 +1,4 @@
-"""Interface of a six-axis arm that follows real-time corrections, and its motions as values."""
+"""Interface of a six-axis arm driven by real-time corrections, and its motions as value objects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointMove:
-    """Motion of all joints together, straight to `target_rad`.
+    """Synchronised motion of all joints, straight to `target_rad`.
 
     `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. A motion is a value,
     so that the motion previewed is the motion driven.
@@ -56,7 +56,7 @@ Motion = JointMove | LineMove
 
 
 class StopKind(StrEnum):
-    """Kind of stop. None is an emergency stop, which belongs to the controller."""
+    """Kind of stop, excluding the controller's own emergency stop."""
 
     HOLD = "hold"  # along the path, to rest; the stream continues
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
@@ -73,7 +73,7 @@ class OperatingMode(StrEnum):
 
 @runtime_checkable
 class ConfirmedStart(Protocol):
-    """Optional interface of an arm that may need a person's confirmation before `activate`."""
+    """Optional interface of an arm that may require a person's confirmation before `activate`."""
 
     @property
     def to_confirm(self) -> str | None:
@@ -84,7 +84,7 @@ class ConfirmedStart(Protocol):
         ...
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Confirm the last `to_confirm`, which permits only the next `activate`.
+        """Confirm the last `to_confirm`, permitting only the next `activate`.
 
         Raises DEV-006 without a name. Moves nothing.
         """
@@ -96,24 +96,24 @@ class RobotArm(Device, Protocol):
     """Robot arm. `activate` starts the correction stream, so the arm may move; `deactivate` ends it."""
 
     def observe(self) -> LastKnown[ArmReading]:
-        """Observe like `Device.observe`. The reading contains the axes last reported by the controller."""
+        """Same as `Device.observe`; the reading contains the axes last reported by the controller."""
         ...
 
     @property
     def kinematics(self) -> Kinematics:
-        """Nominal kinematics for lines, ranges and clearance; known in every state."""
+        """Nominal kinematics for lines, ranges and clearance; available in every state."""
         ...
 
     @property
     def operating_mode(self) -> OperatingMode:
-        """Mode of the running stream, or the last one reported. AUTOMATIC before any report.
+        """Mode of the running stream, or the last reported mode; AUTOMATIC until one is reported.
 
         Passive; allowed in every state.
         """
         ...
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
-        """Return the motion limits in an operating mode, by default the current one; known in every state.
+        """Return the motion limits of an operating mode (default: the current one); available in every state.
 
         Motions, previews and the monitor keep to exactly these.
         """
@@ -171,7 +171,7 @@ class RobotArm(Device, Protocol):
         ...
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Bring the arm to rest. May be called from another thread than the motion.
+        """Stop the arm; may be called from a different thread than the motion.
 
         No motion begins while it is carried out: it raises StateError or MotionInterrupted. A start under way
         fails, or ends in HOLD.

@@ -1,4 +1,4 @@
-"""Interfaces of the sensors: an optical tracker of tools and strays, and a triggered camera pair."""
+"""Sensor interfaces: an optical tracker for tools and strays, and a triggered camera pair."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class OpticalTracker(Device, Protocol):
         ...
 
     def observe(self) -> LastKnown[TrackerFrame]:
-        """Observe like `Device.observe`; the reading is the last frame."""
+        """Same as `Device.observe`; the reading is the last frame."""
         ...
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
@@ -62,7 +62,7 @@ class TimedTracker(Protocol):
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """Times from request to reply of recent frames, without transfer, newest last.
+        """Request-to-reply times of recent frames, excluding transfer, newest last.
 
         Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
         runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
@@ -83,7 +83,7 @@ class StereoPair(Device, Protocol):
         ...
 
     def observe(self) -> LastKnown[StereoReading]:
-        """Observe like `Device.observe`; the reading is the last pair."""
+        """Same as `Device.observe`; the reading is the last pair."""
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
@@ -95,7 +95,7 @@ class StereoPair(Device, Protocol):
         ...
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Multiply the exposure last configured or set by `share` on both cameras; 1.0 restores it."""
+        """Scale both cameras' last configured or set exposure by `share`; 1.0 restores it."""
         ...
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
@@ -109,7 +109,7 @@ ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms
 def new_frames(
     tracker: OpticalTracker, count: int | None = None, *, timeout_s: float = 1.0
 ) -> Iterator[TrackerFrame]:
-    """Yield `count` new measurements, or endless ones; STALE repeats are skipped.
+    """Yield `count` new measurements, or endlessly if None, skipping STALE repeats.
 
     `timeout_s` is host time for each. Raises DEV-009 when the tracker delivers no new measurement in time,
     and the errors of `read_frame`.

@@ -39,7 +39,7 @@ class StrayGroup:
 
 @dataclass(frozen=True)
 class StrayAverage:
-    """Averaged strays of some frames: `groups` are spheres, `rejected` were in too few frames."""
+    """Averaged strays: `groups` are spheres, `rejected` appeared in too few frames."""
 
     groups: tuple[StrayGroup, ...]
     rejected: tuple[StrayGroup, ...]

@@ -61,7 +61,7 @@ FINISH_IT = (
 
 @dataclass(frozen=True)
 class Problem:
-    """File that differs from the state left by the run, and how.
+    """Difference between a file and the state in which the run left it.
 
     `unfinished`: only because the run did not reach its end, or a report file is to be made anew. `beside`:
     nothing written by the run is affected (its folder was renamed, or a file added). `out_of_reach`: an input
@@ -76,7 +76,7 @@ class Problem:
 
     @property
     def is_account_file(self) -> bool:
-        """Whether the file is the journal, the request or a record, and not as written."""
+        """Whether the problem affects the journal, the request or a record."""
         of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
         return of_it and not self.beside
 
@@ -85,7 +85,7 @@ class Problem:
 
 
 class KnownRecord(NamedTuple):
-    """Hash and CT series of a record named earlier in the journal."""
+    """Hash and CT series of a record listed earlier in the journal."""
 
     sha256: str
     series: str | None
@@ -93,7 +93,7 @@ class KnownRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Inspection:
-    """Result of an inspection: the journal of a run, its matching records, and all problems."""
+    """Inspection result: the run's journal, its matching records, and all problems."""
 
     folder: Path
     chain: Chain
@@ -109,12 +109,12 @@ class Inspection:
 
     @property
     def changes(self) -> tuple[Problem, ...]:
-        """Problems other than those of an unfinished run."""
+        """Problems not explained by an unfinished run."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
     @property
     def not_as_left(self) -> dict[str, str | None]:
-        """Changed, missing and added files with their last known hash; None without one.
+        """Changed, missing and added files, mapped to their last known hash or None.
 
         Excluded are files that every program continues, such as the log, unless added. A renamed folder is
         excluded too: every reading finds it.
@@ -132,7 +132,7 @@ class Inspection:
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """Return the inspection, or raise PRO-033 if journal, request or records changed.
+        """Return the inspection, or raise PRO-033 if the journal, the request or a record changed.
 
         Homing needs them.
         """
@@ -143,7 +143,7 @@ class Inspection:
         return self._require(self.problems, None if self.changes else FINISH_IT)
 
     def require_content(self, name: str, content: bytes) -> bytes:
-        """Return content read after the check; raise PRO-033 if its file was exchanged since."""
+        """Return content read after the check, or raise PRO-033 if the file has been replaced since."""
         named = self.manifest.files if self.chain.is_closed else {}
         changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
         if what := "changed" if changed else self.manifest.describe_truth_difference(name, content):
@@ -162,7 +162,7 @@ class Inspection:
 
 
 def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
-    """Check a run folder; never raises because of its content.
+    """Check a run folder; never raises, whatever its contents.
 
     Without `every_file` only the journal (also against the seal), the records, and those of `files` that
     exist are checked, which takes milliseconds.
@@ -260,7 +260,7 @@ def _find_mismatches(
 
 
 def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
-    """Find problems with the request, pictures, truth, and files named by the journal's end or the seal."""
+    """Find problems with the request, pictures, truth, and files listed by the journal's end or the seal."""
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.request | manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))
@@ -305,7 +305,7 @@ def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Pro
 
 
 def _find_foreign_logs(folder: Path, chain: Chain) -> Iterator[Problem]:
-    """Report log and events of another run, which the journal does not name: only a seal covers them."""
+    """Report logs and events of another run; only a seal covers them, since the journal omits them."""
     run = chain.lines[0].get("run")
     for name in LOG_FILES:
         with suppress(OSError):
@@ -315,7 +315,7 @@ def _find_foreign_logs(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 
 def _find_run_name(log: Path) -> object:
-    """Return the run that a log or a file of events names first; None if its beginning names none."""
+    """Return the run first mentioned in a log or event file, or None if its beginning mentions none."""
     with open_regular(log) as file:
         beginning = file.read(CHUNK_BYTES)
     for line in beginning.splitlines()[:MOST_LINES_BEFORE_NAME]:
@@ -372,7 +372,7 @@ def _report_added_files(names: Sequence[str], *, sealed: bool = True) -> Iterato
 
 
 def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
-    """Compare files of the folder with their hashes; with `inputs`, also outside files by full path."""
+    """Compare files in the folder with their hashes; `inputs` adds outside files, by full path."""
     remaining_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():
         if wrong := explain_bad_name(name.removeprefix("/") if inputs else name):
@@ -394,7 +394,7 @@ def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = Fal
 
 
 def explain_bad_name(name: str) -> str:
-    """Explain why a name is not that of a run file: it leads outside, or is not normalised."""
+    """Explain why a name is invalid for a run file: it leads outside, or is not normalised."""
     path = PurePosixPath(name)
     leads_elsewhere = path.is_absolute() or ".." in path.parts
     return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""

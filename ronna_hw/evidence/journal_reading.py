@@ -17,14 +17,14 @@ from ronna_hw.errors import RefusedError, RonnaError
 
 
 class JournalCorrupt(RonnaError):
-    """The chain of a journal is broken: a line was changed, lost or torn in the middle."""
+    """The hash chain of a journal is broken: a line was changed, lost or truncated in the middle."""
 
     code = "PRO-011"
     action = "Do not rely on this run; keep the folder as it is for analysis."
 
 
 class RunChanged(RefusedError):
-    """Files of a run were changed after the run."""
+    """Files of a run were changed after it ended."""
 
     code = "PRO-033"
     action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
@@ -73,14 +73,14 @@ ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 def theatre_time_s(line: Line) -> float:
-    """Return the theatre time of a journal line; 0 if it has none."""
+    """Return the theatre time of a journal line, or 0 if it has none."""
     value = line.get("theatre_time_s")
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Complete lines of a journal, their length in bytes, and the SHA-256 of the last one."""
+    """Complete lines of a journal, with their length in bytes and the SHA-256 of the last one."""
 
     lines: tuple[Line, ...] = ()
     size: int = 0
@@ -94,7 +94,7 @@ class Chain:
 
 
 def read_chain(path: Path) -> Chain:
-    """Read the lines of a journal in order, and its torn end; raises PRO-011 for a broken chain."""
+    """Read the lines of a journal in order, and its truncated end; raises PRO-011 for a broken chain."""
     chain, broken = read_chain_until_break(path)
     if broken is not None:
         raise broken
@@ -102,7 +102,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
-    """Read the chain up to a broken line, and return the break, if any. Raises INP-001, OSError."""
+    """Read the chain up to the first broken line, and return any break. Raises INP-001, OSError."""
     content = read_json_lines(path, follow_links=False)
     lines: list[Line] = []
     size, broken = 0, None
@@ -119,7 +119,7 @@ def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
 
 
 def read_journal(path: Path) -> Iterator[Line]:
-    """Read the lines of a journal in order, without a torn end; raises PRO-011 for a broken chain."""
+    """Read the lines of a journal in order, omitting a truncated end; raises PRO-011 for a broken chain."""
     for line, _ in _iterate_lines(read_json_lines(path, follow_links=False), path.name):
         yield line
 
@@ -153,7 +153,7 @@ def _parse_line(line: bytes) -> dict[str, JournalValue] | None:
 
 
 def _is_torn(rest: bytes) -> bool:
-    """Return whether a crash can have left these bytes after the last complete line."""
+    """Return whether a crash could have left these bytes after the last complete line."""
     *whole, last = rest.split(b"\n", MOST_TORN_LINES)
     if b"\0" not in rest and (whole or not last):
         return False

@@ -1,4 +1,4 @@
-"""Manifest of a run: its file names with their SHA-256. Only this module writes and reads it.
+"""Manifest of a run: its file names and SHA-256 hashes. Only this module writes and reads it.
 
 It has two parts. The lines of the journal state the files that existed when they were written: inputs of the
 run and of its results, pictures, and the truth of a simulated theatre so far. The last line names every file
@@ -60,19 +60,19 @@ LARGEST_TRUTH_BYTES = 10_000_000  # ten times what the verifier reads
 
 
 def read_hashes(line: Line, field: str) -> dict[str, str]:
-    """Return the file names and hashes in a field of a journal line; an empty dict without the field."""
+    """Return the file names and hashes in a field of a journal line, or an empty dict without the field."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
 
 
 def count_names(lines: Iterable[Line]) -> int:
-    """Count the files named in the journal."""
+    """Count the files listed in the journal."""
     fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
     return sum(len(read_hashes(line, field)) for line in lines for field in fields)
 
 
 class StatedTruth(NamedTuple):
-    """Last stated length and SHA-256 of a truth file, and whether a step has begun since."""
+    """Last recorded length and SHA-256 of a truth file, and whether a step has begun since."""
 
     length: int
     sha256: str
@@ -80,7 +80,7 @@ class StatedTruth(NamedTuple):
 
 
 class Manifest:
-    """Files of a run by name, with the SHA-256 stated in the journal.
+    """Files of a run by name, with the SHA-256 recorded in the journal.
 
     `files` and `outside_files` are those of the last `closed` line, in the run's folder and elsewhere.
     `initial_inputs` are the inputs at the last opening of the run. `result_inputs` are those of the standing
@@ -138,7 +138,7 @@ class Manifest:
 
     @property
     def lasting_files(self) -> dict[str, str]:
-        """Files of an open run that must be unchanged since the journal named them.
+        """Files of an open run that must be unchanged since the journal listed them.
 
         Inputs of results are left out: resuming the run compares their content.
         """
@@ -172,7 +172,7 @@ class Manifest:
                     yield name, what
 
     def describe_truth_difference(self, name: str, content: bytes) -> str:
-        """Describe how a truth file differs from the journal; an empty text if it matches or is not named."""
+        """Describe how a truth file differs from the journal; empty if it matches or is not listed."""
         if name not in self.truth:
             return ""
         size, sha256, step_begun = self.truth[name]
@@ -188,7 +188,7 @@ def _hash_of(name: str, sha256: JournalValue) -> dict[str, str]:
 
 
 def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
-    """Return the hashes for the end of a run, keeping earlier ones of files that were not as left.
+    """Return the hashes for the end of a run, keeping earlier ones of files that changed unexpectedly.
 
     A file that never had one is omitted: it counts as added until somebody removes it.
     """
@@ -197,7 +197,7 @@ def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | 
 
 
 def sha256_of(path: Path) -> str:
-    """Hash a file. Raises OSError, also if it is not a regular file or too large for a run."""
+    """Hash a file. Raises OSError, including for a non-regular file or one too large for a run."""
     found = hashlib.sha256()
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -227,12 +227,12 @@ def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def list_unchecked_folders(folder: Path) -> list[str]:
-    """List the folders inside a run's folder that are not part of the run and not checked."""
+    """List the subfolders of a run's folder that are not part of the run and not checked."""
     return [name for name in APART if (folder / name).is_dir()]
 
 
 def is_written_later(name: str) -> bool:
-    """Return whether a file with this name is also written after the run is closed."""
+    """Return whether a file with this name may be written after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
 
 
@@ -242,7 +242,7 @@ def is_regenerated(name: str) -> bool:
 
 
 def is_of_report(name: str) -> bool:
-    """Whether a file belongs to the report, the check after the operation included."""
+    """Return whether a file belongs to the report, including the postoperative check."""
     return name == REPORT_FILE or name.startswith("report/")
 
 
@@ -257,7 +257,7 @@ def hash_files_at_closing(folder: Path) -> dict[str, str]:
 
 
 def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hash the files and whole folders outside a run that it used, by path."""
+    """Hash the outside files and folders used by a run, keyed by path."""
     hashes = {}
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
@@ -281,7 +281,7 @@ def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
-    """Build the journal field with length and hash of the truth files. A real theatre has none."""
+    """Build the journal field with lengths and hashes of the truth files; a real theatre has none."""
     known: dict[str, JournalValue] = {}
     for name in TRUTH_FILES:
         with suppress(OSError), open_regular(folder / name) as file:
@@ -291,7 +291,7 @@ def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
 
 
 class Seal(BaseModel):
-    """Content of `seal.json`. `own_sha256` is the hash of all other fields."""
+    """Contents of `seal.json`. `own_sha256` is the hash of all other fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -321,7 +321,7 @@ def seal(
     apart: Collection[str] = (),
     kept: Mapping[str, str] | None = None,
 ) -> None:
-    """Seal every file that is neither in `closed`, the last line of the journal, nor in `apart`.
+    """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
 
     Files in `kept` keep these hashes. Raises OSError.
     """
@@ -338,7 +338,7 @@ def seal(
 
 
 def seal_report(folder: Path, *, finished: bool = True) -> None:
-    """Renew the part of a seal that covers the report; every other file keeps the hash of its sealing.
+    """Renew the report part of a seal; all other files keep the hashes from their sealing.
 
     Before a report is replaced it is not `finished`: the seal covers no part of it. Raises OSError.
     """
@@ -352,7 +352,7 @@ def seal_report(folder: Path, *, finished: bool = True) -> None:
 
 
 def read_seal(folder: Path) -> Seal | None:
-    """Read the seal of a run; None if it is missing, unreadable or changed."""
+    """Read the seal of a run, or return None if it is missing, unreadable or changed."""
     try:
         content = read_json_bytes(folder / SEAL_FILE, follow_links=False)
         found = Seal.model_validate_json(content)
@@ -368,7 +368,7 @@ def is_sealed(folder: Path) -> bool:
 
 
 def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yield files that the run itself can have written; anything else was added."""
+    """Yield files possibly written by the run itself; any others were added."""
     for name, path in iterate_files(folder):
         status = path.lstat()
         regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES
@@ -377,7 +377,7 @@ def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a name is UTF-8; others cannot be written in the JSON of the seal."""
+    """Return whether a name is valid UTF-8, as the JSON of the seal requires."""
     try:
         name.encode()
     except UnicodeEncodeError:

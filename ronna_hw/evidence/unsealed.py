@@ -1,4 +1,4 @@
-"""Unsealed files of a killed and resumed run, which nothing vouches for since the kill.
+"""Unsealed files of a killed and resumed run, unverified since the kill.
 
 The next seal also covers the log of the killed program, and would hide that it could have been changed in
 between. So the journal lists the files that lay there without a seal.
@@ -27,7 +27,7 @@ REPORT = "report"  # made anew at every end
 
 
 def unsealed(found: Inspection) -> dict[str, int | None]:
-    """Return the files, with lengths, confirmed by neither journal nor seal, except reported problems.
+    """Return files, with lengths, confirmed by neither journal nor seal, except those already reported.
 
     Missing files that every closed run leaves have None as length.
     """
@@ -55,14 +55,14 @@ def unsealed(found: Inspection) -> dict[str, int | None]:
 
 
 def describe_unconfirmed_files(found: Inspection) -> Iterator[str]:
-    """Describe in sentences what nothing vouches for in a run whose last end has no seal."""
+    """Describe, in sentences, the unverified files of a run whose last end has no seal."""
     if found.chain.lines and not is_sealed(found.folder) and (files := unsealed(found)):
         named = ", ".join(_name_files(files))
         yield f"not vouched for: {named}: the run has no seal, and a change since would not show"
 
 
 def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
-    """Describe the files that the seal covers without vouching for them, in sentences."""
+    """Describe, in sentences, the files that the seal covers without vouching for them."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
@@ -73,7 +73,7 @@ def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
 
 
 def _name_files(files: Mapping[str, object]) -> Iterator[str]:
-    """Name files; several in one folder are only counted."""
+    """List files by name, giving only a count where a folder has several."""
     folders: dict[str, list[str]] = {}
     for name in map(str, files):
         folders.setdefault(str(PurePosixPath(name).parent), []).append(name)

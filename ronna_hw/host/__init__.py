@@ -1,1 +1,1 @@
-"""Host computer: processes, memory, files, networks and ports."""
+"""Host computer facilities: processes, memory, files, networks and ports."""

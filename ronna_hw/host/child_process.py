@@ -1,4 +1,4 @@
-"""Commands as child processes: wait for READY or exit, always terminate, detect a hang.
+"""Commands as child processes: awaiting READY or exit, guaranteed termination, and hang detection.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
 dies. The end of its standard error is kept for the message if it fails. Even on a busy computer a working
@@ -37,14 +37,14 @@ OUTPUT_POLL_S = 0.1  # host time
 
 
 class ChildNotReady(LinkTimeout):
-    """A child process ended or stayed silent instead of becoming ready."""
+    """A child process ended or fell silent before becoming ready."""
 
     code = "PRC-001"
     action = "Run the command alone to see why it stops."
 
 
 def timeout_error(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
-    """Build the error of a process that ran for `late_s`, or if None, used no processor time for `idle_s`."""
+    """Build the error for a process overdue by `late_s` or, if None, idle for `idle_s`."""
     if late_s is not None:
         return ChildNotReady(what, limit=f"{late_s:g} s", action=TOO_SLOW)
     return ChildNotReady(what, limit=f"{idle_s:g} s without using the processor", action=HANGS)
@@ -56,7 +56,7 @@ def command(module: str, *arguments: str) -> list[str]:
 
 
 class ChildProcess:
-    """Running child process. `ready` is the content of its READY line."""
+    """Running child process. `ready` holds the fields of its READY line."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class ChildProcess:
         inherited: Sequence[int] = (),
         on_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the process and wait until ready; raises PRC-001. `on_message` receives its messages.
+        """Start the process and wait until it is ready; raises PRC-001. `on_message` receives its messages.
 
         `inherited` are descriptors passed to it. With `timeout_s` None there is no wait, so that several can
         start in parallel: `await_ready` must follow.
@@ -106,7 +106,7 @@ class ChildProcess:
         since: float | None = None,
         idle_s: float = IDLE_TIMEOUT_S,
     ) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the last messages, ending the child within `stop_s`.
+        """Wait for the READY line; raises PRC-001 with the last messages and ends the child within `stop_s`.
 
         `since` is the monotonic time from which the limit counts, for children that share one; by default
         now. A child without processor time for `idle_s` has failed.
@@ -147,7 +147,7 @@ class ChildProcess:
         return tuple(self._messages)
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
-        """End the process and its descendants: SIGTERM, then SIGKILL. Never raises; may be called twice."""
+        """End the process and its descendants: SIGTERM, then SIGKILL. Never raises; safe to call twice."""
         ended_before = not self.alive
         if not ended_before:
             self.process.terminate()
@@ -228,7 +228,7 @@ def await_end(
 
 
 class ProcessorUse:
-    """Observer of the processor time used by a process and its descendants."""
+    """Monitor for the processor time used by a process and its descendants."""
 
     def __init__(self, number: int) -> None:
         self._number = number  # of the process
@@ -259,7 +259,7 @@ def _processor_time_s(number: int) -> float:
 
 
 def descendants_of(number: int) -> list[psutil.Process]:
-    """List the descendants of a process; call before it ends, since they become orphans afterwards.
+    """List the descendants of a process; call before it ends and orphans them.
 
     A halted process reacts only to SIGKILL, not even to the death of its parent.
     """
@@ -273,7 +273,7 @@ def descendants_of(number: int) -> list[psutil.Process]:
 
 
 def kill_all(processes: list[psutil.Process]) -> None:
-    """Kill processes; never raises, even for those that have ended."""
+    """Kill processes; never raises, even if some have already ended."""
     import psutil
 
     for process in processes:

@@ -1,4 +1,4 @@
-"""Handling of files and folders that other users may have tampered with, and of file permissions.
+"""Safe handling of files and folders that other users may have tampered with, and file permissions.
 
 A run folder contains a patient's CT, plan, journal and report, so others may not read what a command writes.
 """
@@ -21,7 +21,7 @@ NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
 
 def open_regular(path: Path, *, follow_links: bool = False) -> BinaryIO:
-    """Open a file for reading; never blocks. Raises OSError, also for a pipe or a device.
+    """Open a file for reading without blocking. Raises OSError, including for a pipe or device.
 
     A link raises OSError too, unless `follow_links`.
     """
@@ -72,7 +72,7 @@ def walk(folder: Path, *, excluded: Collection[str] = ()) -> Iterator[WalkedPath
 
 
 def remove_folder(folder: Path) -> bool:
-    """Remove a folder with its content; returns whether it succeeded."""
+    """Remove a folder and its contents; returns whether it succeeded."""
     with suppress(OSError, RecursionError):  # the second for a chain of folders without end
         shutil.rmtree(folder)
     return not folder.exists()
@@ -84,7 +84,7 @@ _UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 07
 
 @contextmanager
 def restrict_new_files() -> Iterator[None]:
-    """Restrict new files in the block, also those of child processes, to this user whatever the umask.
+    """Make files created in the block, including by child processes, private regardless of the umask.
 
     `RONNA_ACCESS=group` also admits the folder's group, for a folder that a lab shares. Raises ValueError for
     any other word.
@@ -100,14 +100,14 @@ def restrict_new_files() -> Iterator[None]:
 
 
 class TooFewOpenFiles(RonnaError):
-    """The system limits open files and sockets to fewer than this task needs."""
+    """The system's limit on open files and sockets is too low for this task."""
 
     code = "PRC-002"
     action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
 
 
 def require_open_files(needed: int) -> None:
-    """Raise PRC-002 if this many files cannot be open; raises a soft limit as far as necessary."""
+    """Raise the soft limit so that `needed` files can be open at once, or raise PRC-002."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return

@@ -1,4 +1,4 @@
-"""Networks of this computer: interfaces, per-process loopback addresses, and link peers."""
+"""Network facilities of this computer: interfaces, per-process loopback addresses, and link peers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Interface:
         return IPv4Address(self.address).is_loopback
 
     def reaches(self, address: str) -> bool:
-        """Return whether an address is in the subnet; False for a host name."""
+        """Return whether an address is in the subnet; False for host names."""
         try:
             return IPv4Address(address) in IPv4Network(f"{self.address}/{self.prefix}", strict=False)
         except ValueError:
@@ -53,7 +53,7 @@ def interfaces() -> tuple[Interface, ...]:
 
 
 def find_interface(local_address: str) -> Interface | None:
-    """Find the interface with this address, else the one whose subnet contains it; None without any."""
+    """Find the interface with this address, or whose subnet contains it, or return None."""
     all_interfaces = interfaces()
     exact = (entry for entry in all_interfaces if entry.address == local_address)
     return next(exact, next((entry for entry in all_interfaces if entry.reaches(local_address)), None))
@@ -89,7 +89,7 @@ _MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6, on a lit
 
 
 def find_account(peer: Place, here: Place) -> int | None:
-    """Return the user id of the program at `peer` of a TCP connection to listening socket `here`.
+    """Return the user id of the program at `peer` connected to the listening TCP socket `here`.
 
     None if that end is closed, or on another computer. The kernel is asked for this one connection
     (sock_diag(7)), at a cost independent of their number. Anybody can fill /proc/net/tcp with thousands, so
@@ -105,7 +105,7 @@ def find_account(peer: Place, here: Place) -> int | None:
 
 
 def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
-    """Return account and inode of the socket with these ends; None without one. Raises OSError."""
+    """Return the account and inode of the socket between these addresses, or None. Raises OSError."""
     addresses = (socket.inet_aton(address) for address, _ in (local, remote))
     wanted = _SOCKET.pack(*_ports(local, remote), *addresses, 0, _NO_COOKIE)
     question = _QUESTION.pack(socket.AF_INET, socket.IPPROTO_TCP, 0, _ALL_STATES) + wanted

@@ -1,4 +1,4 @@
-"""Processes that use a serial port, network port or lock, as far as this user may see them.
+"""Processes using a serial port, network port or lock, as far as this user can see.
 
 Who may use a serial port is stated in the words of its mode, owner and group.
 """
@@ -37,7 +37,7 @@ class PortUser:
 
 
 def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
-    """List other processes with this port open, except the master side of a pseudo-terminal."""
+    """List other processes that have this port open, except the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
     except OSError:
@@ -52,7 +52,7 @@ def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
 
 
 def find_udp_port_user(address: str, port: int) -> PortUser | None:
-    """Find the local process bound to a UDP port; None if there is none, or it is hidden."""
+    """Find the local process bound to a UDP port, or return None if there is none or it is hidden."""
     for connection in psutil.net_connections(kind="udp4"):
         if connection.pid and connection.laddr.port == port and connection.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(connection.pid, _describe_process(connection.pid))
@@ -60,7 +60,7 @@ def find_udp_port_user(address: str, port: int) -> PortUser | None:
 
 
 def find_tcp_listener(address: str, port: int) -> PortUser | None:
-    """Find the local process listening on a TCP port; None if there is none, or it is hidden."""
+    """Find the local process listening on a TCP port, or return None if there is none or it is hidden."""
     for connection in psutil.net_connections(kind="tcp4"):
         listens = connection.status == psutil.CONN_LISTEN and connection.laddr.port == port
         if connection.pid and listens and connection.laddr.ip in (address, ANY_ADDRESS):
@@ -69,7 +69,7 @@ def find_tcp_listener(address: str, port: int) -> PortUser | None:
 
 
 def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
-    """Find other local processes connected to a TCP port, here or elsewhere."""
+    """Find other local processes connected to a TCP port, local or remote."""
     try:
         there = (socket.gethostbyname(host), port)
     except OSError:
@@ -87,7 +87,7 @@ def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
 
 
 def find_lock_holder(file: int) -> PortUser | None:
-    """Find the process that holds the `flock` of an open file, with its terminal; None if hidden.
+    """Find the process holding the `flock` on an open file, with its terminal, or return None if hidden.
 
     psutil does not know locks.
     """
@@ -105,7 +105,7 @@ def find_lock_holder(file: int) -> PortUser | None:
 
 
 def _open_devices(pid: int) -> Iterator[Path]:
-    """List open devices of a process from /proc, since psutil's `open_files` lists regular files only."""
+    """List a process's open devices from /proc, since psutil's `open_files` omits them."""
     with contextlib.suppress(OSError):
         for file in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
@@ -120,7 +120,7 @@ def _is_device(file: Path, device: int) -> bool:
 
 
 def _is_master_of(file: Path, device: int) -> bool:
-    """Return whether a process has the master side of the pseudo-terminal `device`."""
+    """Return whether a process has the master side of the pseudo-terminal `device` open."""
     if not _FIRST_MAJOR <= os.major(device) <= _LAST_MAJOR:
         return False
     index = (os.major(device) - _FIRST_MAJOR) * 256 + os.minor(device)
@@ -144,7 +144,7 @@ def _describe_process(pid: int) -> str:
 
 
 def describe_permissions(path: str) -> str:
-    """Return mode, owner and group of a port, in the form of `ls -l`."""
+    """Return the mode, owner and group of a port in `ls -l` format."""
     try:
         status = os.stat(path)
     except OSError as error:
@@ -153,7 +153,7 @@ def describe_permissions(path: str) -> str:
 
 
 def advise_on_permission(path: str) -> str:
-    """Explain who may use a port, and how to obtain permission."""
+    """Explain who may use a port and how to obtain permission."""
     try:
         status = os.stat(path)
     except OSError:

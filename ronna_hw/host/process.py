@@ -1,4 +1,4 @@
-"""Current process: start, parent, packages, threads, and termination signals.
+"""The current process: start, parent, packages, threads, and termination signals.
 
 Import it before anything heavy: an import may outlast the parent, whose number is noted here.
 
@@ -34,7 +34,7 @@ def suspend_garbage_collection() -> None:
 
 
 def resume_garbage_collection() -> None:
-    """Exempt all existing objects from later collections, and resume collecting."""
+    """Exempt all existing objects from later collections, and resume garbage collection."""
     gc.freeze()
     gc.enable()
 
@@ -50,7 +50,7 @@ class ParentProcess(NamedTuple):
 
     @property
     def is_gone(self) -> bool:
-        """Whether the parent has died, possibly before it was noted; init adopts orphans."""
+        """Whether the parent has died, possibly before it was recorded; init adopts orphans."""
         return self.gone_at_start or os.getppid() != self.pid
 
 
@@ -70,7 +70,7 @@ OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
 
 
 class ForeignPackage(ConfigurationError):
-    """Another package of the same name on the path shadows one of ours."""
+    """Another package with the same name on the path shadows one of ours."""
 
     code = "CFG-003"
     action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
@@ -149,7 +149,7 @@ def defer_interruption() -> Iterator[None]:
 
 @contextmanager
 def allow_interruption() -> Iterator[None]:
-    """Let termination signals raise KeyboardInterrupt in the block, even if ignored outside it."""
+    """Make termination signals raise KeyboardInterrupt in the block, even if ignored outside it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -163,7 +163,7 @@ def allow_interruption() -> Iterator[None]:
 
 @contextmanager
 def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Route termination signals to `handler` in the block; main thread only."""
+    """Route termination signals to `handler` within the block; main thread only."""
     before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
     try:
         yield
@@ -174,7 +174,7 @@ def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterato
 
 @contextmanager
 def shield_children() -> Iterator[None]:
-    """Block SIGINT in processes started within the block, by inheritance.
+    """Block SIGINT in processes started within the block, through signal-mask inheritance.
 
     Their own session, which hides the other signals of the terminal, begins only after the fork.
     """

@@ -1,4 +1,4 @@
-"""Scheduling and memory locking for a real-time process; the system may refuse either."""
+"""Scheduling and memory locking for real-time processes; the system may refuse either."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def lock_memory() -> bool:
 
 
 def request_priority(priority: int) -> bool:
-    """Request priority over all ordinary processes (SCHED_FIFO); returns whether granted.
+    """Request real-time priority (SCHED_FIFO) over all ordinary processes; returns whether granted.
 
     Priority 0 requests nothing.
     """
@@ -43,7 +43,7 @@ def request_priority(priority: int) -> bool:
 
 
 def make_sleep_precise() -> None:
-    """Make short sleeps precise (timer slack), also at ordinary priority."""
+    """Make short sleeps precise by reducing the timer slack, even at ordinary priority."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
 
@@ -56,7 +56,7 @@ def stop_garbage_collection() -> None:
 
 
 def signal_on_parent_death() -> None:
-    """Request a signal when the thread that started this process ends.
+    """Request a signal for when the thread that started this process ends.
 
     Its handler must check the parent process.
     """
@@ -68,7 +68,7 @@ SURE_AFTER_TELEGRAMS = 2  # consecutive, on the same other processor; a single o
 
 
 class ProcessorAffinity:
-    """Placement of the calling thread: beside a paced sender, or away from a sender in lock-step.
+    """CPU placement of the calling thread: near a paced sender, or away from a lock-step sender.
 
     `follow`: waking up on the processor that receives the telegrams needs no interrupt to another, possibly
     halted, processor, and the telegram is still in the caches. `avoid`: with priority over all others the
@@ -85,7 +85,7 @@ class ProcessorAffinity:
         self._consecutive = 0
 
     def follow(self, processor: int) -> None:
-        """Note the processor that received a telegram (-1: unknown), and move there once it is stable."""
+        """Record the processor that received a telegram (-1: unknown), and move there once it is stable."""
         if processor == self._pinned_to or not self._follows:
             return
         self._consecutive = self._consecutive + 1 if processor == self._last else 1
@@ -95,7 +95,7 @@ class ProcessorAffinity:
             self._pinned_to, self._avoided = processor, None
 
     def avoid(self, processor: int) -> None:
-        """Keep off the sender's processor (-1: unknown)."""
+        """Avoid the sender's processor (-1: unknown)."""
         if not self._follows or processor == self._avoided or processor not in self._allowed:
             return
         self._restrict(self._allowed - {processor})

@@ -1,4 +1,4 @@
-"""Shared memory block with assigned locations, tables of `NamedTuple` rows, and a byte ring.
+"""Shared-memory block with allocated locations, tables of `NamedTuple` rows, and a byte ring.
 
 None of the locations overlap, and no offset is written by hand. Each has one writer. Single words are aligned
 and need nothing more. A checked row or text has a checksum: a reader that finds it half written retries, and
@@ -34,7 +34,7 @@ RowT = TypeVar("RowT", bound=tuple[Any, ...])
 
 
 class MemoryMap:
-    """Allocator of locations in a block, which starts with a mark identifying its owner.
+    """Allocator for locations in a block that begins with its owner's mark.
 
     `size_bytes` grows with every location.
     """
@@ -52,35 +52,35 @@ class MemoryMap:
         return bool(memory[: len(self.mark)] == self.mark)
 
     def word(self, code: str = "Q") -> Word:
-        """Assign one aligned number with a struct code."""
+        """Allocate an aligned number with a struct code."""
         return Word(code, self._take(ALIGNMENT_BYTES))
 
     def rows(self, row: type[RowT], count: int = 1) -> Rows[RowT]:
-        """Assign `count` plain rows."""
+        """Allocate `count` plain rows."""
         place = Rows(row, self.size_bytes, count)
         self._take(place.size_bytes)
         return place
 
     def checked_row(self, row: type[RowT]) -> CheckedRow[RowT]:
-        """Assign a row behind a checksum."""
+        """Allocate a checksummed row."""
         place = CheckedRow(row, self.size_bytes)
         self._take(place.size_bytes)
         return place
 
     def checked_bytes(self, capacity_bytes: int) -> CheckedBytes:
-        """Assign bytes of variable length behind a checksum."""
+        """Allocate checksummed bytes of variable length."""
         place = CheckedBytes(self.size_bytes, capacity_bytes)
         self._take(place.size_bytes)
         return place
 
     def counters(self, count: int) -> Counters:
-        """Assign a row of unsigned 64-bit counters."""
+        """Allocate a row of unsigned 64-bit counters."""
         place = Counters(self.size_bytes, count)
         self._take(place.size_bytes)
         return place
 
     def plain_bytes(self, size_bytes: int) -> Bytes:
-        """Assign plain bytes."""
+        """Allocate plain bytes."""
         return Bytes(self._take(size_bytes), size_bytes)
 
     def _take(self, size_bytes: int) -> int:
@@ -94,7 +94,7 @@ def _align(size_bytes: int) -> int:
 
 
 class Word:
-    """Aligned number, which is never read half written."""
+    """Aligned number that is never read half-written."""
 
     def __init__(self, code: str, offset: int) -> None:
         self._struct = struct.Struct(f"<{code}")
@@ -137,7 +137,7 @@ class CheckedRow(Generic[RowT]):
         self.size_bytes = _CHECKSUM.size + self._codec.size_bytes
 
     def read(self, memory: Any) -> RowT | None:
-        """Read the row; None while it is being written."""
+        """Read the row, or return None while it is being written."""
         payload = self._block.read(memory)
         return None if payload is None else self._codec.unpack(payload)
 
@@ -154,7 +154,7 @@ class CheckedBytes:
         self.size_bytes = _LENGTH.size + _CHECKSUM.size + capacity_bytes
 
     def read(self, memory: Any) -> bytes | None:
-        """Read the bytes; None while they are being written."""
+        """Read the bytes, or return None while they are being written."""
         length = _LENGTH.unpack_from(memory, self._offset)[0]
         return _ChecksummedBlock(self._offset + _LENGTH.size, min(length, self.capacity_bytes)).read(memory)
 
@@ -195,7 +195,7 @@ class Counters:
 
 
 class Bytes:
-    """Plain bytes in a layout chosen by the user."""
+    """Plain bytes whose layout the user chooses."""
 
     def __init__(self, offset: int, size_bytes: int) -> None:
         self.offset = offset
@@ -203,7 +203,7 @@ class Bytes:
 
 
 class RingPart(NamedTuple):
-    """Result of one read of a byte ring."""
+    """Result of a single read from a byte ring."""
 
     content: bytes
     end: int  # where to continue
@@ -211,7 +211,7 @@ class RingPart(NamedTuple):
 
 
 class ByteRing:
-    """Ring of bytes for a writer that never waits and a reader that may be too late.
+    """Byte ring for a writer that never waits and a reader that may fall behind.
 
     Entries follow each other without gaps; the reader finds their ends in the entries themselves. An
     overtaken reader skips what it missed and learns how much that was. `longest` is the longest entry: the
@@ -236,7 +236,7 @@ class ByteRing:
         self._written.write(memory, total + len(entry))
 
     def read(self, memory: Any, begin: int) -> RingPart:
-        """Read everything since `begin`, which is 0 or the end of the previous part."""
+        """Read everything from `begin` on: 0, or the end of the previous part."""
         offset, capacity = self._place.offset, self._place.size_bytes
         end = self._written.read(memory)
         if end - begin > capacity - self._longest:
@@ -260,12 +260,12 @@ class FieldCode(NamedTuple):
 
 
 def one_of(choices: Sequence[str]) -> FieldCode:
-    """Build a field for one of a few words, stored as its index in a byte."""
+    """Build a field for a choice of words, stored as its index in one byte."""
     return FieldCode("B", choices.index, choices.__getitem__)
 
 
 def text(capacity_bytes: int) -> FieldCode:
-    """Build a field for a short UTF-8 text; longer text is truncated."""
+    """Build a field for a short UTF-8 string; longer text is truncated."""
 
     def encode(value: str) -> bytes:
         return value.encode()[:capacity_bytes]
@@ -314,7 +314,7 @@ class RowCodec(Generic[RowT]):
         self._unpack, self._unpack_from = layout.unpack, layout.unpack_from
 
     def unpack(self, data: bytes) -> RowT:
-        """Decode a row from `pack`; raises struct.error for another length."""
+        """Decode a row produced by `pack`; raises struct.error if the length is wrong."""
         return self._make(self._unpack(data))
 
     def unpack_from(self, memory: Any, offset: int) -> RowT:

@@ -1,4 +1,4 @@
-"""Worker processes for computations: freshly started, ended with this process, watched for hanging."""
+"""Worker processes for computations: spawned afresh, tied to this process, monitored for hangs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Start `count` workers that end with this process. A fork would inherit locks of library threads.
+    """Start `count` workers that end with this process; forking would inherit locks from library threads.
 
     An error or interruption in the block kills them: their work may never end by itself.
     """
@@ -34,7 +34,7 @@ def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
-    """Return the results of compute-only workers, in order; raises PRC-001 if none uses the processor."""
+    """Yield the results of compute-only workers, in order; raises PRC-001 if none uses the processor."""
     uses = [ProcessorUse(process.pid) for process in active_children() if process.pid is not None]
     for future in waiting:
         while not wait([future], POLL_S).done:
@@ -44,7 +44,7 @@ def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
 
 
 def _end_with_parent() -> None:
-    """Exit a worker when its parent is killed, instead of waiting forever for the next task."""
+    """Make a worker exit when its parent is killed, instead of waiting forever for the next task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends its workers
     parent = parent_process()
     if parent is None:

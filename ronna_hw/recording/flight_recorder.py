@@ -1,4 +1,4 @@
-"""Flight recorder for the bytes of all links, with its own writing thread, and its reader.
+"""Flight recorder for the traffic of all links, with its own writer thread, and a matching reader.
 
 A caller only pays for one append to a queue. If the disk does not keep up, bytes are dropped and counted, and
 a note in the link's file says how many; nobody ever waits. Each link has two files, written alternately: disk
@@ -228,7 +228,7 @@ def _format_second(second: int) -> str:
 
 @dataclass(frozen=True)
 class LinkLine:
-    """Recorded bytes or note of a link."""
+    """Recorded bytes or note from a link."""
 
     link: str
     host_time: datetime

@@ -69,7 +69,7 @@ GetPixels = Callable[[dict[str, Any]], Any]
 
 
 def as_plain(value: Any, put: PutPixels) -> Any:
-    """Convert a value to JSON form; `put` stores arrays of pixels and returns a reference.
+    """Convert a value to plain JSON form; `put` stores pixel arrays and returns a reference.
 
     Raises ValueError or TypeError for values without such a form.
     """

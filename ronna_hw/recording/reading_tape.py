@@ -89,7 +89,7 @@ class ReadingTape:
         self._writer.start()
 
     def begin(self, section: int) -> None:
-        """Assign this thread's answers from now on to the section with this number."""
+        """Record this thread's subsequent answers under section number `section`."""
         self._section, self._thread = section, threading.get_ident()
 
     def end(self) -> None:
@@ -98,7 +98,7 @@ class ReadingTape:
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """Keep readings within the block out of the current section."""
+        """Exclude readings within the block from the current section."""
         self._beside += 1
         try:
             yield
@@ -206,7 +206,7 @@ def _pixel_bytes(value: object) -> int:
 
 
 def tape_device(device: Device, tape: ReadingTape) -> Device:
-    """Wrap a device to record its answers. The wrapper has exactly the public names of the device."""
+    """Wrap a device to record its answers; the wrapper exposes exactly the device's public names."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     calls = list_recorded_calls(device)
     members = {name: _make_member(name, calls) for name in names}

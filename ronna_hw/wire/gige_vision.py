@@ -1,4 +1,4 @@
-"""Vocabulary of GigE Vision: command codes, addresses, status codes, pixel formats, header layouts.
+"""GigE Vision constants: command codes, addresses, status codes, pixel formats, header layouts.
 
 Control (GVCP) and stream (GVSP) are UDP, every field big-endian. Layouts are format strings of Python's
 `struct`, always with an explicit byte order; each side does its own packing and unpacking.
@@ -23,7 +23,7 @@ REQUEST_ID_LAST = 0xFFFF
 
 
 class GvcpFlag(IntFlag):
-    """Flags in the second byte of a command. Devices mask them instead of comparing."""
+    """Flags in the second byte of a command; devices mask them instead of comparing the whole byte."""
 
     ACK_REQUIRED = 0x01
     BROADCAST_ACK = 0x10  # DISCOVERY: the answer may be broadcast
@@ -32,7 +32,7 @@ class GvcpFlag(IntFlag):
 
 
 class GvcpCommand(IntEnum):
-    """Command codes. The acknowledge, if any, is the command plus one."""
+    """Command codes; an acknowledge, if any, has the command code plus one."""
 
     DISCOVERY = 0x0002
     DISCOVERY_ACK = 0x0003
@@ -76,7 +76,7 @@ FORCEIP_ADDRESS_OFFSET = 20
 
 
 class GevStatus(IntEnum):
-    """Status of an acknowledge or a stream packet."""
+    """Status codes of acknowledges and stream packets."""
 
     SUCCESS = 0x0000
     PACKET_RESEND = 0x0100  # stream only: this packet is a repetition
@@ -111,7 +111,7 @@ DISCOVERY_BYTES = 248  # a discovery answer is the memory from 0 to here
 
 
 class Bootstrap(IntEnum):
-    """Addresses of the registers common to all devices."""
+    """Bootstrap register addresses, common to all devices."""
 
     VERSION = 0x0000  # major << 16 | minor
     DEVICE_MODE = 0x0004
@@ -197,7 +197,7 @@ MCP_PORT_MASK = 0x0000_FFFF
 
 
 class GvcpCapability(IntFlag):
-    """Bits of the capability register."""
+    """Bits of the GVCP capability register."""
 
     MULTIPLE_REGISTERS = 1 << 0
     WRITEMEM = 1 << 1
@@ -231,7 +231,7 @@ LEADER_PACKET_ID = 0  # payload packets are 1..n, the trailer is n + 1
 
 
 class GvspFormat(IntEnum):
-    """Kind of stream packet."""
+    """GVSP packet kinds."""
 
     LEADER = 1
     TRAILER = 2
@@ -240,7 +240,7 @@ class GvspFormat(IntEnum):
 
 
 class PayloadType(IntEnum):
-    """Content of a stream block."""
+    """Payload types of a stream block."""
 
     IMAGE = 1
     RAW = 2
@@ -255,7 +255,7 @@ GVSP_TRAILER = ">HHI"  # reserved, payload type, size y
 
 
 class PixelFormat(IntEnum):
-    """Pixel formats of the camera family. Bits 16 to 23 hold the bits per pixel."""
+    """Pixel formats of the camera family; bits 16 to 23 encode the bits per pixel."""
 
     MONO8 = 0x0108_0001
     MONO12 = 0x0110_0005  # 16-bit little-endian samples, value in the low 12 bits

@@ -46,7 +46,7 @@ SixDegrees = Annotated[tuple[float, ...], Field(min_length=AXES, max_length=AXES
 
 
 class ContextInvalid(ConfigurationError):
-    """A file that describes an RSI context is malformed."""
+    """An RSI context file is malformed."""
 
     code = "WIR-001"
     action = "Correct the listed entries; compare with ronna_hw/wire/kuka_rsi_context.toml."
@@ -90,7 +90,7 @@ class Feedback(_Table):
 
 
 class Program(_Table):
-    """Parameters of RSI_ON in the KRL program, and the arm it is written for."""
+    """RSI_ON parameters in the KRL program, and the program's target arm."""
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]
@@ -147,7 +147,7 @@ class Stop(_Table):
 
 
 class RsiContext(_Table):
-    """Complete context. Objects that are `None` are absent, and their defaults apply."""
+    """Complete RSI context. Objects set to `None` are absent, and their defaults apply."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,18}$")]
@@ -184,7 +184,7 @@ class RsiContext(_Table):
         return self
 
     def find_wired_tag(self, object_name: str, input_name: str) -> str | None:
-        """Find the tag of the received element that feeds an object input; None if nothing does."""
+        """Find the tag of the received element that feeds an object input, or return None if unwired."""
         for wire in self.wiring:
             if (wire.object, wire.input) == (object_name, input_name):
                 return next(e.tag for e in self.receive if e.indx == wire.indx)
@@ -192,7 +192,7 @@ class RsiContext(_Table):
 
 
 def load_context(path: Path | None = None) -> RsiContext:
-    """Read a context, by default our own. Raises WIR-001 with every mistake in one line."""
+    """Read a context, by default the project's own. Raises WIR-001 listing every mistake in one line."""
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
         if path is None:
@@ -213,7 +213,7 @@ def load_context(path: Path | None = None) -> RsiContext:
 
 
 def context_hash(context: RsiContext) -> str:
-    """Return the first digits of the SHA-256 over the canonical description, without the PC's address.
+    """Return a shortened SHA-256 of the canonical description, excluding the PC's address.
 
     Canonical is JSON with sorted keys and no blanks, defaults written out, except for an unwired feedback:
     two files with the same meaning have the same hash.

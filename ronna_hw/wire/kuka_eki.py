@@ -1,4 +1,4 @@
-"""Names on the project's EKI channel: elements, attributes, commands, codes and their meanings.
+"""Vocabulary of the project's EKI channel: elements, attributes, commands, codes and their meanings.
 
 The controller is the TCP server. A client writes `<Cmd Id= Name= ...></Cmd>`; every command is answered by
 `<Ack Id= Cmd= Code= Text=></Ack>`, STATUS by `<State ...><Axis .../><Pos .../></State>`, which is also sent
@@ -25,7 +25,7 @@ POS_ATTRIBUTES = ("X", "Y", "Z", "A", "B", "C", "S", "T")  # mm, deg, status and
 
 
 class CommandName(StrEnum):
-    """Values of the attribute Name of a Cmd."""
+    """Values of a Cmd's Name attribute."""
 
     STATUS = "STATUS"
     RSI_START = "RSI_START"  # Cycle 4|12, Ref ABS|REL, Corr AXIS|POS
@@ -44,7 +44,7 @@ class CommandName(StrEnum):
 
 
 class AckCode(IntEnum):
-    """Values of the attribute Code of an Ack."""
+    """Values of an Ack's Code attribute."""
 
     OK = 0
     REFUSED = 1  # in this state
@@ -57,7 +57,7 @@ class AckCode(IntEnum):
 
 
 class StateAttribute(StrEnum):
-    """Attributes of a State, in the order written by the controller."""
+    """Attributes of a State element, in the order written by the controller."""
 
     ID = "Id"
     MODE = "Mode"  # OperationMode

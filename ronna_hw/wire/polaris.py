@@ -1,4 +1,4 @@
-"""Vocabulary of the NDI Polaris link (Spectra, Vicra): names, codes, bits, layouts and the CRC.
+"""NDI Polaris protocol constants (Spectra, Vicra): names, codes, bits, layouts and the CRC.
 
 Constants only: no I/O and no decoding. A command is ASCII and ends in CR, either `NAME:args` + CRC + CR or
 `NAME args` + CR. An ASCII reply is text + CRC + CR; a binary reply (BX) carries its own length and two CRCs.
@@ -123,7 +123,7 @@ class HandleQuery(IntEnum):
 
 
 class TrackingPriority:
-    """Tracking priority, the last character of the argument of PENA."""
+    """Tracking priority: the last character of the PENA argument."""
 
     STATIC: Final = "S"
     DYNAMIC: Final = "D"
@@ -131,7 +131,7 @@ class TrackingPriority:
 
 
 class ReplyOption(IntFlag):
-    """Options of TX and BX."""
+    """Reply options of the TX and BX commands."""
 
     TRANSFORMS = 0x0001
     TOOL_INFORMATION = 0x0002
@@ -174,7 +174,7 @@ TX_SYSTEM_STATUS_DIGITS: Final = 4
 
 
 class PortStatus(IntFlag):
-    """Status of a handle in TX and BX; the low byte is that of PHSR and PHINF."""
+    """Handle status in TX and BX replies; the low byte is that of PHSR and PHINF."""
 
     OCCUPIED = 0x0001
     SWITCH_1 = 0x0002
@@ -190,7 +190,7 @@ class PortStatus(IntFlag):
 
 
 class SystemStatus(IntFlag):
-    """System status, the last field of TX and BX."""
+    """System status, the last field of TX and BX replies."""
 
     SYNC_ERROR = 0x0001
     TOO_MUCH_INFRARED = 0x0002
@@ -205,14 +205,14 @@ class SystemStatus(IntFlag):
 
 
 class ToolInformation(IntFlag):
-    """Tool information, the first byte of the part that option 0002 adds."""
+    """Tool information, the first byte of the section added by option 0002."""
 
     BAD_FIT = 0x01
     TOO_FEW_MARKERS = 0x02
 
 
 class MarkerState(IntEnum):
-    """Marker state: one digit per marker in the part that option 0002 adds."""
+    """Marker state, one digit per marker in the section added by option 0002."""
 
     MISSING = 0
     BEYOND_ANGLE = 1

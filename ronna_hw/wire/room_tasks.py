@@ -1,4 +1,4 @@
-"""Manual tasks in an operating room, named identically in a procedure and a simulated room."""
+"""Manual tasks in an operating room, with the same names in procedures and simulated rooms."""
 
 from __future__ import annotations
 

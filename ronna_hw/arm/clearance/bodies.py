@@ -1,4 +1,4 @@
-"""Collision bodies as plain values: the links of an arm, its tool, and its surroundings.
+"""Collision bodies of the arm, its tool and its surroundings, as plain values.
 
 Capsules are the only shape: all points within a radius of a segment. Everything else is covered by capsules,
 so one closed formula gives every distance. The real-time loop uses it: no NumPy.
@@ -23,7 +23,7 @@ POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
 
 
 class Capsule(NamedTuple):
-    """Capsule given by an axis segment and a radius, mm. Equal ends make a sphere."""
+    """Capsule defined by an axis segment and a radius, in mm. Coincident ends make a sphere."""
 
     start_mm: Vector3
     end_mm: Vector3
@@ -64,7 +64,7 @@ def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float
 
 
 def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Capsule]:
-    """Cover an ellipsoid by two capsules along its longest axis, side by side along the middle one.
+    """Enclose an ellipsoid in two parallel capsules along its longest axis, offset along the middle axis.
 
     The radius is the smallest at which the balls at the segments' ends cover the ellipsoid's ends and the
     capsules meet in its middle. They exceed its surface by some per cent of the differences between the axes.
@@ -91,7 +91,7 @@ DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, 
 
 
 class Part(NamedTuple):
-    """Collision body of the tool, fixed to the flange.
+    """Tool collision body, rigidly attached to the flange.
 
     `enters_head`: it may enter the head along a corridor.
     """
@@ -102,7 +102,7 @@ class Part(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """Fixed collision body in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
+    """Fixed collision body in the room. `is_head` caps speeds nearby and lets the corridor lead into it."""
 
     name: str
     capsule: Capsule
@@ -130,7 +130,7 @@ class Corridor(NamedTuple):
 
 
 class SpeedZone(NamedTuple):
-    """Speed limit for everything that moves, linear in the distance to the head between two points."""
+    """Speed limit for all moving bodies, interpolated linearly over the distance to the head."""
 
     near_mm: float
     near_speed_mm_s: float
@@ -145,7 +145,7 @@ class SpeedZone(NamedTuple):
 
 
 class ArmRadii(NamedTuple):
-    """Radii of the arm's bodies about their axes; our own conservative estimates (U)."""
+    """Capsule radii of the arm's bodies; our own conservative estimates (U)."""
 
     column_mm: float = 150.0
     upper_arm_mm: float = 85.0
@@ -176,7 +176,7 @@ class Surroundings:
     corridor: Corridor | None = None
 
     def moved(self, by: Pose) -> Surroundings:
-        """Transform everything that is fixed in the room."""
+        """Return a copy with all room-fixed bodies and the corridor transformed."""
         corridor = self.corridor
         return replace(
             self,
@@ -197,7 +197,7 @@ class Surroundings:
 
     @classmethod
     def from_json(cls, line: str) -> Surroundings:
-        """Decode a line from `to_json`; raises KeyError, TypeError or ValueError for any other line."""
+        """Decode a line written by `to_json`; raises KeyError, TypeError or ValueError for any other line."""
         values: dict[str, Any] = json.loads(line)
         corridor, zone = values["corridor"], values["zone"]
         return cls(
@@ -224,7 +224,7 @@ def _vector3(values: Any) -> Vector3:
 
 
 class Pair(NamedTuple):
-    """Two bodies that must keep their distance, by index: a moving body and another one.
+    """Pair of bodies to keep apart, by index: a moving body and any other body.
 
     A non-negative `other` is the index of a fixed body; -1 - k is the moving body k.
     """
@@ -237,7 +237,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """All collision bodies. Moving: links, then tool parts. Fixed: column, then obstacles."""
+    """All collision bodies: moving (links, then tool parts) and fixed (column, then obstacles)."""
 
     arm: ArmBodies
     surroundings: Surroundings
@@ -282,7 +282,7 @@ class Bodies:
 
     @cached_property
     def pairs(self) -> tuple[Pair, ...]:
-        """Pairs of bodies that can collide. Bodies that touch by construction are omitted."""
+        """Pairs of bodies that can collide, excluding those in contact by design."""
         links, tool = self.arm.links, self.surroundings.tool
         obstacles = self.surroundings.obstacles
         count = len(links)

@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector, joint_vector
 
 
 class ViolationKind(StrEnum):
-    """Limit that was exceeded: of an axis, a moving body, or (the last two) a pair of bodies."""
+    """Kind of limit exceeded: of an axis, a moving body, or (the last two) a pair of bodies."""
 
     RANGE = "range"
     TOTAL_CORRECTION = "total correction"
@@ -60,11 +60,11 @@ class Violation(NamedTuple):
 
     @property
     def is_axis_violation(self) -> bool:
-        """Whether an axis is at fault rather than one or two bodies."""
+        """Whether the violation concerns an axis rather than bodies."""
         return self.kind not in _BODY_UNITS
 
     def format_value(self, value: float) -> str:
-        """Format a value of this kind, with its unit, for display."""
+        """Format a value of this kind with its unit."""
         if not self.is_axis_violation:
             return f"{value:.1f} {_BODY_UNITS[self.kind]}"
         unit = _ANGLE_UNITS.get(self.kind)
@@ -84,7 +84,7 @@ LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning
 
 
 class PlacedBodies:
-    """Axes of all moving bodies in the robot base for given joint angles, ordered as `Bodies.moving_names`.
+    """Axes of all moving bodies in the robot base at given joint angles, ordered as `Bodies.moving_names`.
 
     Each is computed when it is first asked for.
     """
@@ -128,7 +128,7 @@ class _MeasuredStep(NamedTuple):
     moved_mm: float
 
     def bound_of(self, levers_mm: JointVector, from_rad: JointVector, to_rad: JointVector) -> float:
-        """Bound the motion of any point in another step, mm; infinite for a reversed step."""
+        """Return an upper bound on any point's motion in another step, mm; infinite for a reversed step."""
         a, b, c, d, e, f = self.step_rad
         p1, p2, p3, p4, p5, p6 = to_rad
         q1, q2, q3, q4, q5, q6 = from_rad
@@ -166,14 +166,14 @@ class _Group:
         self._queue: list[tuple[float, int]] = []  # earliest first, among former ones
 
     def clear_until(self, reading_mm: float, number: int) -> None:
-        """Skip a pair until the odometer reaches this reading, or a later one already known."""
+        """Skip a pair until the odometer reaches this reading, unless a later one is already set."""
         if reading_mm > self._readings.get(number, -inf):
             self._readings[number] = reading_mm
             heappush(self._queue, (reading_mm, number))
             self._find_earliest()
 
     def take_due(self, moved_mm: float) -> list[int]:
-        """Remove and return the pairs that must be measured if their bodies move this far.
+        """Pop the pairs that become due for measurement within this motion.
 
         Each must be given to `clear_until` again.
         """
@@ -201,7 +201,7 @@ class _Trial(NamedTuple):
 
 
 class LiveWatch:
-    """Clearance and speed watch over one stream of set-points.
+    """Clearance and speed monitor for a stream of set-points.
 
     `check` does not count a set-point as sent; `sent` does.
     """
@@ -255,7 +255,7 @@ class LiveWatch:
         self._least_bound = min(self._bounds, default=inf)
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """Return the first violation if this set-point were sent next, or None."""
+        """Return the first violation that sending this set-point next would cause, or None."""
         motions = self._bound_motions_mm(self._joints, joints_rad)
         placed = PlacedBodies(self._bodies, joints_rad)
         slow = self._is_slow(motions[0])
@@ -271,7 +271,7 @@ class LiveWatch:
         return found if slow or found else self._find_speed_violation(placed, motions[0])
 
     def sent(self, joints_rad: JointVector) -> None:
-        """Record a set-point as sent, or as the current position of the arm."""
+        """Record a set-point as sent, or as the arm's current position."""
         if joints_rad is self._joints:
             return
         trial = next((item for item in self._trials if item.joints_rad is joints_rad), None)
@@ -287,7 +287,7 @@ class LiveWatch:
         self._trials.clear()
 
     def _bound_motions_mm(self, from_rad: JointVector, to_rad: JointVector) -> list[float]:
-        """Bound the motion of any point between two joint vectors, mm.
+        """Return upper bounds on any point's motion between two joint vectors, mm.
 
         Item i counts joints from i outwards.
         """
@@ -340,7 +340,7 @@ class LiveWatch:
         return found
 
     def _room_left_mm(self, number: int, group: _Group, trial: _Trial) -> float:
-        """Return the least remaining room of a pair, mm; 0 if the previous check did not measure it."""
+        """Return a pair's guaranteed remaining room, mm; 0 if the previous check did not measure it."""
         if not self._trials or number not in self._trials[-1].rooms_mm:
             return 0.0
         before = self._trials[-1]
@@ -373,7 +373,7 @@ class LiveWatch:
         return Violation(ViolationKind.ZONE_SPEED, nearest_pair, speed, limit)
 
     def _motions_mm(self, placed: PlacedBodies) -> list[float]:
-        """Return the larger motion of the two ends of each body since the last set-point, mm."""
+        """Return each body's motion since the last set-point, mm, at its faster end."""
         return [
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(placed, self._placed, strict=True)

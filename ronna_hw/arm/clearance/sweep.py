@@ -1,4 +1,4 @@
-"""Clearance of a planned path over its whole length: distances between all pairs of bodies, with NumPy.
+"""Clearance check along an entire planned path: distances between all pairs of bodies, with NumPy.
 
 The path is sampled. Between two samples a pair cannot come closer than half of the sum of both distances
 minus the motion in between. Where that bound is not enough, the interval is halved, down to `FINEST_MM` of
@@ -36,7 +36,7 @@ ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 
 @dataclass(frozen=True)
 class ClosestPair:
-    """Smallest distance on a path: the two bodies, their distance, and the position on the path (0..1)."""
+    """Closest approach on a path: the two bodies, their distance, and the path position (0..1)."""
 
     first: str
     second: str
@@ -70,7 +70,7 @@ class SweptPath:
 
     @property
     def closest(self) -> ClosestPair | None:
-        """Closest pair on the path; None if there is nothing to collide with."""
+        """Closest pair on the path, or None if there is nothing to collide with."""
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
@@ -78,7 +78,7 @@ class SweptPath:
 
     @property
     def refused(self) -> ClosestPair | None:
-        """Pair that violates its minimum distance most; None if the path is clear.
+        """Pair with the worst clearance violation, or None if the path is clear.
 
         A pair that is too close at the start must not come any closer.
         """
@@ -153,17 +153,17 @@ def sweep_path(
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
-    """Return the minimum distance of each pair (pairs,) for a path that starts at these distances."""
+    """Return each pair's minimum distance (pairs,), relaxed for pairs too close together at the start."""
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
 def motion_mm(swept: SweepSamples) -> Array:
-    """Bound the motion of each body between neighbouring samples, (n - 1, bodies)."""
+    """Return upper bounds on each body's motion between consecutive samples, (n - 1, bodies)."""
     return _end_motions_mm(swept) * ARC_FACTOR
 
 
 def _first_smallest(distances_mm: Array) -> int:
-    """Return the flat index of the first distance that is smallest up to rounding.
+    """Return the flat index of the smallest distance, or of the first one equal to it up to rounding.
 
     Bodies that rotate together keep their distance: the last digits must not decide the position on the path.
     """

@@ -1,4 +1,4 @@
-"""Dimensions, ranges and capabilities of the KR 6 R900 in its two variants."""
+"""Dimensions, joint ranges and capabilities of the two KR 6 R900 variants."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Dimensions:
 
     @cached_property
     def reach_mm(self) -> float:
-        """Largest distance of the wrist centre from the axis of A1, mm, at the height of A2."""
+        """Largest distance of the wrist centre from the A1 axis at the height of A2, mm."""
         return self.shoulder_offset_mm + self.upper_arm_mm + self.elbow_to_wrist_mm
 
     def wrist_ahead_mm(self, A2: float, A3: float) -> float:

@@ -30,7 +30,7 @@ FLIPPED = 4  # A5 not positive
 
 
 def branch(*, overhead: bool, elbow: bool, flipped: bool) -> Branch:
-    """Return the branch with these status bits."""
+    """Build the branch from its status bits."""
     return Branch(OVERHEAD * overhead + ELBOW * elbow + FLIPPED * flipped)
 
 
@@ -85,7 +85,7 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
 
 
 def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-    """Return the solution in `branch` with the whole turns nearest to `near`, for following a path.
+    """Return the solution in `branch`, unwrapped to be nearest `near`, for path following.
 
     Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
     """
@@ -148,7 +148,7 @@ def _bend(arm: Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, flo
 
 
 def _into_range(arm: Dimensions, first: tuple[float, float, float]) -> tuple[float, float, float] | None:
-    """Bring A1..A3 into range by whole turns; None if impossible. These ranges are shorter than a turn."""
+    """Shift A1..A3 into range by whole turns, or return None; each range is shorter than a turn."""
     result = []
     for axis, angle in enumerate(first):
         low, high = arm.lower_rad[axis] - RANGE_SLACK_RAD, arm.upper_rad[axis] + RANGE_SLACK_RAD

@@ -1,4 +1,4 @@
-"""`Kinematics` of the KR 6 R900 in closed form.
+"""Closed-form `Kinematics` of the KR 6 R900.
 
 The positions of the bodies are written out for the real-time loop.
 """
@@ -59,7 +59,7 @@ class Kr6R900:
         self.column_height_mm = dimensions.base_height_mm
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        """Return the pose of the flange in $ROBROOT; z points out of the flange.
+        """Return the flange pose in $ROBROOT; z points out of the flange.
 
         The chain is Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg), multiplied out.
         """
@@ -164,7 +164,7 @@ class Kr6R900:
         return SingularMeasure(abs(sin(A5)), abs(sin(A3 - arm.stretched_A3_rad)), shoulder)
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
-        """Return |A5|, which is below half a turn."""
+        """Return |A5|, always less than half a turn."""
         return abs(joints_rad[4])
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
@@ -235,5 +235,5 @@ _ARMS = {variant: Kr6R900(dimensions) for variant, dimensions in DIMENSIONS.item
 
 
 def kr6_r900(variant: ArmVariant | str = ArmVariant.SIXX) -> Kr6R900:
-    """Return the arm of a variant; raises ValueError for an unknown name."""
+    """Return the arm model of a variant; raises ValueError for an unknown name."""
     return _ARMS[ArmVariant(variant)]

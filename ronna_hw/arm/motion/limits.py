@@ -1,4 +1,4 @@
-"""Motion limits of an arm per operating mode: a small share of its capabilities."""
+"""Motion limits per operating mode, well below the arm's capabilities."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of every motion in one operating mode: per joint, for straight lines, and for every moving body.
+    """Motion limits in one operating mode: for joints, straight lines and moving bodies.
 
     Planning, previews, the real-time loop and its monitor use the same record.
     """
@@ -46,19 +46,19 @@ class MotionLimits:
     cycle_s: float = 0.004  # from one set-point to the next
 
     def as_numbers(self) -> tuple[float, ...]:
-        """Return all fields as one row of numbers for the real-time process."""
+        """Flatten all fields into a row of numbers for the real-time process."""
         return tuple(chain(*(entry if isinstance(entry, tuple) else (entry,) for entry in astuple(self))))
 
     @classmethod
     def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
-        """Restore the limits from a row of `as_numbers`."""
+        """Restore the limits from a row produced by `as_numbers`."""
         speed, acceleration, jerk = (joint_vector(numbers[first : first + 6]) for first in (0, 6, 12))
         return cls(speed, acceleration, jerk, *numbers[18:])
 
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None
     ) -> tuple[JointVector, JointVector]:
-        """Return the lowest and highest angles (rad) of a motion: the axis ranges less the margin.
+        """Return the lowest and highest permitted joint angles (rad): the axis ranges less the margin.
 
         An axis that starts closer to an end may stay there or move away.
         """
@@ -94,7 +94,7 @@ class MotionLimits:
         )
 
     def with_reduced_speed(self, arm: JointRanges) -> MotionLimits:
-        """Reduce the speeds for work with a person near the arm: 250 mm/s and a tenth of full axis speed."""
+        """Limit speeds to 250 mm/s and a tenth of full axis speed, for work with a person near the arm."""
         return replace(
             self,
             speed_rad_s=joint_vector(
@@ -107,7 +107,7 @@ class MotionLimits:
 
 
 def working_limits(arm: JointRanges, speed_fraction: float = WORKING_SPEED_FRACTION) -> MotionLimits:
-    """Return the default limits of a driver; `speed_fraction` refers to full axis speed."""
+    """Return a driver's default limits; `speed_fraction` is relative to full axis speed."""
     acceleration = _scale_joints(arm.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
     return MotionLimits(
         _scale_joints(arm.full_speed_rad_s, speed_fraction),

@@ -1,4 +1,4 @@
-"""Planning of joint moves and straight lines, checked over the whole path: branch, ranges, joint speeds.
+"""Planning of joint moves and straight lines, checking branch, ranges and joint speeds along the path.
 
 A path is geometry over a parameter s from 0 to 1, independent of time.
 """
@@ -31,7 +31,7 @@ class Path(Protocol):
     """Geometric path from the start of a motion to its target."""
 
     def joints(self, s: float, near: JointVector) -> JointVector:
-        """Return the joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
+        """Return the joint angles at `s` (0..1), unwrapped to be nearest `near`."""
         ...
 
 
@@ -56,7 +56,7 @@ class JointPath:
 
 
 class LinePath:
-    """Straight line of the tool centre point with slerped orientation, in the branch of the start."""
+    """Straight tool-centre-point path with slerped orientation, within the starting branch."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class LinePath:
         self.angle_rad = begin.angle_rad(target)
 
     def flange(self, s: float) -> Pose:
-        """Return the pose of the flange at `s`."""
+        """Return the flange pose at `s`."""
         a, b = self._from_mm, self._to_mm
         r = 1.0 - s
         if self._half_angle:
@@ -106,7 +106,7 @@ class LinePath:
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """Checked motion in plain numbers, for the real-time loop. `target` None means a joint move.
+    """Checked motion as plain numbers for the real-time loop. `target` None means a joint move.
 
     `speed_steps`, if any, say where along the path it must be slower than `limits`.
     """
@@ -151,7 +151,7 @@ def plan_line(
     limits: MotionLimits,
     tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0),
 ) -> MotionPlan:
-    """Plan a straight line of the tool centre point to the flange pose `target`, in the branch of the start.
+    """Plan a straight tool-centre-point path to the flange pose `target`, within the starting branch.
 
     The whole line is slowed so that every joint respects its speed, acceleration and jerk limits. Raises
     ARM-001, ARM-002, ARM-003 if any point of it has no solution, ARM-005 when it would have to be slower than
@@ -220,7 +220,7 @@ def _require_within(
 
 
 def _joint_move_limits(travel: list[float], limits: MotionLimits) -> PathLimits:
-    """Return limits of s (0..1) under which joints that travel `travel` rad respect their own limits."""
+    """Return limits on s (0..1) that keep every joint within its own limits over `travel` rad."""
     longest = [max(r, STANDSTILL_RAD) for r in travel]
     return PathLimits(
         min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
@@ -239,7 +239,7 @@ def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
 def _limit_for_joints(
     points: list[JointVector], count: int, wanted_limits: PathLimits, limits: MotionLimits
 ) -> PathLimits:
-    """Return limits of s, slowed by one factor until every joint respects its speed, acceleration and jerk.
+    """Return limits on s, slowed uniformly until every joint respects its speed, acceleration and jerk.
 
     With derivatives q1, q2, q3 of a joint by s (from differences) and limits v, a, j of s, its speed is at
     most |q1| v, its acceleration |q1| a + |q2| v², its jerk |q1| j + 3 |q2| v a + |q3| v³. Slowing time by k

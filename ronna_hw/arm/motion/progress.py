@@ -1,4 +1,4 @@
-"""Jerk-limited profile of the path parameter over time, from 0 to 1, within the speed allowed at each point.
+"""Jerk-limited time profile of the path parameter from 0 to 1, within the local speed limits.
 
 A path may be slower in places (`SpeedStep`): near the head, or where joints move fast. A lower speed is
 reached before its section begins; acceleration to a higher one starts once its section has begun.
@@ -22,7 +22,7 @@ Values = Sequence[float]
 
 
 class State(NamedTuple):
-    """Position, velocity and acceleration, with one value per axis each."""
+    """Position, velocity and acceleration, one value per axis."""
 
     position: list[float]
     velocity: list[float]
@@ -57,7 +57,7 @@ class MotionProfile:
 
 
 class MotionProfiler:
-    """Calculator of profiles for a fixed number of axes."""
+    """Motion-profile calculator for a fixed number of axes."""
 
     def __init__(self, axes: int) -> None:
         self.axes = axes
@@ -133,31 +133,31 @@ class SpeedStep(NamedTuple):
 
 
 class StopPrediction(NamedTuple):
-    """Duration and final path parameter of a stop that would begin now."""
+    """Duration and final path parameter of a stop initiated now."""
 
     duration_s: float
     parameter: float
 
 
 class _Leg(NamedTuple):
-    """Profile in progress, with its speed limit and whether it leads to the end of the path."""
+    """Active profile, its speed limit, and whether it leads to the end of the path."""
 
     profile: MotionProfile
     velocity: float
     leads_to_end: bool
 
     def sample(self, time_s: float) -> State:
-        """Return the state at a time. A braking leg continues at the lower speed."""
+        """Return the state at a time; a braking leg continues at its reduced speed."""
         if self.leads_to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
         return State(*self.profile.raw.at_time(time_s))
 
 
 class PathProgress:
-    """Cyclic values of the path parameter, each paired with the first value of a stop."""
+    """Path-parameter values for each cycle, each paired with the first value of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """Start at rest at 0; `steps` are the slower sections.
+        """Start at rest at 0; `steps` are the sections with reduced speed.
 
         Raises ARM-006 if the limits permit no profile.
         """
@@ -187,7 +187,7 @@ class PathProgress:
         return self._leg.leads_to_end and self._time_s >= self._leg.profile.duration_s
 
     def prepare(self) -> tuple[State, State]:
-        """Return the next states for going on and for stopping; while stopping, both are the same object."""
+        """Return the next states for continuing and for stopping; during a stop, they are the same object."""
         if self._halt is not None:
             go = self._halt.sample(self._time_s + self._cycle_s)
             self._next = (go, self._leg, self._time_s + self._cycle_s)
@@ -219,7 +219,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def predict_stop(self) -> StopPrediction:
-        """Predict the stop that would begin with the next point, or the rest of the current one."""
+        """Predict a stop starting at the next point, or the rest of the current stop."""
         profile, elapsed_s = self._halt, self._time_s
         if profile is None:
             profile, elapsed_s = self._plan_stop(self.state), 0.0
@@ -233,7 +233,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """Continue from rest at the last state, or at the one before, after a stop outside this profile."""
+        """Continue from rest at the last or second-to-last state, after a stop outside this profile."""
         sample = self._before if one_back else self.state
         self.state = self._before = State.resting([min(max(sample.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
@@ -274,7 +274,7 @@ class PathProgress:
         return braking, self._cycle_s
 
     def _find_missed_step(self, go: State, velocity: float) -> SpeedStep | None:
-        """Return the slowest step ahead that could no longer be respected after `go`, or None."""
+        """Return the slowest upcoming step that `go` would make impossible to respect, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
         for step in self._steps:
@@ -330,13 +330,13 @@ class PathProgress:
 
 
 def _peak_speed(state: State, jerk: float) -> float:
-    """Return the least speed reached by the time the acceleration is reduced to zero."""
+    """Return the lowest possible peak speed, reached once the acceleration has ramped down to zero."""
     (v,), (a,) = state.velocity, state.acceleration
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
 def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
-    """Return the states of a path driven from rest to rest, one per cycle."""
+    """Return the states along a path driven from rest to rest, one per cycle."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []
     while not progress.is_finished:

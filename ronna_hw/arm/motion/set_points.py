@@ -1,4 +1,4 @@
-"""Cyclic set-points. Each preparation yields the next point and the first point of a stop.
+"""Cyclic set-points. Each cycle prepares the next point and the first point of a stop.
 
 The caller sends one of the two and reports which: `take_go` or `take_stop`. So nothing is left to compute at
 the moment of sending, and a stop is never a jump.
@@ -39,14 +39,14 @@ LONGER_TOGETHER = 2.0  # a stop that stays on course may take this many times as
 
 
 class Prepared(NamedTuple):
-    """The two candidate set-points for the next reply: going on, and stopping."""
+    """Candidate set-points for the next reply: one to continue, one to stop."""
 
     go_rad: JointVector
     stop_rad: JointVector
 
 
 class PathMotion:
-    """Motion along a path from rest to rest; stops and speed changes stay on the path."""
+    """Rest-to-rest motion along a path, including stops and speed changes."""
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class PathMotion:
         cycle_s: float,
         steps: tuple[SpeedStep, ...] = (),
     ) -> None:
-        """Start at rest; `steps` are the slower sections of the path. Raises ARM-006 if no profile exists."""
+        """Start at rest; `steps` are the sections with reduced speed. Raises ARM-006 if no profile exists."""
         self._path = path
         self._along = PathProgress(limits, steps, cycle_s)
         self._joints = start_rad
@@ -72,7 +72,7 @@ class PathMotion:
         return self._along.is_stopping
 
     def prepare(self) -> Prepared:
-        """Compute the next set-points; raises an error of `arm.errors` where the path has no solution."""
+        """Compute the next set-points; raises an error from `arm.errors` where the path has no solution."""
         go, stop = self._along.prepare()
         go_rad = self._joints_at(go)
         self._next = Prepared(go_rad, go_rad if stop is go else self._joints_at(stop))
@@ -93,7 +93,7 @@ class PathMotion:
             self._next = None
 
     def predict_stop(self) -> tuple[float, JointVector]:
-        """Return the duration in s and the resting joints of a stop that would begin with the next point."""
+        """Return the duration in s and the final joints of a stop starting at the next point."""
         duration_s, parameter = self._along.predict_stop()
         return duration_s, self._path.joints(min(max(parameter, 0.0), 1.0), self._joints)
 
@@ -115,7 +115,7 @@ class PathMotion:
 
 
 class StopMotion:
-    """Stop from any state of motion along the current course, without relying on a path.
+    """Stop from any state of motion along the current course, independent of any path.
 
     If the joints cannot brake together in reasonable time, which never follows from a planned motion, each
     brakes independently.
@@ -137,7 +137,7 @@ class StopMotion:
         return self._time_s >= self._profile.duration_s
 
     def predict_stop(self) -> tuple[float, JointVector]:
-        """Return the remaining duration in s, and the joints at rest."""
+        """Return the remaining duration in s and the final joints."""
         duration_s = self._profile.duration_s
         return max(duration_s - self._time_s, 0.0), self._joints_at(duration_s)
 
@@ -157,7 +157,7 @@ class StopMotion:
 
 
 def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
-    """Estimate the state of motion at the newest of four set-points by a cubic through them.
+    """Estimate the motion state at the newest of four set-points from the cubic through them.
 
     The third difference matters: without it the acceleration is one cycle old, and a stop gains too much
     speed.
@@ -173,19 +173,19 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
 
 
 def joint_bounds(limits: MotionLimits) -> Bounds:
-    """Convert joint limits to the bounds of a profile over all axes."""
+    """Convert joint limits to profile bounds for all axes."""
     return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
 
 
 class Parabola(NamedTuple):
-    """Path through joint space parameterised by its length in rad, starting at the position of the arm."""
+    """Joint-space path parameterised by its length in rad, starting at the arm's position."""
 
     origin_rad: Sequence[float]
     direction: Sequence[float]
     bend_per_rad: Sequence[float]
 
     def sample(self, length_rad: float) -> JointVector:
-        """Return the joints at this length along the path."""
+        """Return the joints at a given length along the path."""
         half = 0.5 * length_rad * length_rad
         return joint_vector(
             q + u * length_rad + k * half
@@ -200,7 +200,7 @@ class Halt(NamedTuple):
     profile: MotionProfile
 
     def sample(self, time_s: float) -> JointVector:
-        """Return the joints at a time after the start of the stop."""
+        """Return the joints at a given time after the start of the stop."""
         return self.curve.sample(self.profile.sample(time_s).position[0])
 
 
@@ -232,7 +232,7 @@ def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
 def _braking_bounds(
     direction: Sequence[float], bend: Sequence[float], speed: float, limits: MotionLimits
 ) -> Bounds | None:
-    """Return the deceleration and jerk for the shortest stop along a path within every joint's limits."""
+    """Return the deceleration and jerk of the shortest stop along a path within all joint limits."""
     most = min(
         (SHARE * limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
         for i in range(len(direction))
