@@ -21,7 +21,7 @@ MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 class Phase(StrEnum):
-    """Phase of a case: group of steps and superstate in the state chart."""
+    """Phase of a case: a group of steps, and a superstate of the state chart."""
 
     PREOPERATIVE = "preoperative"
     PREPARATION = "preparation"
@@ -38,7 +38,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Outcome(Generic[R_co]):
-    """Outcome of a step: result and a one-line summary for the operator."""
+    """Outcome of a step: its result and a one-line summary for the operator."""
 
     result: R_co
     summary: str = ""
@@ -73,7 +73,7 @@ class StepSpec(Generic[R_co]):
 
     @property
     def name(self) -> str:
-        """Name in the state chart, in the journal and on the command line: the kind of its result."""
+        """Step name in the state chart, the journal and commands; equals the kind of its result."""
         return self.result.kind
 
     @property
@@ -87,18 +87,18 @@ Steps = Sequence[StepSpec[StepResult]]
 
 @dataclass(frozen=True)
 class CaseOrder:
-    """Steps of one case in their intended order."""
+    """Planned sequence of steps in one case."""
 
     steps: Steps
     trajectories: tuple[str, ...]
     sequence: tuple[StepKey, ...]
 
     def spec(self, key: StepKey) -> StepSpec[StepResult]:
-        """Return a step's declaration."""
+        """Return the declaration of a step."""
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
-        """Return a step by name, such as `registration:T1`. Raises PRO-005 with similar names."""
+        """Look up a step such as `registration:T1`. Raises PRO-005, suggesting similar names."""
         if not name:
             raise UnknownStep(
                 "no step is named", action="Name one, such as registration:T1; list shows them."
@@ -114,7 +114,7 @@ class CaseOrder:
 
     @property
     def localizations(self) -> tuple[StepKey, ...]:
-        """Steps that locate the head in front of the arm."""
+        """Steps that localize the head in front of the arm."""
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
     @property
@@ -124,11 +124,11 @@ class CaseOrder:
 
     @property
     def leads_to_targets(self) -> bool:
-        """Whether the arm is brought to targets; a calibration leaves it where it is."""
+        """Whether steps lead the arm to targets, as opposed to a calibration."""
         return any(step.finishes for step in self.steps)
 
     def without_names(self, text: str) -> str:
-        """Replace trajectory names by numbers for the log, since a name may identify a patient."""
+        """Replace trajectory names by numbers in log text, since a name may identify a patient."""
         for number, name in enumerate(self.trajectories, start=1):
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
         return text
