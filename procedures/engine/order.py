@@ -134,18 +134,18 @@ class CaseOrder:
         return text
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
-        """Return the steps required before `key`, excluding steps of other trajectories."""
+        """Return the steps required before `key`; those of other trajectories do not count."""
         earlier = self.sequence[: self.sequence.index(key)]
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
     def exclusions_at(self, key: StepKey, decisions: Iterable[Exclusion]) -> dict[str, str]:
-        """Return the trajectories left out before a step, with reasons."""
+        """Return the trajectories that earlier steps excluded from a step, with reasons."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
     def continuation(self, key: StepKey | None) -> StepKey | None:
-        """Return the step that must directly follow `key`, or None."""
+        """Return the step that must immediately follow `key`, or None."""
         if key is None or key not in self.sequence[:-1]:
             return None
         following = self.sequence[self.sequence.index(key) + 1]
@@ -154,7 +154,7 @@ class CaseOrder:
     def unmet(
         self, key: StepKey, latest: StepKey | None, stands: Callable[[StepKey], bool]
     ) -> tuple[str, ...]:
-        """Return why a step may not directly follow `latest`; empty if it may.
+        """Return the reason why a step may not follow `latest`; empty if it may.
 
         A step may come when everything before it is valid: next in the order, for another trajectory, or
         again.
@@ -174,7 +174,7 @@ class CaseOrder:
 def order_of(
     steps: Steps, trajectories: Sequence[str], *, localizes_per_trajectory: bool = True
 ) -> CaseOrder:
-    """Derive the step order of a case, working on one trajectory at a time."""
+    """Derive a case's step order, completing each block of steps for one trajectory before the next."""
 
     def is_repeated(step: StepSpec[StepResult]) -> bool:
         return step.scope is Scope.TRAJECTORY or (

@@ -1,4 +1,4 @@
-"""Names of case states between steps; `machine` adds the states of steps."""
+"""Names of the case states between steps; `machine` adds one state per step."""
 
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
 

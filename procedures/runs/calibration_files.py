@@ -1,4 +1,4 @@
-"""Files that a calibration writes: records, figures, and a theatre file with the new records.
+"""Files written by a calibration: records, figures and an updated theatre file.
 
 OUT/<id>/calibration.toml    the new records, to put into the theatre file
 OUT/<id>/result.json         the output of `--json`
@@ -25,14 +25,14 @@ CALIBRATION_FILE = "calibration.toml"
 
 
 def write_records(records: dict[str, Any], folder: Path) -> None:
-    """Write new calibration records to `calibration.toml`, keyed by their names in the theatre file."""
+    """Write new calibration records to `calibration.toml`, keyed as in the theatre file."""
     import tomli_w
 
     write_atomically(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
 
 
 def require_records(folders: Iterable[Path]) -> None:
-    """Raise CAL-005 for a folder or file without calibration records."""
+    """Raise CAL-005 for any path without calibration records."""
     for folder in folders:
         file = folder / CALIBRATION_FILE if folder.is_dir() else folder
         try:
@@ -61,7 +61,7 @@ def read_finished_figures(folder: Path) -> RecordFigures:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
-    """Copy the theatre file `source` to `target` with new calibration records, keeping the comments.
+    """Copy the theatre file with new calibration records, preserving its comments.
 
     A record that was only moved, not `measured` then, keeps its dates from `source`. Records of tools stay
     as they are: a person must say that a tool's gauge still fits its new tip.
@@ -84,7 +84,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
-    """Copy the theatre file `source` to `target` with new entries in its tables, keeping the comments."""
+    """Copy the theatre file with new table entries, preserving its comments."""
     require_same_folder(source, target)
     content = read_bounded(source, LARGEST_TOML_BYTES)
     parse_toml_bytes(content, source.name, BadTheatreFile)
@@ -93,7 +93,7 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
 
 
 def require_same_folder(source: Path, target: Path) -> None:
-    """Raise CAL-005 unless `target` is in the same folder as the theatre file `source`."""
+    """Raise CAL-005 unless both theatre files are in the same folder."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, which its relative paths refer to",
@@ -108,7 +108,7 @@ def _keep_former_date(former: dict[str, Any], record: dict[str, Any]) -> dict[st
 
 
 def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return TOML text with these table entries in place of the former ones, or appended at the end.
+    """Return TOML text with the table entries replaced, or appended if they are new.
 
     The outcome is compared with the intended content: if these tables have no headers of their own, comments
     are lost.
@@ -129,7 +129,7 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
-    """Yield the lines of TOML text with the `new` tables in place of the former ones or at the end.
+    """Yield the lines of TOML text, replacing existing tables by those in `new` and appending the rest.
 
     Comments in front of the next header are kept.
     """
@@ -155,7 +155,7 @@ def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
 
 
 def _parse_header(line: str) -> TablePath | None:
-    """Return the path of the table whose header the line is; None for any other line."""
+    """Parse a TOML table header into the table's path; return None for any other line."""
     if not line.lstrip().startswith("["):
         return None
     try:

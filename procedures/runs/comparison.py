@@ -1,4 +1,4 @@
-"""Comparison of a resumed run with its records: devices, calibrations, tool, CT, plan, patient, robot base.
+"""Comparison of a resumed run's devices, calibrations, tool, inputs and room with its records.
 
 It connects and reads; nothing here can move the arm. The tracker measures the room again at rest: the visible
 spheres on the head, and the robot's base by the reference frame on the arm. The base is compared only in the
@@ -50,7 +50,7 @@ FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine w
 
 @dataclass
 class Comparison:
-    """Findings in plain words. Any difference prevents resuming, whatever the operator answers."""
+    """Findings of a comparison. Any difference prevents resuming, whatever the operator answers."""
 
     warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
@@ -59,19 +59,19 @@ class Comparison:
 
     @property
     def findings(self) -> list[str]:
-        """Findings for the journal, without the differences."""
+        """All findings except the differences, for the journal."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
     def add_unchanged(self, what: str) -> None:
-        """Add an item that is as recorded."""
+        """Add an item that matches its record."""
         self.unchanged.append(what)
 
     def note(self, text: str) -> None:
-        """Add a remark for the operator."""
+        """Add a note for the operator."""
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
-        """Add a warning, to be read before anything else."""
+        """Add a warning, which is displayed before all other findings."""
         self.warnings.append(text)
 
     def add_difference(self, what: str, recorded: object, found: object) -> None:
@@ -79,11 +79,11 @@ class Comparison:
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def refuse(self, text: str) -> None:
-        """Add a reason not to resume the run, in plain words."""
+        """Add another reason why the run must not be resumed."""
         self.differences.append(text)
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
-        """Compare an item with its record, and add it as unchanged or add the fields that differ."""
+        """Compare an item with its record and add it as unchanged or as a difference."""
         if recorded == found:
             self.add_unchanged(what)
         elif recorded is None or found is None:
@@ -99,7 +99,7 @@ class Comparison:
             )
 
     def format_lines(self, order: Sequence[str]) -> str:
-        """Return the findings as text: warnings, the work in `order`, remarks, number of unchanged items."""
+        """Format the findings: warnings, the steps in `order`, notes and the number of unchanged items."""
         as_recorded = [format_count(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
@@ -107,7 +107,7 @@ class Comparison:
 def _find_differences(
     recorded: BaseModel, found: BaseModel, within: str = ""
 ) -> Iterator[tuple[str, object, object]]:
-    """Yield the dotted name of each differing field with both values; for sequences, with both lengths."""
+    """Yield the dotted name and both values of each differing field; long values are summarized."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:
@@ -132,7 +132,7 @@ def compare_devices(
     exchange_begun: bool,
     only_leaving: bool = False,
 ) -> None:
-    """Connect and configure every device, and compare each with the recorded set-up.
+    """Connect and configure every device and compare it with the recorded set-up.
 
     `exchange_begun` says that a tool exchange began and did not end. With `only_leaving` only the arm is
     needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
@@ -207,7 +207,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Compare the theatre file with the record: devices, tools, flange, cell and procedure settings."""
+    """Compare devices, tools, flange, cell and procedure settings of the theatre file with the record."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in sorted(recorded.identities.keys() - setting.workcell.devices.keys()):
         comparison.add_difference(role, _describe_device(recorded.identities[role]), "none")
@@ -248,7 +248,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Reread CT, plan and proposed position and compare them. An unreadable input counts as a difference.
+    """Re-read CT, plan and proposed position and compare them; an unreadable input is a difference.
 
     `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
     """
@@ -297,7 +297,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
-    """Compare patient and robot base. Return False if the tracker sees too little of the head.
+    """Compare patient and robot base; return False if the tracker sees too little of the head.
 
     Raises the errors of the tracker.
     """

@@ -1,4 +1,4 @@
-"""Stand-ins for operator, staff, clock and devices in a replay, which repeat recorded answers."""
+"""Stand-ins that replay the recorded behaviour of operator, staff, clock and devices."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear
 
 
 class RecordedOperator:
-    """Operator of a replay, who repeats the answers recorded in the journal."""
+    """Operator stand-in that repeats the answers recorded in the journal."""
 
     def __init__(self) -> None:
         self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
 
     def begin(self, section: Sequence[Line]) -> None:
-        """Begin a section with these lines."""
+        """Load the journal lines of a new section."""
         self._confirmations, motions = [], 0
         for line in section:
             motions += line["entry"] == Entry.MOTION
@@ -38,7 +38,7 @@ class RecordedOperator:
                 self._confirmations.append((motions, line))
 
     def was_first_motion_asked(self, motions: int) -> bool:
-        """Whether the next question after `motions` motions in the section concerned a first motion."""
+        """Whether a first motion was confirmed after `motions` motions of the section."""
         for asked_after, line in self._confirmations:
             topic = str(line["topic"]).partition(":")[0]
             if topic not in AT_CHECKPOINTS:
@@ -46,7 +46,7 @@ class RecordedOperator:
         return False
 
     def ask(self, question: Question) -> Answer:
-        """Return the recorded answer to the next question of this name. Raises PRO-024 if there is none."""
+        """Return the next recorded answer to a question of this name. Raises PRO-024 if there is none."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
@@ -57,26 +57,26 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Room staff of a replay, who repeat recorded readings. Recorded controller inputs name the tools."""
+    """Room staff stand-in that repeats recorded readings. Tool changes need no action."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []
 
     def begin(self, work: Sequence[Line]) -> None:
-        """Begin a section with these lines."""
+        """Load the journal's work lines of a new section."""
         self._work = list(work)
 
     def announce(self, step: str) -> None:
-        """Do nothing."""
+        """Ignore the announcement."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Do nothing."""
+        """Do nothing, because recorded controller inputs identify the tool."""
 
     def prepare_stand(self, holds: str) -> None:
-        """Do nothing."""
+        """Do nothing, since a replay needs no stand."""
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Return the recorded readings of the next task of this name. Raises PRO-024 if there are none."""
+        """Return the recorded readings of the next task of this name. Raises PRO-024 if it was not done."""
         for place, line in enumerate(self._work):
             if line["task"] == task.name:
                 del self._work[: place + 1]
@@ -86,7 +86,7 @@ class RecordedRoom:
 
 
 class RecordedClock:
-    """Clock of a replay at the theatre time of the last answer. Sleeping takes no time."""
+    """Replay clock that shows the theatre time of the latest answer. Sleeping takes no time."""
 
     def __init__(self, answers: RecordedAnswers) -> None:
         self._answers = answers
@@ -99,11 +99,11 @@ class RecordedClock:
         return self._answers.moment_s
 
     def sleep(self, duration_s: float) -> None:
-        """Return at once."""
+        """Return immediately."""
 
 
 def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
-    """Return a stand-in with a device's public names and recorded answers. The device stays closed."""
+    """Build a stand-in with a device's public interface and recorded answers, without opening the device."""
     own = vars(_StandIn)
     names = [name for name in dir(device) if not name.startswith("_") and name not in own]
     calls = list_recorded_calls(device)
@@ -116,7 +116,7 @@ def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
 
 
 class _StandIn:
-    """Device stand-in with state and latest reading from recorded answers."""
+    """Device stand-in whose state and latest reading come from recorded answers."""
 
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
         self._device = device
@@ -146,13 +146,13 @@ class _StandIn:
         self._known = LastKnown(Lifecycle.CONFIGURED, None, self._known.reading)
 
     def stop(self, *_how: object) -> None:
-        """Do nothing."""
+        """Do nothing, since nothing moves in a replay."""
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing, since no connection is open."""
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        """Do nothing."""
+        """Do nothing, since a replay transfers no bytes."""
 
     def answer(self, call: str) -> object:
         """Return the next recorded answer to a call, or raise the recorded error."""
