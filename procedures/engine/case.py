@@ -24,7 +24,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class StepKey:
-    """Key of a step in a case: step name plus an optional trajectory."""
+    """Key of a step in a case: step name and optional trajectory."""
 
     name: str
     trajectory: str | None = None
@@ -51,7 +51,7 @@ class Stored(Generic[R]):
 
     @cached_property
     def file_sha256(self) -> str:
-        """SHA-256 of the record's file."""
+        """Hash of the record's file."""
         return file_sha256(self.record)
 
 
@@ -92,7 +92,7 @@ class Case:
         return Stored(record, result)
 
     def records_superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
-        """Return the records that a new result of a step would supersede: the old result and its descendants.
+        """Return the records superseded by a new result of a step: the old result and its descendants.
 
         Results of `finished` trajectories are never superseded.
         """
@@ -126,7 +126,7 @@ class Case:
         self._standing[key] = stored
 
     def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
-        """Invalidate a step's result and its descendants; see `records_superseded_by`."""
+        """Void a step's result and its descendants; see `records_superseded_by`."""
         gone = self.records_superseded_by(key, finished)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
@@ -140,7 +140,7 @@ class Case:
         return self._standing[key].record.identifier if key in self._standing else None
 
     def was_superseded(self, key: StepKey) -> bool:
-        """Whether a step had results, all of which have been superseded."""
+        """Whether all results of a step have been superseded."""
         had_result = any(
             one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded
         )
@@ -209,7 +209,7 @@ class Case:
 
     @property
     def records(self) -> tuple[Record, ...]:
-        """All results, valid and superseded, in numerical order."""
+        """All results in order, valid and superseded."""
         standing = (stored.record for stored in self._standing.values())
         return tuple(sorted((*self._superseded, *standing), key=_number))
 
@@ -220,7 +220,7 @@ class Case:
 
 
 def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
-    """Return the identifiers of valid results whose ancestors are no longer valid.
+    """Return identifiers of valid results with an invalid ancestor.
 
     They belong to trajectories that were finished before something moved.
     """
@@ -234,12 +234,12 @@ def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
 
 
 def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return a record's parent of the given kind from `records` (by identifier), or None."""
+    """Return a record's parent of a given kind from `records` (by identifier), or None."""
     return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
 
 
 def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return a record's nearest ancestor of the given kind from `records` (by identifier), or None."""
+    """Return a record's nearest ancestor of a given kind from `records`, or None."""
     level = [record]
     while level:
         level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())

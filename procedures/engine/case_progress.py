@@ -44,7 +44,7 @@ class CaseProgress:
 
     @property
     def continuation(self) -> StepKey | None:
-        """The step that must immediately follow the latest one, or None."""
+        """The step that must directly follow the latest one, or None."""
         return self.order.continuation(self.latest)
 
     @property
@@ -87,7 +87,7 @@ class CaseProgress:
         return f"{between}: run {only} first, or send the arm home (home); then ask why {key} again."
 
     def why_not_up_to(self, key: StepKey) -> str:
-        """Return the reason why the case cannot be run up to a step; empty if it can."""
+        """Return why the case cannot be run up to a step; empty if it can."""
         if self.case.stands(key):
             return f"{key} is already done"
         if (reason := self.left_out(key)) is not None:
@@ -131,11 +131,11 @@ class CaseProgress:
         return self.case.records_superseded_by(key, self._other_lasting_trajectories(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
-        """Make a new result valid in place of the results it supersedes."""
+        """Accept a new result in place of the results it supersedes."""
         self.case.accept(key, stored, self._other_lasting_trajectories(key))
 
     def records_voided_by(self, key: StepKey) -> tuple[Record, ...]:
-        """Return the records that are voided with a step's result, sparing finished targets."""
+        """Return the records voided together with a step's result, except those of finished targets."""
         return self.case.records_superseded_by(key, self._lasting_trajectories(key))
 
     def void(self, key: StepKey) -> None:

@@ -77,7 +77,7 @@ class StepContext:
 
     @property
     def read(self) -> tuple[Record, ...]:
-        """Records read so far, the future parents of this step's result."""
+        """Records read so far, which become parents of this step's result."""
         return tuple(self._read.values())
 
     @property
@@ -86,7 +86,7 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault that casts doubt on a result, or None; `model` as for `result`."""
+        """Return the fault that puts a result in doubt, or None; arguments as for `result`."""
         return self._case.doubt_of(self._read_result(model).record)
 
     def keep(self, model: type[R]) -> None:
@@ -95,7 +95,7 @@ class StepContext:
 
     @property
     def trajectory(self) -> str:
-        """This step's trajectory. Raises PRO-016 for a step that has none."""
+        """The trajectory of this step. Raises PRO-016 if it has none."""
         if self.key.trajectory is None:
             raise WrongResult(f"{self.key} is not a step of one trajectory")
         return self.key.trajectory
@@ -165,7 +165,7 @@ class StepContext:
         self._find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
-        """Return the identifier of a valid result; `model` as for `result`."""
+        """Return the identifier of a valid result; arguments as for `result`."""
         return self._read_result(model).record.identifier
 
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
@@ -181,7 +181,7 @@ class StepContext:
         return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
     def stands(self, model: type[StepResult]) -> bool:
-        """Whether the model has a valid result for any trajectory. Adds no parent.
+        """Whether any trajectory has a valid result of this model. Adds no parent.
 
         Results of finished trajectories that were made before something moved do not count.
         """
@@ -193,13 +193,13 @@ class StepContext:
         return [Stored(one.record, one.result) for one in kept if isinstance(one.result, model)]
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:
-        """Void a step's valid results for all trajectories; see `void`."""
+        """Void the valid result of a step for every trajectory; see `void`."""
         for trajectory in (None, *self.trajectories):
             if self._case.stands(key := StepKey(model.kind, trajectory)):
                 self._void(key, reason)
 
     def void(self, model: type[R], reason: RonnaError) -> None:
-        """Void a result and its descendants without replacing them."""
+        """Void a result and its descendants without a replacement."""
         self._void(StepKey(model.kind), reason)
 
     def confirm(

@@ -90,7 +90,7 @@ def recover_faults(
 
 
 class DeviceFaults:
-    """Device faults of a case, and the results that they cast doubt on."""
+    """Device faults of a case and the results they put in doubt."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class DeviceFaults:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
-        """Recover every faulted device without motion and return the acknowledged faults by role.
+        """Recover every device in fault without motion; return the acknowledged faults by role.
 
         `by` is the person's name. Raises DEV-006, and the error of a driver that cannot be recovered yet.
         """

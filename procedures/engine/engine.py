@@ -55,7 +55,7 @@ class Engine:
         recovering: bool = False,
         latest: StepKey | None = None,
     ) -> None:
-        """Set up the run; `recorders` are closed with it, and `recovering` starts in recovery (see `accept`).
+        """Set up the run; `recorders` are closed with it, `recovering` starts in recovery (see `accept`).
 
         `latest` is the step that was done last, in a resumed run.
         """
@@ -158,7 +158,7 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether no step remains and, for cases with targets, the arm is home."""
+        """Whether no step remains and, in a case with targets, the arm is home."""
         leads = self.order.leads_to_targets
         return self.course.over and not (leads and (self.instrument_in or self.setting.workcell.place.is_out))
 
@@ -182,7 +182,7 @@ class Engine:
     # While a step runs
 
     def context(self, key: StepKey) -> StepContext:
-        """Build the context for a step."""
+        """Build a step's view of the case."""
         return StepContext(
             key=key,
             reads=self.order.spec(key).reads,
@@ -229,7 +229,7 @@ class Engine:
     # Between steps
 
     def retreat_home(self) -> None:
-        """Have the instrument removed, withdraw the guide along its axis and park the arm.
+        """Leave the head and park: have the instrument removed, withdraw the guide along its axis, go home.
 
         Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, PRO-004 where they end the
         case on the way, and the errors of motions.
@@ -285,7 +285,7 @@ class Engine:
             self.course.latest = None
 
     def abort(self) -> None:
-        """Abort the case between steps without moving the arm. Raises PRO-001 if the case has ended."""
+        """Abort the case between steps without motion. Raises PRO-001 if it has ended."""
         if self.machine.ended:
             raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave with quit.")
         self.machine.abort()
@@ -294,11 +294,11 @@ class Engine:
         _log.warning("case aborted")
 
     def record_seat(self, session: str, name: str, since_s: float | None) -> None:
-        """Record the console operator's name and start time; an empty name means a free seat."""
+        """Record the console operator's name and start time; an empty name frees the seat."""
         self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
-        """Record what was found, and any differences, after a restart."""
+        """Record the findings after a restart."""
         self._write(Entry.FOUND, findings=list(findings), differences=list(differences))
 
     def accept(self) -> None:
@@ -326,7 +326,7 @@ class Engine:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
     def close(self, outcome: str, problem: RonnaError | None = None) -> None:
-        """Close connections and journal; `problem` is the error that ended the case."""
+        """Close connections and journal; `problem` is the error that ended the case, if any."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
             self.faults.doubt_results()
@@ -393,7 +393,7 @@ class Engine:
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _write_attachments(self, problem: RonnaError) -> list[JournalValue]:
-        """Write an error's attachments to the run folder and return the names of the files written."""
+        """Write the attachments of an error; return the names of the files written."""
         written_files: list[JournalValue] = []
         for name, text in sorted(problem.attachments.items()):
             try:

@@ -1,4 +1,4 @@
-"""Error classes of the engine."""
+"""Errors raised by the engine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class UnknownStep(RonnaError):
 
 
 class ToolUnchecked(RefusedError):
-    """The mounted tool may have been removed, exchanged or bumped since its last check."""
+    """The mounted tool may have been removed, exchanged or hit since its check."""
 
     code = "PRO-027"
     action = "It is checked again before it goes to a target."
@@ -41,7 +41,7 @@ class CommandRefused(RonnaError):
 
 
 class WrongResult(RonnaError):
-    """A step returned or requested a result that it did not declare."""
+    """A step produced or requested a result that it does not declare."""
 
     code = "PRO-016"
     action = "Correct the step: its declaration names its result and the results it reads."
@@ -55,7 +55,7 @@ class EventsUnreadable(RonnaError):
 
 
 class NotRecorded(DataError):
-    """The replay needs data that the run did not record."""
+    """A replay needs data that the run did not record."""
 
     code = "PRO-024"
     action = "This part of the run cannot be recomputed; its records remain valid."
@@ -69,7 +69,7 @@ class ReplayDiffers(RonnaError):
 
 
 class AnswersUnfit(RonnaError):
-    """The answers file does not match the questions of the case."""
+    """An answers file does not match the questions of the case."""
 
     code = "PRO-026"
     action = "Correct the file; docs/reference/answers.md lists the topics and their answers."
@@ -92,7 +92,7 @@ class OtherProgram(RonnaError):
 
 
 class RecoveryRefused(RonnaError):
-    """The run was not resumed because the findings differ from its records or were not accepted."""
+    """The run was not resumed: the findings differ from its records, or were not accepted."""
 
     code = "PRO-032"
     action = "Restore the recorded state and resume again, or start a new run. Nothing was moved."

@@ -1,4 +1,4 @@
-"""State machine of a procedure, derived from its steps.
+"""The procedure's state chart, derived from its steps.
 
 Transitions are instant and pure; a step's work happens while the machine rests in its state, never in a
 callback. The engine decides whether a step may begin before it asks for the transition.
@@ -109,7 +109,7 @@ class ProcedureMachine:
 
 
 def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:
-    """Yield each transition as trigger, source states and destination."""
+    """Yield trigger, sources and destination of each transition."""
     working = [IDLE, HELD, *map(state_of, order.steps)]
     for step in order.steps:
         yield f"begin_{step.name}", working, state_of(step)
@@ -124,12 +124,12 @@ def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
-    """Return the name of a step's state, prefixed by its phase."""
+    """Return the name of a step's state, phase first."""
     return f"{step.phase}{SEPARATOR}{step.name}"
 
 
 def state_chart_mermaid(steps: Steps) -> str:
-    """Return the state chart as Mermaid text, with the normal course of a case and all transitions.
+    """Return the state chart as Mermaid text: the normal course of a case and all transitions.
 
     An arrow from or to a phase is one from or to each of its steps.
     """
@@ -146,7 +146,7 @@ def state_chart_mermaid(steps: Steps) -> str:
 
 
 def _arrows(order: CaseOrder) -> Iterator[str]:
-    """Yield Mermaid arrows for the transitions, routing many-to-many ones through a junction."""
+    """Yield the transitions as arrows, joining many-to-many transitions at a junction."""
     ways: dict[tuple[str, ...], list[str]] = {}
     for _, sources, destination in _transitions(order):
         ways.setdefault(tuple(sources), []).append(destination)
@@ -176,7 +176,7 @@ def _phases(steps: Steps) -> dict[str, dict[str, str]]:
 
 
 def _blocks(steps: Steps) -> list[tuple[str, str]]:
-    """Return the first and last step of each block that is repeated per trajectory."""
+    """Return the first and last step of each block repeated per trajectory."""
     blocks = []
     for scope, block in groupby(steps, key=lambda step: step.scope):
         if scope is not Scope.CASE:

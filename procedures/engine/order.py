@@ -21,7 +21,7 @@ MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 class Phase(StrEnum):
-    """Phase of a case: a group of steps, and a superstate of the state chart."""
+    """Phase of a case: group of steps and superstate in the state chart."""
 
     PREOPERATIVE = "preoperative"
     PREPARATION = "preparation"
@@ -38,7 +38,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Outcome(Generic[R_co]):
-    """Outcome of a step: its result and a one-line summary for the operator."""
+    """Outcome of a step: result and a one-line summary for the operator."""
 
     result: R_co
     summary: str = ""
@@ -94,7 +94,7 @@ class CaseOrder:
     sequence: tuple[StepKey, ...]
 
     def spec(self, key: StepKey) -> StepSpec[StepResult]:
-        """Return the declaration of a step."""
+        """Return a step's declaration."""
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
@@ -114,7 +114,7 @@ class CaseOrder:
 
     @property
     def localizations(self) -> tuple[StepKey, ...]:
-        """Steps that localize the head in front of the arm."""
+        """Steps that locate the head in front of the arm."""
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
     @property
@@ -128,7 +128,7 @@ class CaseOrder:
         return any(step.finishes for step in self.steps)
 
     def without_names(self, text: str) -> str:
-        """Replace trajectory names by numbers in log text, since a name may identify a patient."""
+        """Replace trajectory names by numbers for the log, since a name may identify a patient."""
         for number, name in enumerate(self.trajectories, start=1):
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
         return text
@@ -145,7 +145,7 @@ class CaseOrder:
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
     def continuation(self, key: StepKey | None) -> StepKey | None:
-        """Return the step that must immediately follow `key`, or None."""
+        """Return the step that must directly follow `key`, or None."""
         if key is None or key not in self.sequence[:-1]:
             return None
         following = self.sequence[self.sequence.index(key) + 1]
@@ -154,7 +154,7 @@ class CaseOrder:
     def unmet(
         self, key: StepKey, latest: StepKey | None, stands: Callable[[StepKey], bool]
     ) -> tuple[str, ...]:
-        """Return the reason why a step may not follow `latest`; empty if it may.
+        """Return why a step may not directly follow `latest`; empty if it may.
 
         A step may come when everything before it is valid: next in the order, for another trajectory, or
         again.

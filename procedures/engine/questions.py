@@ -74,7 +74,7 @@ class Questions:
         return answer
 
     def _misread(self, question: Question) -> None:
-        """Record a failed read-back, omitting the typed text because it may identify another patient."""
+        """Record a failed read-back without the typed text, which may identify another patient."""
         self._journal.write(
             Entry.MISREAD, self._setting.clock.now_s(), topic=question.name, subject=question.subject
         )
@@ -132,7 +132,7 @@ class Questions:
 
 
 def removal_words(place: str) -> str:
-    """Describe the manual work needed at a place before the arm may move."""
+    """Describe the manual work required before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
     return f"remove the {_instrument_name(place)} from {place} and from the guide"

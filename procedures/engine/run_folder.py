@@ -45,16 +45,16 @@ class RunFolder:
 
     @property
     def opened(self) -> Line:
-        """First journal line (theatre, banner, strategy, seed), or empty without one."""
+        """First journal line: theatre, banner, strategy, seed. Empty if missing."""
         return self.journal[0] if self.journal else {}
 
     @property
     def name(self) -> str:
-        """Original name of the run, even if its folder was renamed."""
+        """Original name of the run; its folder may have been renamed."""
         return str(self.opened.get("run") or self.path.resolve().name)
 
     def lines(self, entry: Entry) -> tuple[Line, ...]:
-        """Return all journal lines with the given entry."""
+        """Return the journal lines of one kind."""
         return tuple(line for line in self.journal if line["entry"] == entry)
 
     @property
@@ -77,7 +77,7 @@ class RunFolder:
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Read a run folder. Raises PRO-033 if its files were changed."""
+    """Read a run. Raises PRO-033 if its files were changed."""
     return run_of(inspect_run(folder).require_unchanged())
 
 
@@ -129,7 +129,7 @@ class Recorder(Protocol):
     """Writes files of the run in parallel with the engine."""
 
     def close(self) -> None:
-        """Write pending data and close the files, within bounded time and without raising."""
+        """Write pending data and close the files. Bounded in time; never raises."""
         ...
 
 
@@ -152,7 +152,7 @@ def close_run(
 
 
 def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
-    """Hash the run's files, and any CT, plan and proposed position outside its folder."""
+    """Return hashes of the run's files, and of CT, plan and proposed position outside its folder."""
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
         expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).unvouched_files

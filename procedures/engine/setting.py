@@ -35,11 +35,11 @@ class CaseMemory:
         return cast("T | None", self._kept.get(kind))
 
     def drop(self, kind: type[object]) -> None:
-        """Remove the cached object of a type."""
+        """Drop the object of a type."""
         self._kept.pop(kind, None)
 
     def clear(self) -> None:
-        """Empty the cache, as a restart does."""
+        """Drop everything, as after a restart."""
         self._kept.clear()
 
 
@@ -66,7 +66,7 @@ def now_to_second() -> datetime:
 
 @dataclass(frozen=True)
 class CaseSetting:
-    """Workcell, people, inputs and settings of one run."""
+    """Workcell, people and settings of one run."""
 
     workcell: Workcell
     clock: Clock

@@ -1,4 +1,4 @@
-"""Names of the case states between steps; `machine` adds one state per step."""
+"""Names of case states between steps; `machine` adds the states of steps."""
 
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
 

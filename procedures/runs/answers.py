@@ -38,7 +38,7 @@ class Answers(BaseModel):
     answers: dict[str, str] = {}
 
     def answer_for(self, question: Question) -> str | None:
-        """Return the file's answer to a question, or None; an entry for the trajectory takes precedence."""
+        """Return the file's answer to a question, or None. An answer for its trajectory takes precedence."""
         word = self.answers.get(question.name, self.answers.get(str(question.topic)))
         return word if word in question.answers else None
 
@@ -96,7 +96,7 @@ def _find_mistake(key: str, word: str) -> str | None:
 
 
 class ScriptedOperator:
-    """Operator that always gives the first answer.
+    """Operator that gives the first answer to every question.
 
     A guard's question that comes again after a wait is left: nobody can restore its condition.
     """
@@ -105,7 +105,7 @@ class ScriptedOperator:
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> Answer:
-        """Return the first answer, or silence if a guard asks the same question again."""
+        """Return the first answer, or silence if a guard asks again after a wait."""
         if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:

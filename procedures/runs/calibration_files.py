@@ -25,14 +25,14 @@ CALIBRATION_FILE = "calibration.toml"
 
 
 def write_records(records: dict[str, Any], folder: Path) -> None:
-    """Write new calibration records to `calibration.toml`, keyed as in the theatre file."""
+    """Write new calibration records to `calibration.toml`, keyed by their names in the theatre file."""
     import tomli_w
 
     write_atomically(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
 
 
 def require_records(folders: Iterable[Path]) -> None:
-    """Raise CAL-005 for any path without calibration records."""
+    """Raise CAL-005 for a folder or file without calibration records."""
     for folder in folders:
         file = folder / CALIBRATION_FILE if folder.is_dir() else folder
         try:
@@ -61,7 +61,7 @@ def read_finished_figures(folder: Path) -> RecordFigures:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
-    """Copy the theatre file with new calibration records, preserving its comments.
+    """Copy the theatre file `source` to `target` with new calibration records, keeping the comments.
 
     A record that was only moved, not `measured` then, keeps its dates from `source`. Records of tools stay
     as they are: a person must say that a tool's gauge still fits its new tip.
@@ -84,7 +84,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
-    """Copy the theatre file with new table entries, preserving its comments."""
+    """Copy the theatre file `source` to `target` with new entries in its tables, keeping the comments."""
     require_same_folder(source, target)
     content = read_bounded(source, LARGEST_TOML_BYTES)
     parse_toml_bytes(content, source.name, BadTheatreFile)
@@ -93,7 +93,7 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
 
 
 def require_same_folder(source: Path, target: Path) -> None:
-    """Raise CAL-005 unless both theatre files are in the same folder."""
+    """Raise CAL-005 unless `target` is in the same folder as the theatre file `source`."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, which its relative paths refer to",

@@ -89,17 +89,17 @@ class CalibrationKind(Generic[Looks, Result]):
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
 
     def observed(self, case: Case) -> Looks:
-        """Return the looks from a completed calibration case."""
+        """Return the looks taken by a completed calibration case."""
         looks: Looks = case.get(self.observed_by).result.observed
         return looks
 
     def remarks(self, case: Case) -> tuple[str, ...]:
-        """Return the remarks of a completed calibration case for the operator."""
+        """Return the remarks for the operator from a completed calibration case."""
         remarks = case.get(self.remarked_by or self.observed_by).result.remarks
         return (*remarks, self.last_remark) if self.last_remark else tuple(remarks)
 
     def records_of(self, result: Result) -> dict[str, Any]:
-        """Return the new records, keyed as in the theatre file."""
+        """Return the new records, keyed by their names in the theatre file."""
         made = {name: getattr(result, name) for name in self.records}
         return {
             name: record.model_dump(exclude_none=True) for name, record in made.items() if record is not None
@@ -120,7 +120,7 @@ class CalibrationKind(Generic[Looks, Result]):
 
 
 def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
-    """Compute a calibration from its looks. Raises CAL-020 if they come from another theatre."""
+    """Compute a calibration from its looks. Raises CAL-020 for looks of another theatre."""
     theatre = None if request.config is None else read_theatre_file(request.config).calibration
     if theatre is not None:
         require_same_theatre(looks, theatre)  # a computation may take minutes
@@ -147,7 +147,7 @@ def write_calibration_files(
 
 
 def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Case, folder: Path) -> None:
-    """Conclude a completed calibration: report remarks, save looks, compute, and write files.
+    """Conclude a completed calibration: report its remarks, store its looks, compute, and write its files.
 
     Remarks come first: the computation may fail for the same reason.
     """
@@ -161,7 +161,7 @@ def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Ca
 def finish_calibration(
     kind: CalibrationKind[Looks, Result], request: RunRequest, interrupted: InterruptedRun
 ) -> None:
-    """Conclude an interrupted calibration whose looks are complete, without using any device."""
+    """Conclude an interrupted calibration whose looks are complete, without moving or querying any device."""
     case = interrupted.restore_case(order_of(Recipe.read(request.calibration.recipe).steps, ()))
     try:
         conclude(kind, request, case, interrupted.folder)

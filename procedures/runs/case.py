@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 def case_folder(case: CaseProcedure, folder: Path) -> Path:
-    """Return the folder with a run's CT and plan."""
+    """Return the folder with the CT and plan of the run in `folder`."""
     return case.case or folder / "case"
 
 
 def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:
-    """Return a run's CT, plan and strategy, with the hash of the locked plan if given."""
+    """Return CT, plan and strategy of a run, with the hash of the locked plan if given."""
     from procedures.engine.setting import ClinicalInput
     from procedures.strategies.catalogue import find_strategy
 
@@ -53,7 +53,7 @@ def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = N
 
 
 def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
-    """Restore the step order of an interrupted run from the plan it checked, ignoring later changes.
+    """Return the step order of an interrupted run from the plan it checked, even if the file has changed.
 
     Raises REC-001, REC-003.
     """
@@ -82,7 +82,7 @@ def prepare_case(
     resumption: Resumption | None,
     held: contextlib.ExitStack,
 ) -> EngineInput:
-    """Prepare the engine input of a case, locking its plan until `held` closes."""
+    """Prepare the engine input of a case, and keep its plan locked until `held` closes."""
     from procedures.calibration.validity import options_of, require_valid
     from procedures.engine.errors import RecoveryRefused
     from procedures.engine.setting import now_to_second

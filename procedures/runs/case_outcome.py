@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def run_case(
     request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
 ) -> FinishedRun:
-    """Run a case, or the rest of an interrupted one. The report is not written here.
+    """Run a case, or the rest of an interrupted one, without writing its report.
 
     Raises the errors of steps, PRO-032 if it is not resumed, PRO-013 from the verifier.
     """
@@ -61,7 +61,7 @@ def finish_case(
 
 
 def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:
-    """Reconstruct the outcome of a finished case from its folder, with the path of any report."""
+    """Return the outcome of a finished case as recorded in its folder, with its report if any."""
     from procedures.reporting.files import load_truth
     from ronna_hw.evidence.manifest import is_sealed
 
@@ -79,7 +79,7 @@ def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> Fin
 
 
 def with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
-    """Return the outcome with the path of the run's report, or None if there is no report."""
+    """Return the outcome with the path of the run's report, if there is one."""
     from ronna_hw.evidence.manifest import REPORT_FILE
 
     report = folder / REPORT_FILE
@@ -99,7 +99,7 @@ def wall_time_s(journal: Sequence[Line]) -> float:
 
 
 def build_unfinished_outcome(request: RunRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
-    """Return the outcome of a run that was ended by `problem`."""
+    """Return the outcome of a run that ended with `problem`."""
     from procedures.reporting.outcome import UnfinishedRun
 
     return UnfinishedRun(

@@ -59,7 +59,7 @@ class Comparison:
 
     @property
     def findings(self) -> list[str]:
-        """All findings except the differences, for the journal."""
+        """Findings for the journal, without the differences."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
     def add_unchanged(self, what: str) -> None:
@@ -67,7 +67,7 @@ class Comparison:
         self.unchanged.append(what)
 
     def note(self, text: str) -> None:
-        """Add a note for the operator."""
+        """Add a remark for the operator."""
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
@@ -83,7 +83,7 @@ class Comparison:
         self.differences.append(text)
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
-        """Compare an item with its record and add it as unchanged or as a difference."""
+        """Compare an item with its record, and add it as unchanged or add the fields that differ."""
         if recorded == found:
             self.add_unchanged(what)
         elif recorded is None or found is None:
@@ -132,7 +132,7 @@ def compare_devices(
     exchange_begun: bool,
     only_leaving: bool = False,
 ) -> None:
-    """Connect and configure every device and compare it with the recorded set-up.
+    """Connect and configure every device, and compare each with the recorded set-up.
 
     `exchange_begun` says that a tool exchange began and did not end. With `only_leaving` only the arm is
     needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
@@ -207,7 +207,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Compare devices, tools, flange, cell and procedure settings of the theatre file with the record."""
+    """Compare the theatre file with the record: devices, tools, flange, cell and procedure settings."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in sorted(recorded.identities.keys() - setting.workcell.devices.keys()):
         comparison.add_difference(role, _describe_device(recorded.identities[role]), "none")
@@ -248,7 +248,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Re-read CT, plan and proposed position and compare them; an unreadable input is a difference.
+    """Reread CT, plan and proposed position and compare them. An unreadable input counts as a difference.
 
     `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
     """
@@ -297,7 +297,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
-    """Compare patient and robot base; return False if the tracker sees too little of the head.
+    """Compare patient and robot base. Return False if the tracker sees too little of the head.
 
     Raises the errors of the tracker.
     """

@@ -187,7 +187,7 @@ class LivePictures:
         self._arrived = threading.Event()
 
     def look(self, seen: Look) -> None:
-        """Store the stereo pair for the next transmission."""
+        """Keep the latest stereo pair for the next transmission."""
         self._newest = seen
         self._arrived.set()
 
@@ -218,7 +218,7 @@ class ConsoleRequest:
 
 
 def check_console() -> None:
-    """Raise PRO-040 if the console's libraries are not installed."""
+    """Raise PRO-040 if the libraries of the console are not installed."""
     if missing := [name for name in REQUIRED_MODULES if importlib.util.find_spec(name) is None]:
         raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
 

@@ -82,7 +82,7 @@ def finalize_run(
 def end_unfinished_run(
     folder: Path, problem: BaseException, left: InterruptedRun | None = None
 ) -> Path | None:
-    """Write report and seal after `problem` ended a run; remove the folder of a run that never started."""
+    """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
     remove_if_refused(folder, problem)
     remove_if_empty(folder)
     report = write_final_report(folder, as_run_error(problem))
@@ -106,7 +106,7 @@ def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
 
 
 def begin_report(folder: Path) -> None:
-    """Write a provisional report page in case the run is killed.
+    """Write a provisional report page, in case the run is killed.
 
     A failure is not reported: nothing depends on it, and the end of the run writes there too.
     """
@@ -138,7 +138,7 @@ def write_final_report(
 
 
 def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
-    """Rebuild the report of any run folder; `after` adds the postoperative check.
+    """Rebuild the report of any run folder. `after` adds the postoperative check.
 
     The journal is not continued, and a run without a seal remains without one. Raises without `out`
     PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
@@ -180,7 +180,7 @@ def as_run_error(problem: BaseException) -> RunError | None:
 
 
 def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool = False) -> None:
-    """Seal a run's files, including its report. Failures are reported, not raised.
+    """Seal the files of a run, including its report. Failures are reported, not raised.
 
     If its journal is still as it was `left`, no line names what was found changed: that keeps its former
     hash, and a run without a seal remains without one. Slow work is skipped if the end must come `at_once`,
@@ -281,7 +281,7 @@ def _describe_theatre_restart(folder: Path) -> str:
 
 
 def _has_other_run_left_arm_away(folder: Path) -> bool:
-    """Whether another run in the same theatre has left the arm away from home."""
+    """Whether another run on the same theatre left the arm away from home."""
     from procedures.runs.theatre_lock import read_last_note
     from procedures.runs.theatre_note import arm_not_home
 

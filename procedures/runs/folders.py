@@ -63,7 +63,7 @@ def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
 
 @contextmanager
 def hold_run(folder: Path) -> Iterator[None]:
-    """Lock a run folder for this program. Raises PRO-030 if another program has it locked."""
+    """Lock a run folder for this program. Raises PRO-030 while another program holds it."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         try:

@@ -22,7 +22,7 @@ from ronna_hw.records import BadRecord, Record
 
 @dataclass(frozen=True)
 class InterruptedRun:
-    """A run that ended or was killed, as read from its folder."""
+    """A run that has ended or was killed, read back from its folder to be resumed."""
 
     run: RunFolder
     chain: Chain

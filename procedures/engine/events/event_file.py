@@ -55,7 +55,7 @@ class EventFile:
         self._thread.start()
 
     def join(self, timeout_s: float = 2.0) -> None:
-        """Wait until all events up to the end of the stream are written."""
+        """Wait until everything up to the end of the stream is written."""
         self._thread.join(timeout_s)
 
     def _open(self) -> int | None:
@@ -245,7 +245,7 @@ class FollowedRun:
 
 
 def _sort_events(course: Sequence[Event]) -> list[Event]:
-    """Sort events chronologically, since signals are written late and numbering restarts on resume."""
+    """Sort events chronologically: signals are written late, and numbers restart on resume."""
     program, latest, numbered = 0, 0, list[tuple[int, int, Event]]()
     for event in course:
         if not event.what.signal:  # facts are written in their order

@@ -1,4 +1,4 @@
-"""Event types: facts, which every reader receives in full, and signals, of which only the latest counts.
+"""Event types: facts, all delivered to every reader, and signals, only the latest value delivered.
 
 A signal is replaced by the next of the same kind about the same thing (`about`): a slow reader misses poses,
 never a question or a fault.
@@ -245,7 +245,7 @@ class Bodies(_EventBase):
 
 
 class LinkHealth(_EventBase):
-    """Robot link health since the arm was last activated; times in host time."""
+    """Health of the robot link since the arm was last activated; times in host time."""
 
     signal: ClassVar[bool] = True
     kind: Literal["link"] = "link"
@@ -273,7 +273,7 @@ class Refusal(_EventBase):
 
 
 class Fault(_EventBase):
-    """An error as displayed to the operator."""
+    """An error as shown to the operator."""
 
     kind: Literal["fault"] = "fault"
     code: str

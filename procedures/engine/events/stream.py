@@ -38,7 +38,7 @@ LAST_ERROR = "last error"
 
 
 class CurrentState:
-    """Current state as events: the latest event per persistent value, plus recent journal lines."""
+    """Current state as events: the latest event for each lasting value, and recent journal lines."""
 
     def __init__(self) -> None:
         self._events: dict[str, Event] = {}
@@ -50,7 +50,7 @@ class CurrentState:
         return tuple(self._events.values())
 
     def take_in(self, event: Event) -> None:
-        """Add an event and drop any that it makes obsolete."""
+        """Add an event and drop the events it makes obsolete."""
         match event.what:
             case Answered(question=number):
                 self._events.pop(f"question {number}", None)
@@ -112,7 +112,7 @@ class Reader:
             self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
 
     def read(self, timeout_s: float | None = None) -> Batch:
-        """Wait for an event or the end of the stream, then return all unread events."""
+        """Wait for an event or the end of the stream, and return all new events."""
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
             events = sorted([*self._facts, *self._signals.values()], key=lambda event: event.number)

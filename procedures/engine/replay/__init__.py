@@ -1,1 +1,1 @@
-"""Replay of a run from recorded answers, without devices, for comparison with its records."""
+"""Replay of a run from recorded answers, without devices, and comparison with its records."""

@@ -74,7 +74,7 @@ class _Raised(_Strict):
     got: str | None = None
 
     def to_error(self) -> RonnaError:
-        """Rebuild the original error, using its own class if known."""
+        """Rebuild the raised error, in its original class if that is known."""
         known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
         kind = next(known, DeviceError)
         error = kind.__new__(kind)  # some take other arguments than their base
@@ -83,7 +83,7 @@ class _Raised(_Strict):
 
 
 class _AnswerLine(_Strict):
-    """Tape line with one answer of a device."""
+    """Tape line with an answer."""
 
     section: int
     device: str
@@ -96,7 +96,7 @@ class _AnswerLine(_Strict):
 
 
 class _PixelsAt(_Strict):
-    """Location of an image's pixel data on the tape."""
+    """Position of an image's pixel data on the tape."""
 
     at: Annotated[int, Field(ge=0, lt=2**63)]
     count: Annotated[Count, Field(alias="bytes")]
@@ -116,7 +116,7 @@ class RecordedAnswer:
 
 @dataclass
 class RecordedAnswers:
-    """Recorded device answers of one run; `moment_s` is the theatre time of the latest answer returned."""
+    """Recorded device answers of one run; `moment_s` is the theatre time of the last one returned."""
 
     opening: Opening
     _pixels: Path
@@ -190,7 +190,7 @@ class RecordedAnswers:
 
 
 def read_answers(run: Path) -> RecordedAnswers:
-    """Read a run's tape, ignoring a torn line at its end. Raises PRO-024 if there is no tape."""
+    """Read a run's tape, ignoring a torn last line. Raises PRO-024 if there is no tape."""
     sections: dict[int, dict[tuple[str, str], deque[_AnswerLine]]] = defaultdict(lambda: defaultdict(deque))
     opening: Opening | None = None
     for line in _read_lines(run / READINGS_FOLDER):

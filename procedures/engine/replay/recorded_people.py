@@ -38,7 +38,7 @@ class RecordedOperator:
                 self._confirmations.append((motions, line))
 
     def was_first_motion_asked(self, motions: int) -> bool:
-        """Whether a first motion was confirmed after `motions` motions of the section."""
+        """Whether the next question after `motions` motions in the section concerned a first motion."""
         for asked_after, line in self._confirmations:
             topic = str(line["topic"]).partition(":")[0]
             if topic not in AT_CHECKPOINTS:
@@ -46,7 +46,7 @@ class RecordedOperator:
         return False
 
     def ask(self, question: Question) -> Answer:
-        """Return the next recorded answer to a question of this name. Raises PRO-024 if there is none."""
+        """Return the recorded answer to the next question of this name. Raises PRO-024 if there is none."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
@@ -57,7 +57,7 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Room staff stand-in that repeats recorded readings. Tool changes need no action."""
+    """Room staff stand-in that repeats recorded readings; recorded controller inputs identify the tools."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []
@@ -67,16 +67,16 @@ class RecordedRoom:
         self._work = list(work)
 
     def announce(self, step: str) -> None:
-        """Ignore the announcement."""
+        """Do nothing."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Do nothing, because recorded controller inputs identify the tool."""
+        """Do nothing."""
 
     def prepare_stand(self, holds: str) -> None:
-        """Do nothing, since a replay needs no stand."""
+        """Do nothing."""
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Return the recorded readings of the next task of this name. Raises PRO-024 if it was not done."""
+        """Return the recorded readings of the next task of this name. Raises PRO-024 if there are none."""
         for place, line in enumerate(self._work):
             if line["task"] == task.name:
                 del self._work[: place + 1]
@@ -99,7 +99,7 @@ class RecordedClock:
         return self._answers.moment_s
 
     def sleep(self, duration_s: float) -> None:
-        """Return immediately."""
+        """Return at once."""
 
 
 def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
@@ -146,13 +146,13 @@ class _StandIn:
         self._known = LastKnown(Lifecycle.CONFIGURED, None, self._known.reading)
 
     def stop(self, *_how: object) -> None:
-        """Do nothing, since nothing moves in a replay."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Do nothing, since no connection is open."""
+        """Do nothing."""
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        """Do nothing, since a replay transfers no bytes."""
+        """Do nothing."""
 
     def answer(self, call: str) -> object:
         """Return the next recorded answer to a call, or raise the recorded error."""

@@ -1,4 +1,4 @@
-"""Replay of an ended or killed run: its steps are repeated in journal order on recorded answers."""
+"""Replay of an ended or killed run: steps in journal order, using recorded answers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ShowRecord = Callable[[int, int], None]  # records done, of how many
 
 
 class Verdict(StrEnum):
-    """Result of comparing a record with its recomputation."""
+    """Verdict of a replay on one record."""
 
     EQUAL = "equal"
     ROUNDED = "rounded"
@@ -109,7 +109,7 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class ReplayInput:
-    """Step order, clinical input, theatre and calibrations of the original run."""
+    """Step order, inputs and theatre of the original run."""
 
     order: CaseOrder
     clinical: ClinicalInput | None  # of what is no calibration
@@ -124,7 +124,7 @@ def replay(
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
 ) -> tuple[ReplayedRecord, ...]:
-    """Replay a run and return the verdict on every record, in order.
+    """Replay the run and return a verdict on every record, in order.
 
     Later steps read recomputed results, not recorded ones: a difference shows in all that follow. Opens no
     device and writes to a temporary folder only.
@@ -200,7 +200,7 @@ class _Replay:
         self._engine.compare_place = lambda: None  # what was measured between steps is in the journal
 
     def run(self) -> Iterator[ReplayedRecord]:
-        """Replay every section of the run and yield a verdict for each recomputed record."""
+        """Replay every section of the run in order."""
         records = {record.identifier: record for record in self._run.records}
         for begin, line, following in self._sections():
             self._answers.begin(begin)
