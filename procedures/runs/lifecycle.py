@@ -251,7 +251,7 @@ def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractCon
 
 
 def ignore_further_signals() -> None:
-    """Ignore signals from here on: a second one would only cut the orderly end short."""
+    """Ignore all further signals, so that a second one cannot interrupt the shutdown."""
     if threading.current_thread() is threading.main_thread():
         for number in ENDING_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -264,7 +264,7 @@ def run_steps(
     resumption: Resumption | None = None,
     conclude: Callable[[Engine], None] = lambda _engine: None,
 ) -> tuple[Engine, float]:
-    """Run every step without a valid result, then `conclude`. Return the engine and the theatre time in s.
+    """Run all steps that have no valid result, then `conclude`; return the engine and the theatre time in s.
 
     An error of `conclude` ends the run. With `resumption`, nothing moves until the findings are
     accepted. Raises the errors of steps, and PRO-032 for a run that is not resumed.
@@ -283,7 +283,7 @@ def run_steps(
 
 
 def run_to_end(engine: Engine, observers: RunObservers) -> None:
-    """Run the case to its end. If a step fails, the person at the prompt, if any, decides how to continue.
+    """Run the case to its end. After a failed step, any person at the prompt decides how to continue.
 
     A case refused only because of a device in fault ends with that fault.
     """
@@ -314,7 +314,7 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
 
 
 def leave_head_if_agreed(engine: Engine) -> None:
-    """After an abort, retreat and bring the arm home if the operator agrees. Failures are shown."""
+    """After an abort, retreat and park if the operator agrees. Errors are reported, not raised."""
     try:
         engine.leave_head()
     except RonnaError as error:
