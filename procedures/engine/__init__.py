@@ -1,1 +1,1 @@
-"""Engine of a case: steps, their order, state and progress."""
+"""Case engine: step declarations, step order, state machine and progress."""

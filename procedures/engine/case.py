@@ -1,4 +1,4 @@
-"""Results of one run, stored as immutable records with references to their parents.
+"""Valid and superseded results of one run, stored as immutable records that reference their parents.
 
 RUN/journal.jsonl            intents and outcomes
 RUN/records/05-....json      one result each
@@ -35,7 +35,7 @@ class StepKey:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """Exclusion of a trajectory from the case by a result."""
+    """A trajectory excluded from the case by a step's result."""
 
     trajectory: str
     reason: str
@@ -71,7 +71,7 @@ class Case:
         self._written = max((int(found[0]) for found in number_matches if found), default=0)
 
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
-        """Write a result under its number in the run, kind and trajectory. Raises REC-002.
+        """Write a result to a record named by number, kind and trajectory. Raises REC-002.
 
         It is valid only once accepted, after the journal has it.
         """
@@ -110,18 +110,18 @@ class Case:
 
     @property
     def past(self) -> frozenset[str]:
-        """Identifiers of results of finished trajectories that stay valid without their ancestors."""
+        """Identifiers of valid results of finished trajectories whose ancestors are no longer valid."""
         return without_ancestors(stored.record for stored in self._standing.values())
 
     @property
     def past_trajectories(self) -> frozenset[str]:
-        """Trajectories finished before a move, whose results stay valid. They get no further steps."""
+        """Trajectories finished before a move. Their results stay valid, but no further steps run."""
         past = self.past
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Accept a result in place of the results it supersedes; see `records_superseded_by`."""
+        """Make a result valid, superseding the results listed by `records_superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 
@@ -147,14 +147,14 @@ class Case:
         return had_result and not self.stands(key)
 
     def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
-        """Return the valid result of a model for a trajectory (None for steps without one), or None."""
+        """Look up a valid result of a model, first for the trajectory and then for the whole case."""
         for key in (StepKey(model.kind, trajectory), StepKey(model.kind)):
             if key in self._standing:
                 return cast("Stored[R]", self._standing[key])
         return None
 
     def get(self, model: type[R], trajectory: str | None = None) -> Stored[R]:
-        """Return the result from `find`. Raises PRO-001 if there is none, REC-001 if its file was changed."""
+        """Like `find`, but raises PRO-001 for a missing result and REC-001 for a changed file."""
         stored = self.find(model, trajectory)
         if stored is None:
             where = f" for {trajectory}" if trajectory else ""
@@ -171,21 +171,21 @@ class Case:
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
-        """Put a step's valid result in doubt, so that the operator is asked whether to keep it."""
+        """Mark a step's valid result as doubtful, so that the operator is asked whether to keep it."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
 
     def doubt_at(self, key: StepKey) -> str | None:
-        """Return the fault that occurred after a step's own valid result, or None."""
+        """Return the fault that casts doubt on a step's own result, or None."""
         return self._doubts.get(self.record_of(key) or "")
 
     def doubt_of(self, record: Record) -> str | None:
-        """Return the fault that occurred after a record or one of its ancestors, or None."""
+        """Return the fault that casts doubt on a record or one of its parents, or None."""
         names = (record.identifier, *record.parents)
         return next((self._doubts[name] for name in names if name in self._doubts), None)
 
     def trust(self, record: Record) -> None:
-        """Clear the doubt about a record despite the fault."""
+        """Clear any doubt about a record and its parents."""
         for name in (record.identifier, *record.parents):
             self._doubts.pop(name, None)
 
@@ -199,7 +199,7 @@ class Case:
         )
 
     def exclusions_before(self, key: StepKey) -> dict[str, str]:
-        """Return trajectories excluded independently of a step's new result, with reasons."""
+        """Return the exclusions (trajectory to reason) that do not depend on a step's own result."""
         gone = {(record.kind, record.trajectory) for record in self.records_superseded_by(key)}
         return {
             one.trajectory: one.reason

@@ -1,4 +1,4 @@
-"""Progress of a case, while running and after a restart: steps done, left out and next."""
+"""Progress of a running or resumed case: which steps are done, left out and next."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ronna_hw.records import Record
 
 
 class CaseProgress:
-    """Progress of a case from its step order, its results and the latest uninterrupted step."""
+    """Case progress, derived from step order, results and the latest step."""
 
     def __init__(self, order: CaseOrder, case: Case, latest: StepKey | None = None) -> None:
         self.order = order
@@ -19,7 +19,7 @@ class CaseProgress:
     # What comes next
 
     def left_out(self, key: StepKey) -> str | None:
-        """Return why a step's trajectory was left out before the step, or None."""
+        """Return the reason why a step's trajectory was left out earlier, or None."""
         return self.order.exclusions_at(key, self.case.left_out).get(key.trajectory or "")
 
     def is_settled(self, key: StepKey) -> bool:
@@ -34,7 +34,7 @@ class CaseProgress:
 
     @property
     def _all_finished_before(self) -> bool:
-        """Whether every target was finished before a move, so that no step leads to a target."""
+        """Whether every target was finished before something moved, so no step leads to a target any more."""
         return self.case.past_trajectories.issuperset(self.order.trajectories or ("",))
 
     @property
@@ -68,7 +68,7 @@ class CaseProgress:
         return key
 
     def why_not_now(self, key: StepKey) -> tuple[str, ...]:
-        """Return why it is not a step's turn; empty if it may run now."""
+        """Return the reasons why a step may not run next; empty if it may."""
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
@@ -76,7 +76,7 @@ class CaseProgress:
         return self.order.unmet(key, self.latest, self.is_settled)
 
     def advice_now(self, key: StepKey) -> str | None:
-        """Return what to do if another step must directly follow the latest; else None."""
+        """Return advice if a different step must immediately follow the latest one, or None."""
         only = self.continuation
         if only is None or key == only or self.is_settled(only):
             return None
@@ -95,7 +95,7 @@ class CaseProgress:
         return f"{key.trajectory} is finished" if self.is_settled(key) else ""
 
     def status(self, key: StepKey) -> str:
-        """Return a step's status: `done`, `left out`, `finished` (target), `next`, `superseded` or empty."""
+        """Return a step's status: `done`, `left out`, `finished`, `next`, `superseded` or empty."""
         if self.case.stands(key):
             return "done"
         if self.left_out(key) is not None:
@@ -110,13 +110,13 @@ class CaseProgress:
 
     @property
     def finished(self) -> tuple[str, ...]:
-        """Trajectories with completed work at the target."""
+        """Trajectories whose work at the target is done."""
         done = (key for key in self.order.sequence if self.order.spec(key).finishes and self.case.stands(key))
         return tuple(key.trajectory for key in done if key.trajectory is not None)
 
     @property
     def checks_in_doubt(self) -> dict[StepKey, str]:
-        """Tool checks that must be repeated, with the fault that occurred after each.
+        """Tool checks that must be repeated, each with the fault that cast doubt on it.
 
         Empty when the tool is led to no target any more.
         """
@@ -127,7 +127,7 @@ class CaseProgress:
         return {key: fault for key, fault in doubts.items() if fault is not None}
 
     def records_superseded_by(self, key: StepKey) -> tuple[Record, ...]:
-        """Return the records superseded by a step's new result; for finished targets only its old result."""
+        """Return the records that a step's new result would supersede, sparing other finished targets."""
         return self.case.records_superseded_by(key, self._other_lasting_trajectories(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
@@ -139,11 +139,11 @@ class CaseProgress:
         return self.case.records_superseded_by(key, self._lasting_trajectories(key))
 
     def void(self, key: StepKey) -> None:
-        """Void a step's result and its dependent records."""
+        """Void a step's result and its descendants, sparing finished targets."""
         self.case.void(key, self._lasting_trajectories(key))
 
     def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
-        """Return trajectories whose results stay valid, since a later move does not undo finished work.
+        """Return the finished trajectories, whose results outlast any change except a new CT or plan.
 
         Another CT or plan does.
         """
@@ -154,7 +154,7 @@ class CaseProgress:
 
 
 def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:
-    """Return why a step cannot read its inputs; empty if it can.
+    """Return the reasons why a step's inputs are unusable; empty if they are usable.
 
     Results of a trajectory that was finished before something moved are only shown; they guide no further
     motion.

@@ -1,4 +1,4 @@
-"""Context of a step: its view of the case. Each result read becomes a parent of the step's result."""
+"""A step's view of the case. Every result that the step reads becomes a parent of its own result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ D = TypeVar("D")
 
 @dataclass(frozen=True)
 class StepContext:
-    """View of the case for one step."""
+    """Interface through which a step accesses its case."""
 
     key: StepKey
     reads: tuple[type[StepResult], ...]  # results that the step declares to read
@@ -50,7 +50,7 @@ class StepContext:
     _inputs: dict[str, str] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
-        """Return the valid result of a model, for this step's trajectory or without one.
+        """Return the valid result of a model for this step's trajectory or for the whole case.
 
         Raises PRO-001 without one, PRO-016 if this step does not declare that it reads it, REC-001 if its
         file was changed.
@@ -71,7 +71,7 @@ class StepContext:
     def trajectories_done(
         self, model: type[R], accept: Callable[[R], bool] = lambda _result: True
     ) -> tuple[str, ...]:
-        """Return trajectories with a valid result that `accept` approves, without making it a parent."""
+        """List trajectories with a valid result that passes `accept`, without adding parents."""
         found = ((name, self._case.find(model, name)) for name in self.trajectories)
         return tuple(name for name, one in found if one is not None and accept(one.result))
 
@@ -82,7 +82,7 @@ class StepContext:
 
     @property
     def done_before(self) -> bool:
-        """Whether this step has a valid result."""
+        """Whether this step already has a valid result."""
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
@@ -90,7 +90,7 @@ class StepContext:
         return self._case.doubt_of(self._read_result(model).record)
 
     def keep(self, model: type[R]) -> None:
-        """Clear the doubt about a result despite the fault; arguments as for `result`."""
+        """Clear the doubt about a result; `model` as for `result`."""
         self._case.trust(self._read_result(model).record)
 
     @property
@@ -102,18 +102,18 @@ class StepContext:
 
     @property
     def served_trajectories(self) -> tuple[str, ...]:
-        """Trajectories served by this step's result: its own, or all remaining ones."""
+        """Trajectories that this step's result applies to: its own, or all remaining ones."""
         return self.remaining if self.key.trajectory is None else (self.key.trajectory,)
 
     @property
     def remaining(self) -> tuple[str, ...]:
-        """Trajectories neither left out nor finished before a move."""
+        """Trajectories that were neither left out nor finished before something moved."""
         gone = {*self.left_out, *self._case.past_trajectories}
         return tuple(name for name in self.trajectories if name not in gone)
 
     @property
     def workcell(self) -> Workcell:
-        """Workcell of the case, the only access to looks and motions."""
+        """Workcell of the case, the only way for a step to acquire images or move the arm."""
         return self.setting.workcell
 
     @property
@@ -124,11 +124,11 @@ class StepContext:
         return self.setting.clinical
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Return a device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
+        """Return the device from table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
         return self.workcell.device(name, interface)
 
     def keep_picture(self, name: str, png: bytes) -> None:
-        """Write a PNG picture into the run folder, numbering the name if it is taken."""
+        """Save a PNG image in the run folder, adding a number if the name is taken."""
         folder = self._case.folder / PICTURES_FOLDER
         folder.mkdir(exist_ok=True)
         first = folder / name
@@ -138,30 +138,30 @@ class StepContext:
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
     def note_inputs(self, *files: Path) -> None:
-        """Note input files of the result, so that `verify` detects a replaced one."""
+        """Record the hashes of input files, so that `verify` detects any later change."""
         self._inputs.update(hash_inputs(self._case.folder, files))
 
     @property
     def inputs(self) -> dict[str, str]:
-        """Files noted so far, with their SHA-256."""
+        """SHA-256 of each input file noted so far, by file name."""
         return dict(self._inputs)
 
     @property
     def pictures(self) -> dict[str, str]:
-        """Pictures kept so far, with their SHA-256."""
+        """SHA-256 of each picture saved so far, by file name."""
         return dict(self._pictures)
 
     def progress(self, share: float, text: str) -> None:
-        """Publish the step's progress (0..1) and current activity. Rests here if a pause was requested."""
+        """Publish progress (0..1) and current activity, then wait here if a pause was requested."""
         self._events.publish(Progress(step=str(self.key), share=share, text=text))
         self._checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
-        """Watch the patient during the block, with the arm at rest, as during a motion."""
+        """Monitor the patient during the block as during a motion, although the arm is at rest."""
         return self._checkpoint.watching(what, False)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record a finding that does not stop the case, with the `targets` concerned."""
+        """Record a finding about `targets` without stopping the case."""
         self._find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
@@ -169,7 +169,7 @@ class StepContext:
         return self._read_result(model).record.identifier
 
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
-        """Return the valid result chosen by `pick` from all trajectories, ordered oldest first.
+        """Return the result that `pick` selects from all valid results of a model, ordered oldest first.
 
         It need not be declared in the reads, because there may be none. Only the chosen result becomes a
         parent. See `stands` for which are valid. Raises
@@ -219,11 +219,11 @@ class StepContext:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
-        """Assign a task to the room's staff and record the readings. Raises PRO-002 if they are missing."""
+        """Assign a task to the room staff and record their readings. Raises PRO-002 if any are missing."""
         return self._questions.perform_task(task)
 
     def request_instrument_removal(self) -> None:
-        """Request removal of any instrument from the guide. Raises PRO-002 unless confirmed."""
+        """Ask the staff to remove any instrument from the guide. Raises PRO-002 unless confirmed."""
         self._questions.request_instrument_removal()
 
     def choose(self, question: Question) -> str:

@@ -1,4 +1,4 @@
-"""Device faults: reporting of the current state, and recovery after acknowledgement by a person."""
+"""Device faults: description, acknowledgement by a person, and recovery."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def devices_in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, L
 
 
 def describe_fault(role: str, observed: LastKnown[object]) -> str:
-    """Describe a device in fault by its present state, with advice.
+    """Describe a faulted device's current state, with advice.
 
     Its cause is reported even if it is in order again, so that nobody searches for it in vain.
     """
@@ -50,7 +50,7 @@ def describe_fault(role: str, observed: LastKnown[object]) -> str:
 
 
 def summarize_fault(role: str, observed: LastKnown[object]) -> str:
-    """Describe a device in fault without advice."""
+    """Describe a faulted device's current state, without advice."""
     if observed.fault is None:
         return f"the {role} is in fault"
     facts = _facts(observed.fault, observed.says)
@@ -64,14 +64,14 @@ def _cause_of(observed: LastKnown[object]) -> str:
 
 
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
-    """Return current obstacles and the cause of the fault."""
+    """Return the facts that currently block the device or caused the fault."""
     return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
 
 
 def recover_faults(
     devices: Mapping[str, DeviceView], recover: Callable[[str], None]
 ) -> Iterator[tuple[str, str]]:
-    """Recover each device that is in fault or still holds a message from an earlier connection.
+    """Recover each device that is in fault or still reports a message from an earlier connection.
 
     Yields its role and the acknowledged fault. Raises the errors of `recover`, which is called with the role.
     """
@@ -100,7 +100,7 @@ class DeviceFaults:
         clock: Clock,
         on_doubt: Callable[[], None] = lambda: None,
     ) -> None:
-        """Set up fault handling; `on_doubt` is called when a result is put in doubt."""
+        """Set up fault handling; `on_doubt` is called whenever a result becomes doubtful."""
         self._on_doubt = on_doubt
         self._course = course
         self._workcell = workcell
@@ -110,12 +110,12 @@ class DeviceFaults:
 
     @property
     def now(self) -> dict[str, str]:
-        """Devices in fault, by role, with the fault."""
+        """Current faults by device role."""
         return {role: _cause_of(observed) for role, observed in devices_in_fault(self._workcell.devices)}
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """Readable descriptions of devices in fault, by role: current state and advice."""
+        """Descriptions of current faults, with advice, by device role."""
         return {
             role: describe_fault(role, observed)
             for role, observed in devices_in_fault(self._workcell.devices)
@@ -123,14 +123,14 @@ class DeviceFaults:
 
     @property
     def summaries(self) -> dict[str, str]:
-        """Fault descriptions without advice, by device role."""
+        """Descriptions of current faults, without advice, by device role."""
         return {
             role: summarize_fault(role, observed)
             for role, observed in devices_in_fault(self._workcell.devices)
         }
 
     def require_arm_moves(self) -> None:
-        """Raise PRO-001 with the current state if the arm is in fault."""
+        """Raise PRO-001 with a fault description if the arm is in fault."""
         if (fault := self.descriptions.get(ARM)) is not None:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
@@ -154,7 +154,7 @@ class DeviceFaults:
 
     @contextmanager
     def require_no_acknowledgement(self) -> Iterator[None]:
-        """Require the step to begin again if faults were acknowledged during the block.
+        """Refuse to continue the step if a fault was acknowledged during the block.
 
         Raises PRO-001 at its end: only at its beginning does a step ask which results are kept and which tool
         is mounted.
@@ -170,7 +170,7 @@ class DeviceFaults:
         return len(self._acknowledged)
 
     def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:
-        """Return a step's final error for the last line of a run, without acknowledged faults.
+        """Return a step's error for the end of the run, marked as settled if its fault was acknowledged.
 
         `before` is the number of acknowledgements when the step ended.
         """
@@ -184,7 +184,7 @@ class DeviceFaults:
         return problem
 
     def doubt_results(self) -> None:
-        """Put localizations and tool checks from before an arm fault in doubt.
+        """After an arm fault, cast doubt on all earlier localizations and tool checks.
 
         The journal has this before the fault can end, so that no restart loses it.
         """
@@ -193,7 +193,7 @@ class DeviceFaults:
             self.doubt_tool(f"{fault} ({when})", self._course.order.localizations)
 
     def doubt_tool(self, fault: str, localizations: Sequence[StepKey] = ()) -> None:
-        """Put checks of the mounted tool, and earlier localizations, in doubt."""
+        """Cast doubt on all checks of the mounted tool and on the given localizations."""
         order, case = self._course.order, self._course.case
         if keys := [key for key in (*localizations, *order.checks_of_tool) if case.trusts(key)]:
             self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)

@@ -1,4 +1,4 @@
-"""Display events for the state of a case: step order, upcoming step, devices and arm bodies."""
+"""Display events for the state of a case: step order, upcoming step, devices and collision bodies."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SEEN_MOVING_S = 0.05  # where an arm is drawn
 
 
 def publish_order(engine: Engine) -> None:
-    """Publish the steps of the case in their order."""
+    """Publish the case's steps in order."""
     specs = [(key, engine.order.spec(key)) for key in engine.order.sequence]
     engine.events.publish(
         Order(
@@ -71,7 +71,7 @@ def publish_order(engine: Engine) -> None:
 
 
 def publish_waiting(engine: Engine) -> None:
-    """Publish the upcoming step and any reasons why it may not begin."""
+    """Publish the upcoming step and the reasons, if any, why it cannot start."""
     key, name = engine.upcoming, upcoming_name(engine)
     if key is not None:
         unmet = engine.why_refused(key)
@@ -82,14 +82,14 @@ def publish_waiting(engine: Engine) -> None:
 
 
 def upcoming_name(engine: Engine) -> str | None:
-    """Return the upcoming step, or the way home if only that remains, or None if the case is over."""
+    """Return the upcoming step, `home` if only parking remains, or None if the case is over."""
     if (key := engine.upcoming) is not None:
         return str(key)
     return HOME if engine.course.over and not engine.over else None
 
 
 def camera_views(head: StereoHeadCalibration) -> tuple[CameraView, ...]:
-    """Return centre and corners of each camera's picture, mm in the tool frame, without distortion."""
+    """Return each camera's centre and image corners in the tool frame (mm), ignoring distortion."""
     return (_camera_view("left", head.left), _camera_view("right", head.right))
 
 
@@ -106,7 +106,7 @@ def _camera_view(name: str, camera: CameraCalibration) -> CameraView:
 
 
 class BodyView:
-    """View of the arm's bodies at its last commanded joints. Asks no device."""
+    """Collision bodies at the arm's last commanded joints. Queries no device."""
 
     def __init__(self, workcell: Workcell) -> None:
         self._workcell = workcell
@@ -118,7 +118,7 @@ class BodyView:
         self._cameras: tuple[CameraView, ...] = ()
 
     def at(self, pose: Pose) -> Pose:
-        """Return the pose with the position of each moving body, and of the tool if it has cameras."""
+        """Add the positions of the moving bodies to a pose, and that of a tool with cameras."""
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
@@ -131,7 +131,7 @@ class BodyView:
         return pose.model_copy(update=changes)
 
     def publish(self, events: EventStream, *, last: bool = False) -> None:
-        """Publish the bodies if they have changed, and the health of the link at intervals.
+        """Publish the bodies if they have changed, and the link health at intervals.
 
         The latter also when its stream has ended, and at the `last` look while it runs.
         """
@@ -200,7 +200,7 @@ def _round_points(*points: tuple[float, float, float]) -> tuple[float, ...]:
 
 
 class DeviceWatch:
-    """Publisher of device states and faults on change, reading ages, and arm poses.
+    """Background publisher of device states and faults on change, reading ages, and arm poses.
 
     It looks in a thread of its own while the `with` block runs, and once more at its end.
     """
@@ -213,7 +213,7 @@ class DeviceWatch:
         period_s: float = PERIOD_S,
         bodies: BodyView | None = None,
     ) -> None:
-        """Watch `devices` (by role), with `now_s` in theatre time and `period_s` in host time.
+        """Watch `devices` by role; `now_s` returns theatre time, `period_s` is in host time.
 
         With `bodies` every pose says where the moving bodies are.
         """
@@ -229,7 +229,7 @@ class DeviceWatch:
         self._thread = threading.Thread(target=self._look_repeatedly, name="device watch", daemon=True)
 
     def look(self, *, last: bool = False) -> None:
-        """Publish all changes of every device."""
+        """Observe every device once and publish the changes."""
         for role, device in self._devices.items():
             seen = device.observe()
             state = DeviceState(
@@ -281,7 +281,7 @@ class DeviceWatch:
             self._look()
 
     def _look(self, *, last: bool = False) -> None:
-        """Check all devices again. A failure is reported once and does not end the watch."""
+        """Observe all devices, reporting a repeated failure only once and continuing the watch."""
         try:
             self.look(last=last)
         except Exception as problem:

@@ -36,7 +36,7 @@ _log = logger(part="engine")
 
 
 class Engine:
-    """Engine of one procedure run. A failed step holds the case with the arm at rest and all results valid.
+    """Engine of one procedure run. After a failed step the case is held: the arm stops, results stay valid.
 
     `on_ending` is called before the arm is stopped for good; `before_result` returns data for each result.
     """
@@ -85,11 +85,11 @@ class Engine:
 
     @property
     def instrument_in(self) -> str | None:
-        """Trajectory with an instrument certainly or possibly beyond the entry, or None."""
+        """Trajectory on which an instrument is or may be beyond the entry, or None."""
         return self.setting.workcell.place.instrument_may_be_inside
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
-        """Return all obstacles to starting a step now; empty if it may start."""
+        """Return all reasons why a step cannot start now; empty if it can."""
         if self.machine.ended:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
@@ -102,7 +102,7 @@ class Engine:
         return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
-        """Run one step. Raises PRO-001 if it is refused, and the errors of the step."""
+        """Run one step. Raises PRO-001 if it is refused; errors of the step propagate."""
         with suppress(RonnaError):  # an arm that reports no joints is where the journal has it
             self.compare_place()
         if unmet := self.why_refused(key):
@@ -151,7 +151,7 @@ class Engine:
         return stored.record
 
     def _advice(self, key: StepKey, unmet: tuple[str, ...]) -> str | None:
-        """Return what to do about a refused step; None where its obstacles say it."""
+        """Return advice for a refused step, or None if the reasons already contain it."""
         if self.machine.ended:
             return "No further step is possible in this run."
         return self.course.advice_now(key) if unmet == self.course.why_not_now(key) else None
@@ -168,7 +168,7 @@ class Engine:
             self._show_state()
 
     def run_to(self, last: StepKey | None = None) -> None:
-        """Run upcoming steps through `last` or the step that leaves it out; run all if None."""
+        """Run upcoming steps until `last` is done or left out, or all of them if it is None."""
         while (key := self.upcoming) is not None:
             try:
                 self.run_step(key)
@@ -202,7 +202,7 @@ class Engine:
         return self.questions.ask(question).word
 
     def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
-        """Record a finding for the operator that does not stop the case, with the `targets` concerned."""
+        """Record a finding about `targets` for the operator without stopping the case."""
         if targets:
             more["targets"] = list(targets)
         self._write(Entry.FINDING, text=text, **more)
@@ -217,7 +217,7 @@ class Engine:
         self._publish_superseded(key, gone, reason.summary)
 
     def doubt_tool(self, found: str) -> None:
-        """Put the tool check in doubt: a tool other than the checked one was found.
+        """Cast doubt on the tool check after a different tool was found.
 
         Raises PRO-027 in a step whose check this voids: the check must be repeated first.
         """
@@ -260,7 +260,7 @@ class Engine:
         self._finish_if_over()
 
     def leave_head(self) -> None:
-        """Retreat and park, unless the arm was never set up. Raises as `retreat_home`."""
+        """Retreat and park, unless the arm was never set up. Raises the same errors as `retreat_home`."""
         try:
             _ = self.setting.workcell.home_rad
         except StepRefused:
@@ -268,7 +268,7 @@ class Engine:
         self.retreat_home()
 
     def _recheck_tool(self) -> None:
-        """Void a doubtful tool check once the tool is away from entry and gauge.
+        """Void a doubtful tool check as soon as the tool is off the axis and no instrument is inside.
 
         Before that its result still serves the work at the target, and the way out.
         """
@@ -279,7 +279,7 @@ class Engine:
             self.void(key, ToolUnchecked(TOUCHED, got=fault))
 
     def _forget_latest(self) -> None:
-        """Forget the latest step, unless its required successor may still follow."""
+        """Forget the latest step unless the step that must follow it can still run."""
         only = self.course.continuation
         if only is None or self.order.spec(only).preconditions(self.context(only)):
             self.course.latest = None
@@ -302,7 +302,7 @@ class Engine:
         self._write(Entry.FOUND, findings=list(findings), differences=list(differences))
 
     def accept(self) -> None:
-        """Leave recovery: the operator accepted the findings, and steps may begin."""
+        """Leave recovery after the operator has accepted the findings, so that steps may begin."""
         self._write(Entry.ACCEPTED)
         self.machine.accept()
         self._forget_latest()
@@ -312,7 +312,7 @@ class Engine:
 
     @contextmanager
     def _resting(self, state: str, reason: str) -> Iterator[None]:
-        """Rest while the case is paused or suspended, also on the way home after its end."""
+        """Keep the case paused or suspended during the block, even on the way home after its end."""
         try:
             with self.machine.resting(state), self.faults.require_no_acknowledgement():
                 self._write(Entry.RESTED, state=state, reason=reason)
@@ -343,7 +343,7 @@ class Engine:
             self.events.end()
 
     def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
-        """Record, journal and accept a result, in this order. Without its journal line it is not valid."""
+        """Record, journal and accept a result, in that order; it becomes valid only once journalled."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
             raise WrongResult(

@@ -1,4 +1,4 @@
-"""Errors of the engine itself."""
+"""Errors raised by the engine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ronna_hw.host.process import describe_exit
 
 
 class UnknownStep(RonnaError):
-    """This procedure has no step of that name."""
+    """The procedure has no step of the requested name."""
 
     code = "PRO-005"
     action = "List the steps and use one of their names."
@@ -29,7 +29,7 @@ class ToolUnchecked(RefusedError):
 
 
 class CommandRefused(RonnaError):
-    """A program that this run started exited unexpectedly; the message holds its last output."""
+    """A program started by this run failed; the message contains its last output."""
 
     code = "PRO-013"
     action = "Correct that, then start again."
@@ -48,7 +48,7 @@ class WrongResult(RonnaError):
 
 
 class EventsUnreadable(RonnaError):
-    """A run's event file is not a valid event file, or another version wrote it."""
+    """A run's event file is invalid or was written by another version."""
 
     code = "PRO-018"
     action = "Follow the run with the version that runs it; the journal, not this file, is the evidence."
@@ -77,14 +77,14 @@ class AnswersUnfit(RonnaError):
 
 
 class RunInUse(RefusedError):
-    """Another program has this run open; a run has one operator at a time."""
+    """The run is already open in another program; only one may operate it at a time."""
 
     code = "PRO-030"
     action = "Operate it where it runs, or follow it with ronna-procedure watch."
 
 
 class OtherProgram(RonnaError):
-    """A run was made by another version of this program, whose records may mean something else."""
+    """The run was made by another program version, so its records may have a different meaning."""
 
     code = "PRO-031"
     action = "Resume it with the version that made it, or start a new run."
@@ -116,21 +116,21 @@ class ConsoleMissing(RonnaError):
 
 
 class FaultOfRun(RefusedError):
-    """The fault must be acknowledged in the unfinished run, which then asks which results remain valid."""
+    """The fault belongs to an unfinished run and must be acknowledged there."""
 
     code = "PRO-044"
     action = "Acknowledge it in that run."
 
 
 class TheatreNotNoted(RefusedError):
-    """The file that remembers the last run that moved the arm cannot be written."""
+    """The file that records which run last moved the arm cannot be written."""
 
     code = "PRO-045"
     action = "Make that file writable for a group of everyone who uses this arm (chgrp, chmod g+w)."
 
 
 class TheatreInUse(RefusedError):
-    """Another program has the devices of this theatre."""
+    """The devices of the theatre are in use by another program."""
 
     code = "PRO-043"
     action = "Wait until it has ended; its arm may be at a patient."

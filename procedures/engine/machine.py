@@ -39,13 +39,13 @@ class _Machine(HierarchicalMachine):
 
 
 class _Triggered(Protocol):
-    """The methods that `transitions` adds to its model at run time, invisible to a type checker."""
+    """Methods that `transitions` adds at run time, declared for the type checker."""
 
     def trigger(self, event: str) -> bool: ...
 
 
 class ProcedureMachine:
-    """State machine of a procedure. Only its methods change the state."""
+    """State machine of a procedure. The state changes only through its methods."""
 
     state: str  # phase and step, or what is between steps
 
@@ -81,7 +81,7 @@ class ProcedureMachine:
 
     @contextmanager
     def resting(self, state: str) -> Iterator[None]:
-        """Pause or suspend while the block runs; then return to the former state, however the block ends.
+        """Pause or suspend the case during the block, then always return to the previous state.
 
         The way home may also rest before a restart is accepted and after the end of the case. The chart does
         not change then: it says whether steps may begin.
@@ -97,11 +97,11 @@ class ProcedureMachine:
             self._trigger_event(f"back_to_{before}")
 
     def finish(self) -> None:
-        """End the case: the last step is done and every result is valid."""
+        """End the case after its last step, with every result valid."""
         self._trigger_event("case_finish")
 
     def abort(self) -> None:
-        """End the case on the operator's order."""
+        """End the case because the operator aborted it."""
         self._trigger_event("case_abort")
 
     def _trigger_event(self, event: str) -> None:
@@ -161,7 +161,7 @@ def _arrows(order: CaseOrder) -> Iterator[str]:
 
 
 def _fold_phases(states: Sequence[str], steps: Steps) -> list[str]:
-    """Return chart names of states, with a phase in place of its steps if all are included."""
+    """Return state names for the chart, replacing complete sets of a phase's steps by the phase."""
     names = list(states)
     for phase, inside in _phases(steps).items():
         is_whole = inside.keys() <= set(states)
@@ -170,7 +170,7 @@ def _fold_phases(states: Sequence[str], steps: Steps) -> list[str]:
 
 
 def _phases(steps: Steps) -> dict[str, dict[str, str]]:
-    """Return the names of the steps of each non-empty phase, by their states."""
+    """Map each non-empty phase to its states and their step names."""
     inside = {str(phase): {state_of(one): one.name for one in steps if one.phase is phase} for phase in Phase}
     return {phase: names for phase, names in inside.items() if names}
 

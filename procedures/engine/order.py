@@ -73,7 +73,7 @@ class StepSpec(Generic[R_co]):
 
     @property
     def name(self) -> str:
-        """Name in the state chart, in the journal and on the command line: the kind of its result."""
+        """Step name in the state chart, the journal and commands; equals the kind of its result."""
         return self.result.kind
 
     @property
@@ -87,7 +87,7 @@ Steps = Sequence[StepSpec[StepResult]]
 
 @dataclass(frozen=True)
 class CaseOrder:
-    """Steps of one case in their intended order."""
+    """Planned sequence of steps in one case."""
 
     steps: Steps
     trajectories: tuple[str, ...]
@@ -98,7 +98,7 @@ class CaseOrder:
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
-        """Return a step by name, such as `registration:T1`. Raises PRO-005 with similar names."""
+        """Look up a step such as `registration:T1`. Raises PRO-005, suggesting similar names."""
         if not name:
             raise UnknownStep(
                 "no step is named", action="Name one, such as registration:T1; list shows them."
@@ -124,7 +124,7 @@ class CaseOrder:
 
     @property
     def leads_to_targets(self) -> bool:
-        """Whether the arm is brought to targets; a calibration leaves it where it is."""
+        """Whether steps lead the arm to targets, as opposed to a calibration."""
         return any(step.finishes for step in self.steps)
 
     def without_names(self, text: str) -> str:
@@ -134,13 +134,13 @@ class CaseOrder:
         return text
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
-        """Return the steps required before `key`, excluding steps of other trajectories."""
+        """Return the steps required before `key`; those of other trajectories do not count."""
         earlier = self.sequence[: self.sequence.index(key)]
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
     def exclusions_at(self, key: StepKey, decisions: Iterable[Exclusion]) -> dict[str, str]:
-        """Return the trajectories left out before a step, with reasons."""
+        """Return the trajectories that earlier steps excluded from a step, with reasons."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
@@ -174,7 +174,7 @@ class CaseOrder:
 def order_of(
     steps: Steps, trajectories: Sequence[str], *, localizes_per_trajectory: bool = True
 ) -> CaseOrder:
-    """Derive the step order of a case, working on one trajectory at a time."""
+    """Derive a case's step order, completing each block of steps for one trajectory before the next."""
 
     def is_repeated(step: StepSpec[StepResult]) -> bool:
         return step.scope is Scope.TRAJECTORY or (

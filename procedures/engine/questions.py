@@ -1,4 +1,4 @@
-"""Questions to the operator and tasks of the room's staff, recorded in journal and events."""
+"""Questions to the operator and tasks for the room staff, recorded in journal and event stream."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
 
 def as_shown(question: Question, number: int) -> Questioned:
-    """Return a question as an event for followers of the case."""
+    """Convert a question to the event that is shown to followers."""
     return Questioned(
         question=number,
         topic=question.name,
@@ -35,7 +35,7 @@ def as_shown(question: Question, number: int) -> Questioned:
 
 
 class Questions:
-    """Questions and tasks of a case, with recording of answers and readings."""
+    """Asks the questions and assigns the tasks of a case, recording answers and readings."""
 
     def __init__(self, setting: CaseSetting, journal: Journal, events: EventStream) -> None:
         self._setting = setting
@@ -45,7 +45,7 @@ class Questions:
         self.unanswered_s: float | None = None  # the time limit that the last question exceeded
 
     def ask(self, question: Question) -> Answer:
-        """Ask the operator and return the answer. An invalid word counts as silence."""
+        """Ask the operator and return the answer. An invalid answer is treated as silence."""
         self._count += 1
         asked_s, began_s = self._setting.clock.now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
@@ -80,7 +80,7 @@ class Questions:
         )
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
-        """Assign a task and return its readings. Raises PRO-002 if they are missing or not numbers."""
+        """Assign a task and return its readings. Raises PRO-002 if any are missing or not finite."""
         began_s = self._setting.clock.now_s()
         readings = self._setting.room.work(task)
         if not all(map(math.isfinite, readings)):  # no limit rejects what is no number
@@ -106,7 +106,7 @@ class Questions:
         return readings
 
     def request_instrument_removal(self) -> None:
-        """Request removal of any instrument from the guide. Raises PRO-002 unless confirmed."""
+        """Have any instrument in the guide removed. Raises PRO-002 unless the operator confirms."""
         instrument = self._setting.workcell.instrument
         if (place := instrument.inside) is None:
             return

@@ -1,4 +1,4 @@
-"""Run folder: closing, reading with verification against its records, and drawing its lineage."""
+"""Run folders: verified reading, closing, and lineage charts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SUPERSEDED = "superseded"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Content of a run folder: journal, records in order, and superseded records."""
+    """Contents of a run folder: journal, records in order, and identifiers of superseded records."""
 
     path: Path
     journal: tuple[Line, ...]
@@ -64,7 +64,7 @@ class RunFolder:
 
     @property
     def past(self) -> frozenset[str]:
-        """Identifiers of results of finished trajectories from before a move."""
+        """Identifiers of valid results of trajectories finished before something moved."""
         return without_ancestors(self.valid_records)
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
@@ -82,12 +82,12 @@ def read_run(folder: Path) -> RunFolder:
 
 
 def run_of(found: Inspection) -> RunFolder:
-    """Return the run folder of an inspection."""
+    """Build a run folder from its inspection."""
     return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
 
 
 def parse_record(record: Record, model: type[R]) -> R:
-    """Parse a record's payload. Raises REC-003 for another version, REC-001 for an invalid form."""
+    """Parse a record's payload. Raises REC-003 for a different version, REC-001 for invalid content."""
     if record.version != model.version:
         raise OtherVersion(
             f"{record.identifier} has another version",
@@ -108,7 +108,7 @@ def step_key(line: Line) -> StepKey:
 
 
 def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
-    """Return targets in doubt since the last insertion, with reasons: errors may exceed predictions."""
+    """Return the findings about each target since its last insertion; its error may exceed the prediction."""
     doubts: dict[str, tuple[str, ...]] = {}
     for line in journal:
         if line["entry"] == Entry.STAGE and line.get("task") == INSERT and line.get("done") is False:
@@ -126,7 +126,7 @@ def _results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], .
 
 
 class Recorder(Protocol):
-    """Recorder of run files alongside the engine."""
+    """Writes files of the run in parallel with the engine."""
 
     def close(self) -> None:
         """Write pending data and close the files. Bounded in time; never raises."""
@@ -141,7 +141,7 @@ def close_run(
     clinical: ClinicalInput | None,
     **more: JournalValue,
 ) -> None:
-    """Write the journal's last line and close it. A failure is left for `verify` to report."""
+    """Write the journal's last line and close it; `verify` reports any failure later."""
     try:
         evidence = _evidence(folder, clinical)
         journal.write(Entry.CLOSED, theatre_time_s, outcome=outcome, **more, **evidence)
@@ -169,7 +169,7 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
 
 
 def lineage_text(run: RunFolder) -> str:
-    """Draw every result with its parents, indented by depth.
+    """Return the lineage as text, with each result's parents indented below it.
 
     A result that was drawn before is only named again.
     """
@@ -191,7 +191,7 @@ def lineage_text(run: RunFolder) -> str:
 
 
 def lineage_mermaid(run: RunFolder) -> str:
-    """Return the lineage as a Mermaid chart with an arrow from each result to its descendants."""
+    """Return the lineage as a Mermaid flowchart with arrows from parents to children."""
     number = {record.identifier: place for place, record in enumerate(run.records)}
     lines = ["flowchart TD"]
     for record in run.records:

@@ -1,4 +1,4 @@
-"""Shared workcell, people, inputs and settings of a run's steps."""
+"""Workcell, people, inputs and settings shared by all steps of a run."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ T = TypeVar("T")
 
 
 class CaseMemory:
-    """Cache of one object per type. A step that finds no object reads the input again."""
+    """Cache of one object per type. A step re-reads its input if the cache is empty."""
 
     def __init__(self) -> None:
         self._kept: dict[type[object], object] = {}
 
     def keep(self, value: object) -> None:
-        """Keep an object, replacing any other of its type."""
+        """Store an object, replacing any earlier one of its type."""
         self._kept[type(value)] = value
 
     def find(self, kind: type[T]) -> T | None:
-        """Return the kept object of a type, if any."""
+        """Return the cached object of a type, or None."""
         return cast("T | None", self._kept.get(kind))
 
     def drop(self, kind: type[object]) -> None:
@@ -45,7 +45,7 @@ class CaseMemory:
 
 @dataclass(frozen=True)
 class ClinicalInput:
-    """CT, plan and strategy of a case; a calibration has none."""
+    """CT, plan and strategy of a clinical case."""
 
     series: Path  # folder of the CT series
     plan: Path
@@ -55,12 +55,12 @@ class ClinicalInput:
 
     @property
     def place(self) -> Path:
-        """File of the cart's proposed position, next to the plan, if there is one."""
+        """Path next to the plan where a proposed cart position is expected."""
         return self.plan.with_name("place.json")
 
 
 def now_to_second() -> datetime:
-    """Return the current time to the second, as used to date records."""
+    """Return the current UTC time, truncated to the second."""
     return datetime.now(UTC).replace(microsecond=0)
 
 

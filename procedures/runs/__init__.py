@@ -1,1 +1,1 @@
-"""Open, resume and finish runs: one lifecycle for cases, calibrations and measurements."""
+"""Opening, resuming and finishing runs, with one lifecycle for cases, calibrations and measurements."""

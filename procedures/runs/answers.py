@@ -1,4 +1,4 @@
-"""Scripted operators: one that answers from a file, and one that always gives the first answer.
+"""Non-interactive operators, which answer from a file, with the first answer, or not at all.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 
@@ -30,7 +30,7 @@ OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a ke
 
 
 class Answers(BaseModel):
-    """Content of a file of answers. Each key is a topic or `topic:trajectory`, such as `approach:T1`."""
+    """Contents of an answers file. Each key is a topic or `topic:trajectory`, such as `approach:T1`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -43,7 +43,7 @@ class Answers(BaseModel):
         return word if word in question.answers else None
 
     def check_trajectories(self, trajectories: Sequence[str]) -> None:
-        """Raise PRO-026 if an answer names a trajectory that is not in the plan."""
+        """Raise PRO-026 for answers whose trajectory is not in the plan."""
         named = {key: key.partition(":")[2] for key in self.answers if ":" in key}
         if unknown := [key for key, name in named.items() if name not in trajectories]:
             raise AnswersUnfit(
@@ -52,12 +52,12 @@ class Answers(BaseModel):
 
 
 def is_rehearsal(config: Path | None) -> bool:
-    """Whether a scene or the theatre file simulates all devices. Raises CFG-001, OSError."""
+    """Whether all devices are simulated, by a scene or by the theatre file. Raises CFG-001, OSError."""
     return config is None or is_simulated(read_theatre_file(config))
 
 
 def read_answers(path: Path, config: Path | None = None) -> Answers:
-    """Read a file of answers. `config` is the theatre file; None means that a scene simulates the devices.
+    """Read an answers file; `config` is the theatre file, or None for a simulated scene.
 
     Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
     """
@@ -115,35 +115,35 @@ class ScriptedOperator:
 
 
 class SilentOperator:
-    """Operator who answers no question. Silence never lets a case continue."""
+    """Operator that answers no question. Silence never lets a case continue."""
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer that stands for silence."""
+        """Return the answer that the question assigns to silence."""
         return Answer(question.silence)
 
 
 class OperatorByTopic:
-    """Operator that delegates each topic to its own operator."""
+    """Operator that delegates each topic to another operator."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer of the topic's operator."""
+        """Ask the operator responsible for the topic."""
         return self._operators[question.topic].ask(question)
 
 
 class AnsweringOperator:
-    """Operator that answers from a file. `person` answers what no script may, `fallback` the rest."""
+    """Operator that answers from a file, leaving personal questions to `person` and others to `fallback`."""
 
     def __init__(self, answers: Answers, fallback: Operator, person: Operator | None = None) -> None:
-        """Without `person`, as in a simulated theatre, the file also answers the questions for a person."""
+        """Without `person`, as in a simulated theatre, the file also answers personal questions."""
         self._answers = answers
         self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else fallback
 
     def ask(self, question: Question) -> Answer:
-        """Return the file's answer if it applies, otherwise that of the person or the fallback operator."""
+        """Return the file's answer if it may and does answer, or else ask the person or the fallback."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)

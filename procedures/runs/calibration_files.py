@@ -1,4 +1,4 @@
-"""Files that a calibration writes: records, figures, and a theatre file with the new records.
+"""Files written by a calibration: records, figures and an updated theatre file.
 
 OUT/<id>/calibration.toml    the new records, to put into the theatre file
 OUT/<id>/result.json         the output of `--json`
@@ -108,7 +108,7 @@ def _keep_former_date(former: dict[str, Any], record: dict[str, Any]) -> dict[st
 
 
 def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return TOML text with these table entries in place of the former ones, or appended at the end.
+    """Return TOML text with the table entries replaced, or appended if they are new.
 
     The outcome is compared with the intended content: if these tables have no headers of their own, comments
     are lost.
@@ -129,7 +129,7 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
-    """Yield the lines of TOML text with the `new` tables in place of the former ones or at the end.
+    """Yield the lines of TOML text, replacing existing tables by those in `new` and appending the rest.
 
     Comments in front of the next header are kept.
     """
@@ -155,7 +155,7 @@ def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
 
 
 def _parse_header(line: str) -> TablePath | None:
-    """Return the path of the table whose header the line is; None for any other line."""
+    """Parse a TOML table header into the table's path; return None for any other line."""
     if not line.lstrip().startswith("["):
         return None
     try:

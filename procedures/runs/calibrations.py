@@ -1,4 +1,4 @@
-"""Kinds of calibration: their observations, computations, records and figures."""
+"""The kinds of calibration, each with its looks, computation, records and figures."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next
 
 @dataclass(frozen=True)
 class CalibrationKind(Generic[Looks, Result]):
-    """One kind of calibration: its observations, its fit, and the records it stores.
+    """A kind of calibration: its looks, its computation, and the records that it produces.
 
     The looks, and remarks for the operator, stand in the results of two of its steps. `records`
     are fields of its result by their names in the theatre file; one that is None was not made. `in_use`
@@ -106,7 +106,7 @@ class CalibrationKind(Generic[Looks, Result]):
         }
 
     def read_looks(self, path: Path) -> Looks:
-        """Read stored looks from a file or its folder. Raises CAL-005; PRO-033 if their run was changed."""
+        """Read stored looks from a file or folder. Raises CAL-005, or PRO-033 if their run was changed."""
         file = path / self.looks_file if path.is_dir() else path
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():
@@ -115,7 +115,7 @@ class CalibrationKind(Generic[Looks, Result]):
         return looks
 
     def write_looks(self, looks: Looks, folder: Path) -> None:
-        """Store the looks before anything is computed from them."""
+        """Save the looks before any computation."""
         write_atomically(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
 
 
@@ -138,7 +138,7 @@ def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunReques
 def write_calibration_files(
     kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks, result: Result, folder: Path
 ) -> None:
-    """Write the files of a calibration and, if requested, a theatre file with its records."""
+    """Write the result files of a calibration and, if requested, an updated theatre file."""
     kind.keep(looks, result, folder)
     write_records(kind.records_of(result), folder)
     write_figures(kind.figures(result), folder)
@@ -172,13 +172,13 @@ def finish_calibration(
 
 
 def has_every_look(request: RunRequest, interrupted: InterruptedRun) -> bool:
-    """Whether all looks of an interrupted calibration are taken, so that only the computation remains."""
+    """Whether an interrupted calibration has taken all its looks, leaving only the computation."""
     order = order_of(Recipe.read(request.calibration.recipe).steps, ())
     return not interrupted.untouched and all(map(interrupted.restore_case(order).stands, order.sequence))
 
 
 def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
-    """Write the self-check's observations and stereo head to `baseline.json`, if there are enough looks."""
+    """Write the baseline for the stereo head check, or warn if the looks do not suffice."""
     baseline = Baseline(
         created=observed.created,
         stereo_head=result.stereo_head,

@@ -1,4 +1,4 @@
-"""Running or resuming a case to its end, and its outcome from the records and, if known, the truth."""
+"""Running or resuming a case to its end, and its outcome from the records and any ground truth."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run_case(
 def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
-    """Finish an interrupted case. No theatre is needed if only the journal's last line is missing."""
+    """Finish an interrupted case, opening a theatre only if there is work left."""
     from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_completed_run
@@ -87,7 +87,7 @@ def with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
 
 
 def wall_time_s(journal: Sequence[Line]) -> float:
-    """Return the host time in seconds that the programs of a run took, from the dates in its journal."""
+    """Sum the host time in seconds over all processes of a run, from the dates in its journal."""
     total_s, began, last = 0.0, None, None
     for line in journal:
         if line["entry"] == Entry.RESTARTED and began is not None and last is not None:
@@ -119,7 +119,7 @@ def build_finished_outcome(
     wall_s: float,
     truth: Truth | None = None,
 ) -> FinishedRun:
-    """Return the outcome of a finished case; without `truth`, ask the verifier. Raises its PRO-013."""
+    """Return the outcome of a finished case, asking the verifier for missing `truth`. Raises PRO-013."""
     from procedures.reporting.files import store_truth
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
     from procedures.reporting.run_reading import registrations_of

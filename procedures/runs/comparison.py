@@ -1,4 +1,4 @@
-"""Comparison of a resumed run with its records: devices, calibrations, tool, CT, plan, patient, robot base.
+"""Comparison of a resumed run's devices, calibrations, tool, inputs and room with its records.
 
 It connects and reads; nothing here can move the arm. The tracker measures the room again at rest: the visible
 spheres on the head, and the robot's base by the reference frame on the arm. The base is compared only in the
@@ -50,7 +50,7 @@ FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine w
 
 @dataclass
 class Comparison:
-    """Findings in plain words. Any difference prevents resuming, whatever the operator answers."""
+    """Findings of a comparison. Any difference prevents resuming, whatever the operator answers."""
 
     warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Comparison:
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
     def add_unchanged(self, what: str) -> None:
-        """Add an item that is as recorded."""
+        """Add an item that matches its record."""
         self.unchanged.append(what)
 
     def note(self, text: str) -> None:
@@ -71,7 +71,7 @@ class Comparison:
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
-        """Add a warning, to be read before anything else."""
+        """Add a warning, which is displayed before all other findings."""
         self.warnings.append(text)
 
     def add_difference(self, what: str, recorded: object, found: object) -> None:
@@ -79,7 +79,7 @@ class Comparison:
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def refuse(self, text: str) -> None:
-        """Add a reason not to resume the run, in plain words."""
+        """Add another reason why the run must not be resumed."""
         self.differences.append(text)
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
@@ -99,7 +99,7 @@ class Comparison:
             )
 
     def format_lines(self, order: Sequence[str]) -> str:
-        """Return the findings as text: warnings, the work in `order`, remarks, number of unchanged items."""
+        """Format the findings: warnings, the steps in `order`, notes and the number of unchanged items."""
         as_recorded = [format_count(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
@@ -107,7 +107,7 @@ class Comparison:
 def _find_differences(
     recorded: BaseModel, found: BaseModel, within: str = ""
 ) -> Iterator[tuple[str, object, object]]:
-    """Yield the dotted name of each differing field with both values; for sequences, with both lengths."""
+    """Yield the dotted name and both values of each differing field; long values are summarized."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:

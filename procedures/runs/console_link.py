@@ -1,4 +1,4 @@
-"""Link to the console's process: events out, orders in. The case continues whatever happens to it."""
+"""Link to the console process: events out, orders in. A console failure never stops the case."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ REQUIRED_MODULES = ("nicegui", "skimage")  # of the extra `console`
 
 
 class ConsoleLink:
-    """Link between one run and one console. Its two threads never hold up the engine."""
+    """Link between one run and one console. Its threads never block the engine."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class ConsoleLink:
         say: Callable[[str], None] = tell,
         viewers: ViewersAddress | None = None,
     ) -> None:
-        """Start the console process without waiting for it. Port 0 is any free port; `say` tells which."""
+        """Start the console without waiting for it. Port 0 selects any free port, announced by `say`."""
         self._station = station
         self._say = say
         self._ending = False
@@ -80,7 +80,7 @@ class ConsoleLink:
         self._start(self._beat_until_followed, "console beats")
 
     def follow(self, events: EventStream) -> None:
-        """Send all further events to the console."""
+        """Start sending events to the console."""
         self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
 
@@ -92,14 +92,14 @@ class ConsoleLink:
         self._answered.wait(READY_S)
 
     def show_looks(self, workcell: Workcell) -> None:
-        """Send the stereo head's pictures to the console from now on."""
+        """Start sending the stereo head's pictures to the console."""
 
         pictures = LivePictures(self._send, self._over)
         workcell.on_look = pictures.look
         self._start(pictures.send_all, "console pictures")
 
     def close(self) -> None:
-        """Let the console report the end of the run, then end the console. Never raises."""
+        """Stop the console once it has shown the end of the run. Never raises."""
         self._ending = True
         self._followed.set()
         self._over.set()
@@ -131,7 +131,7 @@ class ConsoleLink:
         self._take_orders()
 
     def _take_orders(self) -> None:
-        """Take orders until the console ends."""
+        """Process the console's orders until it exits."""
         with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
             while line := lines.readline(LONGEST_BYTES + 1):
                 try:
@@ -142,7 +142,7 @@ class ConsoleLink:
         self._on_console_gone()
 
     def _beat_until_followed(self) -> None:
-        """Send heartbeats that keep the console alive until the theatre is open and events follow."""
+        """Send heartbeats to keep the console alive until the theatre is open and events are sent."""
         while not self._followed.wait(BEAT_S) and self._send(BEAT):
             pass
 
@@ -177,10 +177,10 @@ class ConsoleLink:
 
 
 class LivePictures:
-    """Sends the latest stereo pair now and then from its own thread, so that `look` takes no time."""
+    """Background sender of the latest stereo pair, so that taking a look is not delayed."""
 
     def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
-        """`send` takes one line and returns whether more can be sent; `ending` ends the thread."""
+        """`send` transmits one line and returns whether it succeeded; `ending` stops the loop."""
         self._send = send
         self._ending = ending
         self._newest: Look | None = None
@@ -192,7 +192,7 @@ class LivePictures:
         self._arrived.set()
 
     def send_all(self) -> None:
-        """Draw and send the latest stereo pair now and then, until `ending` is set."""
+        """Render and send the latest stereo pair periodically until `ending` is set."""
         while not self._ending.wait(PICTURE_PERIOD_S):
             if not self._arrived.is_set():
                 continue
@@ -202,7 +202,7 @@ class LivePictures:
 
 
 def picture_line(seen: Look) -> str:
-    """Return a stereo pair as the JSON line that the console reads."""
+    """Encode a stereo pair as a JSON line for the console."""
     from procedures.workcell.stereo_look import pair_picture
 
     content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
@@ -211,7 +211,7 @@ def picture_line(seen: Look) -> str:
 
 @dataclass(frozen=True)
 class ConsoleRequest:
-    """Request for a console: loopback port, 0 for any free one, and address for viewers elsewhere."""
+    """Console options: loopback port (0 for any free one) and an optional address for remote viewers."""
 
     port: int = 0
     viewers: ViewersAddress | None = None
@@ -224,7 +224,7 @@ def check_console() -> None:
 
 
 def check_port(port: int) -> None:
-    """Raise CLI-001 if the port is in use, before any part of the case is opened."""
+    """Raise CLI-001 if the port is unavailable, before any part of the case is opened."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -240,7 +240,7 @@ def check_port(port: int) -> None:
 def serve_console(
     executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
 ) -> Iterator[ConsoleLink]:
-    """Serve the console of a run for the duration of the block. `say` announces its address."""
+    """Run a console for the duration of the block; `say` announces its address."""
     link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
     try:
         yield link
@@ -252,7 +252,7 @@ def serve_console(
 def with_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest, *, waits: bool
 ) -> Iterator[RunObservers]:
-    """Add a console to the observers of a case that runs to its end.
+    """Add a console to the observers of a case for the duration of the block.
 
     With `waits`, nothing is done until someone has taken the operator's seat.
     """

@@ -1,4 +1,4 @@
-"""Construction of a run's engine on a theatre file, with its journal, recorders and guards."""
+"""Setup of a run's engine from a theatre file, with journal, recorders and guards."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another l
 
 @dataclass(frozen=True)
 class EngineInput:
-    """The steps for an engine to run, and their inputs.
+    """Steps for the engine to run, with their inputs.
 
     `calibrations` replace those of the theatre file. A replay makes a calibration's steps from its `recipe`.
     """
@@ -68,7 +68,7 @@ class EngineInput:
     recipe: Recipe | None = None
 
     def as_plain(self, in_use: Calibrations) -> dict[str, object] | None:
-        """Return the recipe and the records in use for a replay; None without a recipe."""
+        """Return the recipe and the calibrations used, for a replay, or None without a recipe."""
         if self.recipe is None:
             return None
         records = in_use.model_dump(mode="json", exclude_none=True)
@@ -88,7 +88,7 @@ def build_engine(
     opening: Mapping[str, JournalValue],
     arm_not_home: str | None = None,
 ) -> Engine:
-    """Build an engine, not yet connected, with its journal in `folder`. `stack` closes its recorders.
+    """Build an engine with its journal in `folder`, without connecting devices; `stack` closes recorders.
 
     `prepare` is called with the theatre before the journal is opened: its errors leave no journal.
     `opening` goes into the journal's first line; `arm_not_home` says that another run left the arm away.
@@ -184,14 +184,14 @@ def build_engine(
 
 
 def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:
-    """Return hashes of the theatre files in a run's folder, except those changed or added since its end."""
+    """Hash the theatre files in a run's folder, except files changed or added since the run last ended."""
     known = () if previous is None else previous.not_as_left
     hashes = hash_inputs(folder, list_theatre_files(folder))
     return {name: sha256 for name, sha256 in hashes.items() if name not in known}
 
 
 def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: bool = False) -> None:
-    """Add the guards of a run. `theatre` is the content of its theatre file when the run began.
+    """Install a run's guards; `theatre` is the theatre file's content at the start of the run.
 
     With `only_leaving` the inputs are not compared: whatever has changed, the arm may go home.
     """
@@ -225,14 +225,14 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
 
 
 class MovedCart:
-    """Lets a case continue after its cart has moved, if the operator agrees and the arm is brought home."""
+    """Handles a moved cart: the case continues if the operator agrees, once the arm is home."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._moves = 0
 
     def continues_by_consent(self, problem: RonnaError) -> bool:
-        """Return whether the operator lets a case with a moved cart continue; if so, bring the arm home.
+        """Ask whether to continue after a cart move; if so, bring the arm home and return True.
 
         Raises the errors of the way home.
         """

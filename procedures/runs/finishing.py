@@ -1,4 +1,4 @@
-"""End of a run, whatever its cause: report, seal and advice. A failure in these never hides the cause."""
+"""End of a run: report, seal and advice. Failures here never hide the cause of the end."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what ca
 
 @dataclass
 class Finalized:
-    """Path of the report of a run that has ended, once it is written."""
+    """Report of an ended run, or None until it is written."""
 
     report: Path | None = None
 
@@ -66,7 +66,7 @@ class Finalized:
 def finalize_run(
     folder: Path, left: InterruptedRun | None = None, *, with_truth: bool = True, name_report: bool = True
 ) -> Iterator[Finalized]:
-    """Write report and seal of the run in `folder` at the end of the block, even after an error.
+    """After the block, write the run's report and seal, even if an error occurred.
 
     `left` is the run as it was found, if it had begun before.
     """
@@ -94,7 +94,7 @@ def end_unfinished_run(
 
 @contextlib.contextmanager
 def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
-    """After the block, write report and seal of a finished run that was killed before it was sealed."""
+    """After the block, write the missing report and seal of a finished run that was killed."""
     from procedures.runs.reopening import prepare_folder, rewrite_end
 
     if is_sealed(interrupted.folder):
@@ -119,7 +119,7 @@ def begin_report(folder: Path) -> None:
 def write_final_report(
     folder: Path, error: RunError | None = None, *, with_truth: bool = False, tell_path: bool = True
 ) -> Path | None:
-    """Write the report of an ended run and return its path; None if the folder is missing or writing fails.
+    """Write an ended run's report and return its path, or None if that is impossible.
 
     Asking the verifier for the truth takes a second.
     """
@@ -174,7 +174,7 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
 
 
 def as_run_error(problem: BaseException) -> RunError | None:
-    """Return the error that ended a run, for its report and its JSON; None for an interruption."""
+    """Convert the exception that ended a run for its report and JSON; None for an interruption."""
     from procedures.reporting.outcome import RunError
 
     if not isinstance(problem, Exception):
@@ -218,7 +218,7 @@ def _wants_raw(folder: Path) -> bool:
 
 
 def _keep_raw(folder: Path, *, at_once: bool) -> None:
-    """Write a run's raw pictures and frames as files. Earlier files stay until the new ones are complete."""
+    """Export a run's raw pictures and frames, keeping an earlier export until the new one is complete."""
     way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
     later = f"the last raw readings were not written; to write them: {way}"
     if at_once:
@@ -245,7 +245,7 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
 
 
 def _tidy(beside: Path, kept: Path) -> None:
-    """Restore the earlier raw readings if a process was stopped between two renames."""
+    """Restore the earlier raw readings if their replacement was interrupted."""
     with contextlib.suppress(OSError):
         if not kept.exists():
             (beside / FORMER).rename(kept)
@@ -254,7 +254,7 @@ def _tidy(beside: Path, kept: Path) -> None:
 
 
 def tell_next_commands(folder: Path, problem: BaseException) -> None:
-    """After an interruption or failure away from home, tell where the arm is and which commands continue."""
+    """After an interruption or failure, report where the arm is and which commands continue the run."""
     if not (folder / REQUEST_FILE).exists():
         return
     from procedures.workcell.arm_history import fold_history
@@ -276,7 +276,7 @@ def tell_next_commands(folder: Path, problem: BaseException) -> None:
 
 
 def _describe_theatre_restart(folder: Path) -> str:
-    """Return advice to restart a simulated theatre that has ended; empty for the run's own theatre."""
+    """Return advice on restarting a separate simulated theatre; empty if the run has its own."""
     config = read_request(folder).config
     if config is None:
         return ""
@@ -296,7 +296,7 @@ def _has_other_run_left_arm_away(folder: Path) -> bool:
 
 
 def _take_over(source: Path, run: Path) -> None:
-    """Move a report into a run. Its seal covers no report meanwhile: a kill costs only the report."""
+    """Move a new report into a run, unsealing only the report meanwhile in case of a kill."""
     sealed = (run / JOURNAL_FILE).exists() and is_sealed(run)
     if sealed:
         seal_report(run, finished=False)

@@ -1,4 +1,4 @@
-"""Run folders: creation, search, and a lock that admits one program at a time."""
+"""Run folders: creation, search, and a lock for one program at a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, 
 
 
 def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
-    """Create the folder `OUT/<id>`, with the request in it if the run can be resumed.
+    """Create the run folder `OUT/<id>`, including the request if the run can be resumed.
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
@@ -50,7 +50,7 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
 
 @contextmanager
 def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
-    """Create a new case's folder for the block. If the block removes it, remove its new parents as well."""
+    """Create a case's folder; if it was removed during the block, remove its newly created parents too."""
     made = [path for path in (out, *out.parents) if not path.exists()]
     folder = new_run_folder(request, out)
     try:
@@ -82,7 +82,7 @@ def hold_run(folder: Path) -> Iterator[None]:
 
 
 def find_run_holder(folder: Path) -> PortUser | None:
-    """Return the program that holds a run folder, or None, without locking anything."""
+    """Return the program that has a run folder locked, or None."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         return find_lock_holder(file)
@@ -98,7 +98,7 @@ def find_runs(folder: Path) -> list[Path]:
 
 
 def find_folders_of_runs(folder: Path) -> list[Path]:
-    """Return the subfolders, one level down, that hold runs."""
+    """Return the immediate subfolders that contain runs."""
     found = []
     for path in sorted(folder.iterdir()):
         with suppress(OSError):  # such as one that only others may read
@@ -108,7 +108,7 @@ def find_folders_of_runs(folder: Path) -> list[Path]:
 
 
 def require_run(folder: Path) -> None:
-    """Raise CLI-005 if a folder is not a run, naming the runs in it."""
+    """Raise CLI-005 if a folder is not a run; the message lists any runs inside it."""
     if is_run(folder):
         return
     if folder.is_dir() and (held := [run.name for run in find_runs(folder)]):
@@ -132,12 +132,12 @@ def require_outside_runs(out: Path) -> None:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder belongs to a run, however little of it is left."""
+    """Whether a folder is a run, even with only part of its files."""
     return any((folder / name).exists() for name in RUN_PARTS)
 
 
 def remove_if_refused(folder: Path, problem: BaseException) -> None:
-    """Remove the folder of a run that was refused before its journal had a line."""
+    """Remove the folder of a run that was refused before anything was recorded."""
     from procedures.workcell.errors import AnotherArm
 
     refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (
@@ -150,7 +150,7 @@ def remove_if_refused(folder: Path, problem: BaseException) -> None:
 
 
 def remove_if_empty(folder: Path) -> None:
-    """Remove a run folder in which nothing but the request and the log was written."""
+    """Remove a run folder that contains nothing but its request and log."""
     if not any(
         path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path, *_ in walk(folder)
     ):

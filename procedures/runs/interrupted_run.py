@@ -1,4 +1,4 @@
-"""A run that has ended or was killed: its valid results, last step and unfinished step."""
+"""Runs that have ended or were killed, read back with their results and unfinished step."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class InterruptedRun:
 
     @property
     def has_journal(self) -> bool:
-        """Whether the journal file exists, with or without a whole line."""
+        """Whether the journal file exists, even if it contains no complete line."""
         return (self.folder / JOURNAL_FILE).exists()
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Return the unfinished parts of the run as plain values for the continued journal."""
+        """Return the run's unfinished parts in the form that the continued journal records."""
         plain: dict[str, JournalValue] = {
             "begun": None if self.begun is None else str(self.begun),
             "torn_bytes": len(self.chain.torn),
@@ -52,7 +52,7 @@ class InterruptedRun:
 
     @property
     def arm(self) -> ArmHistory:
-        """History of arm and instrument up to the run's end. Raises PRO-011 for a line of another version."""
+        """Arm and instrument history up to the run's end. Raises PRO-011 for lines of another version."""
         return fold_history(self.chain)
 
     @property
@@ -68,7 +68,7 @@ class InterruptedRun:
 
     @property
     def why_home_needs_no_device(self) -> str | None:
-        """Reason why bringing the arm home needs no device; None if it needs one."""
+        """Reason why no device is needed to bring the arm home, or None if devices are needed."""
         if self.parked:
             return "the run is finished: its arm is parked"
         if not self.run.lines(Entry.MOTION) and not self.chain.torn:
@@ -77,7 +77,7 @@ class InterruptedRun:
 
     @property
     def untouched(self) -> bool:
-        """Whether the run begins anew: no result, no motion, no torn line and no record without a line."""
+        """Whether the run has no results, motions or torn data, so that it can start from the beginning."""
         lines = self.run.journal
         torn = bool(lines and self.chain.torn)
         done = any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
@@ -85,13 +85,13 @@ class InterruptedRun:
 
     @property
     def latest(self) -> StepKey | None:
-        """Last completed step, or None. A step that may only follow it directly can still run."""
+        """Last completed step, or None. It determines which step may immediately follow."""
         done = self.run.lines(Entry.RESULT)
         return step_key(done[-1]) if done else None
 
     @property
     def plan_sha256(self) -> str | None:
-        """Hash of the plan when the run was last opened; None if no line records it."""
+        """Hash of the plan when the run was last opened, or None if not recorded."""
         hashes = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
         return str(hashes[-1]) if hashes else None
 
@@ -103,13 +103,13 @@ class InterruptedRun:
 
     @property
     def orphans(self) -> tuple[str, ...]:
-        """Identifiers of records without a line in the journal: kept, but not valid."""
+        """Identifiers of records that the journal does not mention; they are kept but not valid."""
         named = {record.identifier for record in self.run.records}
         folder = self.folder / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
 
     def list_unrecorded_work(self, order: CaseOrder, step: str) -> tuple[str, ...]:
-        """List the trajectories with a record without a line from this step or a later one."""
+        """List trajectories with orphaned records of this step or a later one."""
         without_number = {name.partition("-")[2] for name in self.orphans}
 
         def is_recorded(trajectory: str) -> bool:
@@ -119,7 +119,7 @@ class InterruptedRun:
         return tuple(filter(is_recorded, order.trajectories))
 
     def restore_case(self, order: CaseOrder) -> Case:
-        """Restore the case from its records. Raises REC-001, REC-003, and PRO-011 for a contradiction."""
+        """Restore the case from journal and records. Raises REC-001, REC-003, or PRO-011 if they conflict."""
         case = Case(self.folder, self.run.name)
         course = CaseProgress(order, case)
         records = iter(self.run.records)
@@ -142,7 +142,7 @@ class InterruptedRun:
 
 @dataclass(frozen=True)
 class Resumption:
-    """Resumption of an interrupted run. `accepted` means that a script accepts the findings.
+    """How an interrupted run is resumed; `accepted` if a script accepts the findings.
 
     With `only_leaving` no step is run: the arm goes home, or devices are acknowledged, which `asks` nothing.
     """
@@ -154,7 +154,7 @@ class Resumption:
 
 
 def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> InterruptedRun:
-    """Read a run in order to resume it.
+    """Read a run that is to be resumed.
 
     Raises PRO-033 if it was changed; with `only_leaving`, if its journal, request or records were.
     """

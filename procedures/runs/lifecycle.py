@@ -1,4 +1,4 @@
-"""One lifecycle for every run: open its theatre, run its steps, close everything.
+"""Common lifecycle of all runs: open the theatre, run the steps, close everything.
 
 Cases, calibrations and measurements differ only in their steps and conclusions; see `case` and
 `calibrations`.
@@ -49,7 +49,7 @@ OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room
 def open_run(
     request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
 ) -> Iterator[Engine]:
-    """Open the engine of a run, ready for its first step. Everything is closed at the end of the block.
+    """Open a run's engine, ready for its first step, and close everything after the block.
 
     With `resumption` the folder is that of the interrupted run. The plan of a case is held meanwhile.
     """
@@ -69,7 +69,7 @@ def _prepare(
     held: contextlib.ExitStack,
     theatre: Theatre,
 ) -> EngineInput:
-    """Prepare the steps of a run once its theatre is open, before its devices are connected."""
+    """Prepare a run's engine input when its theatre is open but no device is connected yet."""
     from procedures.engine.order import order_of
     from procedures.runs.engine_setup import EngineInput
 
@@ -93,7 +93,7 @@ def _prepare(
 
 
 def _find_missing_patient(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
-    """Return the folder for making a missing simulated patient, or None. Remove an incomplete patient."""
+    """Return the folder where a simulated patient must be created, or None; clear an incomplete one."""
     from procedures.runs.case import case_folder
 
     patient = case_folder(case, folder)
@@ -112,7 +112,7 @@ def open_engine(
     resumption: Resumption | None = None,
     phantom: Path | None = None,
 ) -> Iterator[Engine]:
-    """Open a theatre, and an engine for the steps that `prepare` returns; see `open_run`.
+    """Open a theatre and an engine for the input that `prepare` returns; see `open_run`.
 
     A simulated patient is made in the folder `phantom`.
     """
@@ -174,7 +174,7 @@ def _hold_configured_theatre(
     resumption: Resumption | None,
     stack: contextlib.ExitStack,
 ) -> tuple[str | None, Room]:
-    """Lock the devices of a theatre file. Return the staff, and any warning of an arm left away from home."""
+    """Lock a theatre file's devices; return a warning if the arm was left away from home, and the staff."""
     from procedures.runs.theatre_lock import hold_theatre
     from procedures.runs.theatre_note import arm_not_home
     from ronna_hw.config import read_theatre_file
@@ -195,7 +195,7 @@ def _start_simulated(
     phantom: Path | None,
     stack: contextlib.ExitStack,
 ) -> tuple[SimulatedTheatre, Room]:
-    """Start the theatre of a run, with its patient, in the run's folder.
+    """Start a run's simulated theatre and patient in the run's folder.
 
     Raises PRO-033 if it would continue in another scene.
     """
@@ -229,7 +229,7 @@ def _start_simulated(
 
 
 def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
-    """Raise PRO-033 if the scene of a simulated theatre is not the one in which the run left its arm."""
+    """Raise PRO-033 if the scene file was changed since the run left its simulated theatre."""
     for change in interrupted.changes:
         if change.file == SCENE_FILE:
             raise RunChanged(
@@ -242,7 +242,7 @@ def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
 
 
 def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:
-    """Return a context that publishes the devices and the arm's body; `fast` shows the arm's motion."""
+    """Return a context that publishes devices and arm bodies, at a high rate if `fast`."""
     from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
 
     workcell = engine.setting.workcell
@@ -251,7 +251,7 @@ def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractCon
 
 
 def ignore_further_signals() -> None:
-    """Ignore signals from here on: a second one would only cut the orderly end short."""
+    """Ignore all further signals, so that a second one cannot interrupt the shutdown."""
     if threading.current_thread() is threading.main_thread():
         for number in ENDING_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -264,7 +264,7 @@ def run_steps(
     resumption: Resumption | None = None,
     conclude: Callable[[Engine], None] = lambda _engine: None,
 ) -> tuple[Engine, float]:
-    """Run every step without a valid result, then `conclude`. Return the engine and the theatre time in s.
+    """Run all steps that have no valid result, then `conclude`; return the engine and the theatre time in s.
 
     An error of `conclude` ends the run. With `resumption`, nothing moves until the findings are
     accepted. Raises the errors of steps, and PRO-032 for a run that is not resumed.
@@ -283,7 +283,7 @@ def run_steps(
 
 
 def run_to_end(engine: Engine, observers: RunObservers) -> None:
-    """Run the case to its end. If a step fails, the person at the prompt, if any, decides how to continue.
+    """Run the case to its end. After a failed step, any person at the prompt decides how to continue.
 
     A case refused only because of a device in fault ends with that fault.
     """
@@ -314,7 +314,7 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
 
 
 def leave_head_if_agreed(engine: Engine) -> None:
-    """After an abort, retreat and bring the arm home if the operator agrees. Failures are shown."""
+    """After an abort, retreat and park if the operator agrees. Errors are reported, not raised."""
     try:
         engine.leave_head()
     except RonnaError as error:

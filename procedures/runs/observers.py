@@ -1,4 +1,4 @@
-"""People and displays that follow a run, and the choice of the operator for each topic."""
+"""People and displays attached to a run, and selection of the operator for each topic."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and
 
 
 class HeldPrompt(Protocol):
-    """A prompt at which a person decides how a held case continues."""
+    """Prompt where a person decides how a held case continues."""
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """Show the reason why the case is held, and the ways to continue."""
+        """Show why the case is held and how it can continue."""
         ...
 
     def follow(self, engine: Engine) -> bool:
-        """Carry out commands, and return whether the case continues."""
+        """Execute commands until the case continues (True) or is left (False)."""
         ...
 
 
 class UnattendedRoom:
-    """Room without staff: nobody performs tasks or reads anything off."""
+    """Room without staff, in which tasks yield no readings."""
 
     def announce(self, step: str) -> None:
         """Do nothing, because nobody listens."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Do nothing: the step itself has the mounted tool confirmed."""
+        """Do nothing; the step itself asks to confirm the mounted tool."""
 
     def prepare_stand(self, holds: str) -> None:
-        """Do nothing: the step itself has the prepared stand confirmed."""
+        """Do nothing; the step itself asks to confirm the prepared stand."""
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Return no readings."""
@@ -67,7 +67,7 @@ class UnattendedRoom:
 
 @dataclass(frozen=True)
 class RunObservers:
-    """People and displays that follow a run."""
+    """People and displays attached to a run."""
 
     status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
     announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
@@ -82,7 +82,7 @@ class RunObservers:
 def operator_selection(
     request: RunRequest, observers: RunObservers, resumption: Resumption | None = None
 ) -> Operator:
-    """Select the operator for each topic, including topics that a file of answers does not list.
+    """Select the operator for each topic, including topics missing from the answers file.
 
     On real devices the person answers deliberate and read-back questions, whatever the file says. While the
     console is in charge, its operator replaces all of them.

@@ -1,4 +1,4 @@
-"""The operator's station at the console: one thread takes orders, the engine's thread carries them out.
+"""Operator station at the console: one thread receives orders, the engine's thread executes them.
 
 Only a stop reaches the arm from here. Everything else waits until the engine asks for it: between steps, at a
 checkpoint or with a question.
@@ -47,7 +47,7 @@ NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: 
 
 
 class Seat:
-    """The operator's seat: a lease taken under a name and kept by renewal. Not thread-safe by itself."""
+    """Operator's seat: a lease claimed under a name and renewed periodically. Not thread-safe."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         """`now_s` returns host time in seconds."""
@@ -58,16 +58,16 @@ class Seat:
 
     @property
     def holder(self) -> str:
-        """Name under which the seat is held; empty when it is free or its lease has run out."""
+        """Name of the current holder; empty if the seat is free or its lease has expired."""
         return self._name if self._now_s() - self._renewed_s <= LEASE_S else ""
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether a holder's lease has run out."""
+        """Whether the seat is claimed but its lease has expired."""
         return bool(self._name) and not self.holder
 
     def claim(self, session: str, name: str) -> str:
-        """Take the seat. Return the reason if refused, otherwise an empty string."""
+        """Claim the seat; return the reason for a refusal, or an empty string."""
         if self.holder and session != self._session:
             return f"the seat is taken by {self.holder}"
         self._session, self._name, self._renewed_s = session, name, self._now_s()
@@ -79,7 +79,7 @@ class Seat:
         return bool(self.holder) and session == self._session
 
     def renew(self, session: str) -> None:
-        """Renew the lease if the session holds the seat; otherwise change nothing."""
+        """Renew the lease if the session holds the seat."""
         if self.is_held_by(session):
             self._renewed_s = self._now_s()
 
@@ -104,7 +104,7 @@ class PendingOrder:
 
 @dataclass
 class _OpenQuestion:
-    """The open question, and its answer so far."""
+    """An open question and, once given, its answer."""
 
     question: Question
     shown: str
@@ -117,7 +117,7 @@ class OperatorStation:
     """The console operator as seen by the engine. Every method is thread-safe."""
 
     def __init__(self, *, waits: bool, now_s: Callable[[], float] = time.monotonic) -> None:
-        """With `waits`, no step runs and no question is answered before somebody has taken the seat."""
+        """If `waits`, no step runs and no question is answered until someone takes the seat."""
         self._changed = threading.Condition()
         self._now_s = now_s
         self._seat = Seat(now_s)
@@ -133,14 +133,14 @@ class OperatorStation:
         self._stopped = False  # and nobody in the seat has answered since
 
     def attach(self, engine: Engine) -> None:
-        """Direct orders to this engine."""
+        """Direct all further orders to an engine."""
         with self._changed:
             self._engine = engine
             if name := self._seat.holder:  # taken while the theatre was being opened
                 engine.events.publish(SeatEvent(holder=name))
 
     def leave(self) -> None:
-        """Mark the console as gone, so that other operators take over."""
+        """Mark the console as gone, so that the fallback operators take over."""
         with self._changed:
             self._gone = True
             self._seat.free()
@@ -154,26 +154,26 @@ class OperatorStation:
 
     @property
     def stopped(self) -> bool:
-        """Whether the arm was stopped from the console and nobody in the seat has answered since."""
+        """Whether the arm was stopped from the console and no seated operator has answered since."""
         with self._changed:
             return self._stopped
 
     @property
     def waiting_for(self) -> str | None:
-        """Upcoming step while the engine waits between steps for an order; None at other times."""
+        """Upcoming step while the engine waits for an order between steps, else None."""
         with self._changed:
             return self._waiting_for
 
     @property
     def open_question(self) -> tuple[int, str] | None:
-        """Number of the open question and digest of what is shown; None without an open question."""
+        """Number and digest of the open question, or None if no question is open."""
         with self._changed:
             current = self._question
             return None if current is None else (current.question.number, current.shown)
 
     @property
     def waits(self) -> bool:
-        """Whether nothing is done until someone has taken the seat."""
+        """Whether the engine must wait until someone takes the seat."""
         return self._waits
 
     @property
@@ -183,7 +183,7 @@ class OperatorStation:
             return self._gone
 
     def changes_of_seat(self) -> list[tuple[str, str, float | None]]:
-        """Return session, name and theatre time (s) of each change of the seat since the last call.
+        """Return all seat changes since the last call as (session, name, theatre time in s).
 
         Without a name the seat became free; the time is None before the theatre was open.
         """
@@ -194,14 +194,14 @@ class OperatorStation:
             return changes
 
     def free_silent_seat(self) -> None:
-        """Free the seat of an operator whose page has gone silent, even while the engine is busy."""
+        """Free the seat if its lease has expired, even while the engine is busy."""
         with self._changed:
             self._notice_lapse()
 
     # The thread that reads orders
 
     def take(self, sent: SentOrder) -> str:
-        """Take an order. Return the reason if refused, otherwise an empty string."""
+        """Accept an order; return the reason for a refusal, or an empty string."""
         with self._changed:
             if sent.nonce in self._nonces:
                 return "this order was already given"
@@ -223,7 +223,7 @@ class OperatorStation:
         return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
     def _find_refusal(self, sent: SentOrder) -> str:
-        """Return why an order is refused, given its sender and the current state; empty if allowed."""
+        """Return the reason for refusing an order in the current state, or an empty string."""
         rule, state = RULE_OF[type(sent.order)], self._state
         if rule.seat and not self._seat.is_held_by(sent.session):
             return "you are not in the operator's seat"
@@ -262,7 +262,7 @@ class OperatorStation:
     def _steer(
         self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
     ) -> str:
-        """Answer an open pause, or keep the order until the engine next waits between steps."""
+        """Apply an order immediately, or store it until the engine waits between steps."""
         current, state = self._question, self._state
         match order:
             case Pause():
@@ -341,7 +341,7 @@ class OperatorStation:
     # The engine's own thread
 
     def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> Answer | None:
-        """Return the answer from the console: silence if the time ran out, None if the console has ended.
+        """Wait for the console's answer; return silence after the time limit, None if the console is gone.
 
         At a pause, `acknowledge` is called with the name of the person who acknowledges faults.
         """
@@ -374,14 +374,14 @@ class OperatorStation:
         return current.answer
 
     def await_seat(self) -> None:
-        """Wait, if required, until someone has taken the seat or the console has ended."""
+        """If the seat must be taken, wait until someone takes it or the console is gone."""
         with self._changed:
             while self._waits and not self._seat.holder and not self._gone:
                 self._changed.wait(LOOK_AGAIN_S)
                 self._notice_lapse()
 
     def next_order(self, upcoming: str, timeout_s: float | None = None) -> PendingOrder | None:
-        """Wait between steps for an order; None if the time ran out or the console has ended."""
+        """Wait between steps for an order; return None after the time limit or if the console is gone."""
         ends_s = None if timeout_s is None else self._now_s() + timeout_s
         with self._changed:
             self._waiting_for = upcoming
@@ -406,7 +406,7 @@ class OperatorStation:
             return self._pending is not None and self._pending.aborts
 
     def is_occupied_since(self, times_vacated: int) -> bool:
-        """Whether the seat is taken and has become free no more than `times_vacated` times."""
+        """Whether the seat is taken and has not been vacated since the count was `times_vacated`."""
         with self._changed:
             self._notice_lapse()
             return bool(self._seat.holder) and self._vacated == times_vacated

@@ -1,4 +1,4 @@
-"""Execution of console orders: step by step, up to a step, or to the end of the case."""
+"""Execution of console orders: single steps, up to a step, or to the end of the case."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ConsoleOperator:
         self._script_at_pause = script_at_pause
 
     def ask(self, question: Question) -> Answer:
-        """Return the console's answer, or the fallback's if the console is not in charge or ends."""
+        """Ask at the console, or ask the fallback if the console is not in charge or gone."""
         self._executor.note_seat()
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
         if waits:
@@ -58,7 +58,7 @@ class ConsoleOperator:
 
 
 class OrderExecutor:
-    """Carries out orders between steps, on the engine's own thread."""
+    """Executes orders between steps, on the engine's thread."""
 
     def __init__(
         self, station: OperatorStation, *, runs: bool, input_ready: Callable[[float], bool] = _input_is_ready
@@ -83,15 +83,15 @@ class OrderExecutor:
         return self.station.in_charge
 
     def operator(self, fallback: Operator, *, script_at_pause: bool = False) -> Operator:
-        """Return the operator of the case. `script_at_pause`: without the console a script answers pauses."""
+        """Return the case's operator; `script_at_pause` if a script is the fallback during pauses."""
         return ConsoleOperator(self.station, fallback, self, script_at_pause=script_at_pause)
 
     def staff(self, fallback: Room) -> Room:
-        """Return staff whose readings are typed at the console while it is in charge."""
+        """Return room staff whose readings are entered at the console while it is in charge."""
         return ConsoleRoom(fallback, self)
 
     def read(self, task: Task) -> tuple[float, ...] | None:
-        """Return the readings typed by the operator at the console; None without a console.
+        """Ask for the task's readings at the console; return None if the console is not in charge.
 
         Empty if nobody reads them off.
         """
@@ -112,7 +112,7 @@ class OrderExecutor:
         return answer.readings
 
     def acknowledge(self, by: str) -> None:
-        """Recover the devices in fault; report those that cannot be recovered yet."""
+        """Recover the faulted devices and report any failure."""
         if self._engine is None:
             return
         try:
@@ -122,7 +122,7 @@ class OrderExecutor:
             self._tell_fault(self._engine, error)
 
     def attach(self, engine: Engine) -> None:
-        """Direct orders to this engine."""
+        """Direct all further orders to an engine."""
         self._engine = engine
         self.station.attach(engine)
 
@@ -133,7 +133,7 @@ class OrderExecutor:
                 self._engine.record_seat(session, name, since_s)
 
     def await_operator(self) -> None:
-        """Wait until a seat that must be taken is taken, or the console has ended."""
+        """If the seat must be taken, wait until someone takes it or the console is gone."""
         self.station.await_seat()
         self.note_seat()
 
@@ -159,7 +159,7 @@ class OrderExecutor:
             self._run_step(engine, name)
 
     def follow_until_typed(self, engine: Engine) -> None:
-        """Carry out orders until something is typed on standard input, or standard input ends."""
+        """Execute console orders until there is input on standard input, or end of file."""
         self._publish_waiting(engine)
         while not self._input_is_ready(0.0):
             self.note_seat()
@@ -220,7 +220,7 @@ class OrderExecutor:
             self._publish_waiting(engine)
 
     def _continue_by_consent(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
-        """Return the error to report, and whether the case continues by consent."""
+        """Return the error to report, and whether the operator agreed to continue."""
         try:
             return error, engine.goes_on(error)
         except OperatorAborted:  # on the way home that was agreed
@@ -250,7 +250,7 @@ class OrderExecutor:
         self._is_running, self._vacated = True, pending.times_vacated
 
     def _abort(self, engine: Engine) -> None:
-        """Retreat and park as far as the operator confirms it, then end the case. Raises OperatorAborted."""
+        """Retreat and park as far as the operator agrees, then end the case. Raises OperatorAborted."""
         try:
             engine.checkpoint.here("before the end of the case")  # an abort that no step has met
         except RonnaError as met:
@@ -288,11 +288,11 @@ class ConsoleRoom:
         self._otherwise.announce(step)
 
     def change_tool(self, number: int, description: str) -> None:
-        """Prompt for the tool; the step confirms it at the console."""
+        """Ask the staff to change the tool; the step has it confirmed at the console."""
         self._otherwise.change_tool(number, description)
 
     def prepare_stand(self, holds: str) -> None:
-        """Prompt for the stand; the step confirms it at the console."""
+        """Ask the staff to prepare the stand; the step has it confirmed at the console."""
         self._otherwise.prepare_stand(holds)
 
     def work(self, task: Task) -> tuple[float, ...]:

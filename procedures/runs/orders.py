@@ -1,4 +1,4 @@
-"""The operator's orders to a case, shared by prompt, script and page. `RULES` says when each is accepted.
+"""Operator orders, shared by prompt, script and console page. `RULES` defines when each is accepted.
 
 A session of the console sends an order with the state that it saw. If that is out of date, nothing is done;
 only a stop needs no state. Each order sent has its own nonce and is carried out once.
@@ -35,7 +35,7 @@ Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_
 
 
 def _require_visible_name(name: str) -> str:
-    """Refuse control and format characters, which can make a name look like another person's."""
+    """Reject control and format characters, which could disguise a name as another person's."""
     if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
         raise ValueError("a name has only characters that are shown")
     return name
@@ -47,7 +47,7 @@ Name = Annotated[
 
 
 class Order(BaseModel):
-    """Base of all orders."""
+    """Base class of all orders."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -60,7 +60,7 @@ class Claim(Order):
 
 
 class Renew(Order):
-    """Stay in the seat."""
+    """Renew the seat's lease."""
 
     kind: Literal["renew"] = "renew"
 
@@ -116,7 +116,7 @@ class Resume(Order):
 
 
 class Stop(Order):
-    """Stop the arm now, as well as the link allows, then pause."""
+    """Stop the arm as fast as the link allows, then pause."""
 
     kind: Literal["stop"] = "stop"
 
@@ -128,7 +128,7 @@ class Abort(Order):
 
 
 class Acknowledge(Order):
-    """Recover devices in fault, in the name of the person giving the order. Nothing moves."""
+    """Recover devices in fault under the sender's name. Nothing moves."""
 
     kind: Literal["acknowledge"] = "acknowledge"
 
@@ -153,13 +153,13 @@ class ListSteps(Order):
 
 
 class Why(Order):
-    """Show why a step, by default the next one, cannot start, and what it asks."""
+    """Explain why a step (by default the next) cannot start, and list its questions."""
 
     step: str | None = None
 
 
 class DryRun(Order):
-    """Show the motions of a step, by default of the next one."""
+    """Preview the motions of a step (by default the next)."""
 
     step: str | None = None
 
@@ -173,7 +173,7 @@ class Quit(Order):
 
 
 class CaseActivity(Enum):
-    """Activity of a case while an order may arrive."""
+    """What a case is doing when an order arrives."""
 
     OPENING = auto()  # the theatre is not open yet
     WAITING = auto()  # between steps
@@ -191,7 +191,7 @@ NEVER: frozenset[CaseActivity] = frozenset()
 
 @dataclass(frozen=True)
 class Rule:
-    """Rule for an order: its command, and the states in which the prompt and the console accept it.
+    """Command for an order, and the activities during which prompt and console accept it.
 
     From the console it needs the operator's seat, unless `seat` says otherwise. An argument in brackets may
     be omitted.
@@ -259,7 +259,7 @@ ConsoleOrder = (
 
 
 class SentOrder(BaseModel):
-    """An order as sent by a session. In JSON, the order's own fields are on the same level as the others."""
+    """An order as sent by a session. In JSON, its fields are flattened into this object."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -290,7 +290,7 @@ class SentOrder(BaseModel):
 
 
 def read_order(line: bytes | str) -> SentOrder:
-    """Read an order from JSON. Raises ValueError for anything else."""
+    """Parse an order from JSON. Raises ValueError if it is invalid or too long."""
     content = line.encode() if isinstance(line, str) else line
     if len(content) > LONGEST_BYTES:
         raise ValueError(f"an order of {len(content)} bytes")

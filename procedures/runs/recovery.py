@@ -1,4 +1,4 @@
-"""Recovery of an interrupted run: all inputs are read, compared and accepted before anything moves.
+"""Recovery of an interrupted run: everything is read, compared and accepted before anything moves.
 
 Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home. There the
 tracker has a clear view, and the rest is compared. Then every step without a valid result is run, re-planned
@@ -45,7 +45,7 @@ LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must ha
 
 
 def recover(engine: Engine, previous: InterruptedRun) -> None:
-    """Bring a recovering engine to the start of its next step.
+    """Compare everything with the records, bring the arm home, and prepare for the next step.
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
@@ -78,7 +78,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
-    """Put the tool checks in doubt: the controller reports the tool's number, not whether it was touched."""
+    """Cast doubt on the tool checks, since a tool number does not show whether the tool was touched."""
     for key in engine.order.checks_of_tool:
         engine.case.doubt(key, UNATTENDED)
     for key in engine.course.checks_in_doubt:
@@ -88,7 +88,7 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
 
 
 def _doubt_work(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
-    """Put the work in doubt where a record without a line says that a target was reached."""
+    """Cast doubt on the work at targets that an orphaned record reports as reached."""
     if previous.orphans:
         comparison.warn(f"records that the journal does not name, not used: {', '.join(previous.orphans)}")
     for trajectory in previous.list_unrecorded_work(engine.order, ReachedTarget.kind):
@@ -96,7 +96,7 @@ def _doubt_work(engine: Engine, previous: InterruptedRun, comparison: Comparison
 
 
 def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
-    """Have the instrument taken out and bring the arm home; return whether anything moved.
+    """Request instrument removal and bring the arm home; return whether anything moved.
 
     The run stays as it is. Only the arm is needed, and only conditions of the way home are compared. Raises
     PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
@@ -123,7 +123,7 @@ def _restore_arm(
     *,
     only_leaving: bool = False,
 ) -> None:
-    """Restore the arm's history, compare every device, and look for an instrument where the guide is."""
+    """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
     workcell.restore_history(previous.arm, set_up.home_rad)
     inside = workcell.place.instrument_may_be_inside
@@ -153,7 +153,7 @@ def _restore_arm(
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
-    """Refuse an arm left away from home by another run: only that run knows its instrument and its way home.
+    """Refuse an arm that another run left away from home, as only that run knows the way back.
 
     An arm that is at this run's home has been jogged there since.
     """
@@ -168,7 +168,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
 
 
 def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
-    """Have the operator accept the findings and the next actions. Raises PRO-032."""
+    """Ask the operator to accept the findings and the next actions. Raises PRO-032."""
     for begun in work_begun_elsewhere(engine):
         comparison.warn(begun)
     if has_head_moved(engine):
@@ -188,7 +188,7 @@ def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, or
 
 
 def _require_ready(engine: Engine) -> None:
-    """Raise PRO-001 if a device is not ready for motion, before the operator is asked in vain."""
+    """Raise PRO-001 if any device is not ready for motion, before asking the operator."""
     seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
     blocking = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
     if not blocking:
@@ -204,7 +204,7 @@ def _require_ready(engine: Engine) -> None:
 
 
 def _conclude(engine: Engine, comparison: Comparison, action: str | None = None) -> None:
-    """Record the findings. Raises PRO-032 for a difference; nothing was moved, unless `action` says so."""
+    """Record the findings. Raises PRO-032 if there are differences."""
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
         by_other = engine.setting.arm_not_home in comparison.differences
@@ -230,7 +230,7 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
 
 
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:
-    """Return descriptions of the moves that come before any step."""
+    """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = []
     if (place := engine.instrument_in) is not None:
@@ -258,7 +258,7 @@ def _key_of(record: Record) -> StepKey:
 
 
 def _move_out(engine: Engine) -> bool:
-    """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
+    """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
     engine.questions.request_instrument_removal()
     following = engine.upcoming

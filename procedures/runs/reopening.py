@@ -1,4 +1,4 @@
-"""Reopening of a run: reading its request, locking and repairing its folder, completing a missing end."""
+"""Reopening of runs: read the request, lock and repair the folder, write a missing end."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 def read_reopened_request(
     folder: Path, *, accept: bool = False, answers: Path | None = None, reuse_answers: bool = False
 ) -> RunRequest:
-    """Read the request of a run, to be answered by `answers` or, if `reuse_answers`, by the run's own file.
+    """Read a run's request, with the answers from `answers` or, if `reuse_answers`, from the run itself.
 
     Raises CLI-001, CFG-001, PRO-026, 031 and 034.
     """
@@ -58,7 +58,7 @@ def read_reopened_request(
 
 @contextmanager
 def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterator[InterruptedRun]:
-    """Lock the folder of an interrupted run for this program, and read the run.
+    """Lock and read an interrupted run.
 
     With `only_leaving` a change of files on which the way home does not depend is only reported. Raises
     PRO-030 while another program has the run open, PRO-033 if it was changed.
@@ -72,13 +72,13 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
 
 
 def require_free_devices(request: RunRequest) -> None:
-    """Raise PRO-043 while another program uses the real devices of this run."""
+    """Raise PRO-043 while another program is using the configured devices of the run."""
     if request.config is not None:
         require_free_theatre(request.config)
 
 
 def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
-    """Return the last resumable run on a theatre file's devices; None if there is none or it is `run`."""
+    """Return the last resumable run on a theatre file's devices, or None if there is none or it is `run`."""
     for last in list_last_runs(theatre):
         if last == run:
             return None
@@ -93,7 +93,7 @@ def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
 
 
 def prepare_folder(interrupted: InterruptedRun) -> None:
-    """Prepare the folder of a run before a program continues it. Raises PRO-003 if it cannot be written."""
+    """Prepare a run's folder for being continued. Raises PRO-003 if it is not writable."""
     folder = interrupted.folder
     _check_writable(folder)
     _remove_half_written(folder)
@@ -120,7 +120,7 @@ def _check_writable(folder: Path) -> None:
 
 
 def _remove_half_written(folder: Path) -> None:
-    """Remove files that a killed program left half-written: they were never part of the run."""
+    """Remove partial files of a killed program, which never became part of the run."""
     for path, is_folder, _ in list(walk(folder)):
         if not (path.name.startswith(".") and path.name.endswith(PARTIAL)):
             continue
@@ -143,7 +143,7 @@ def close_completed_run(
 
 
 def rewrite_end(interrupted: InterruptedRun) -> InterruptedRun:
-    """Rewrite the end of a closed but unsealed run, with the names of its unconfirmed files."""
+    """Rewrite the end of a closed but unsealed run, listing its unconfirmed files."""
     last = interrupted.run.journal[-1]
     journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())

@@ -1,4 +1,4 @@
-"""The request of a run: its theatre and procedure. No pydantic here: commands import it at start-up."""
+"""Run requests: theatre and procedure. Free of pydantic, since every command imports this at start-up."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FREE = "free"  # screws of their own
 
 @dataclass(frozen=True)
 class SceneChoice:
-    """Choices for the simulated theatre and its phantom."""
+    """Options of the simulated theatre and its phantom."""
 
     scene: str = "default"
     seed: int = 0
@@ -40,7 +40,7 @@ class SceneChoice:
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
 
     def check(self) -> None:
-        """Raise CLI-001 if the scene is neither a known name nor a file. The content is not checked."""
+        """Raise CLI-001 unless the scene is a known name or an existing file; its contents are not checked."""
         if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
             close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
             raise UsageMistake(
@@ -52,7 +52,7 @@ class SceneChoice:
             )
 
     def arguments(self) -> list[str]:
-        """Return the options for `ronna-sim theatre` and `ronna-sim phantom`."""
+        """Return the options common to `ronna-sim theatre` and `ronna-sim phantom`."""
         options = ["--scene", self.scene, "--seed", str(self.seed)]
         for name, value in (("--markers", self.markers), ("--targets", self.targets)):
             if value is not None:
@@ -72,7 +72,7 @@ class SceneChoice:
 
     @property
     def scene_seed(self) -> int:
-        """Random seed of the scene. A scene file holds its own; the rest of the file is not checked here."""
+        """Random seed of the scene; a scene file contains its own."""
         path = Path(self.scene)
         if not path.suffix:
             return self.seed
@@ -106,7 +106,7 @@ class CalibrationProcedure:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A check or a single measurement. It has no request file, so it cannot be resumed.
+    """A check or a single measurement. Without a request file it cannot be resumed.
 
     `in_use` selects the records to work with, given those of the theatre; a replay needs the `recipe`.
     """
@@ -119,7 +119,7 @@ class Measurement:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
-    """A procedure and its theatre: a simulated one, or the configured one of the theatre file `config`."""
+    """A procedure and its theatre, which is simulated unless `config` is a theatre file."""
 
     procedure: CaseProcedure | CalibrationProcedure | Measurement | None = None  # None: not yet chosen
     config: Path | None = None
@@ -130,7 +130,7 @@ class RunRequest:
 
     @property
     def seed(self) -> int | None:
-        """Seed of a simulated theatre; None for a configured one."""
+        """Seed of a simulated theatre, or None for a configured one."""
         return self.choice.scene_seed if self.config is None else None
 
     @property
@@ -147,5 +147,5 @@ class RunRequest:
 
     @property
     def measures_targets(self) -> bool:
-        """Whether the phantom has a ball at each target that is to be measured."""
+        """Whether the phantom has a ball at each target, to be measured."""
         return isinstance(self.procedure, CaseProcedure) and self.procedure.measure_targets

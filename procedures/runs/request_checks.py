@@ -1,4 +1,4 @@
-"""Checks of a request before its run folder is made: theatre, plan, answers, fault script.
+"""Checks of a request before its run folder is created: theatre, plan, answers, fault script.
 
 What a check needs is imported by it: a simulated theatre starts only after them, and everything else can be
 imported while that is under way.
@@ -81,7 +81,7 @@ def check_case(request: RunRequest) -> None:
 
 
 def check_fault_script(path: Path, step_names: Collection[str]) -> None:
-    """Raise CLI-001 if the fault script is missing or waits for unknown steps, naming each such line."""
+    """Raise CLI-001 if the fault script is missing or refers to unknown steps."""
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
     found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
@@ -97,7 +97,7 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
 
 
 def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s: float) -> Iterator[str]:
-    """Yield a message for each fault that a case did not reach, by its begun steps and its theatre time."""
+    """Yield a message for each fault whose step or time the case never reached."""
     steps = {name for step in begun_steps for name in (step, step.partition(":")[0])}
     for number, line in _lines(path):
         if match := _STEP_OF_LINE.match(line):

@@ -1,4 +1,4 @@
-"""`request.json`, the first file written to disk in a run's folder. `resume` begins by reading it."""
+"""Request file `request.json`: written first in a run's folder and read first by `resume`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PROGRAM = "ronna-hw"
 
 
 class CalibrationFile(BaseModel):
-    """A requested calibration."""
+    """Calibration part of a request file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -34,7 +34,7 @@ class CalibrationFile(BaseModel):
 
 
 class RequestFile(BaseModel):
-    """Content of `request.json`, with absolute paths."""
+    """Contents of `request.json`, with absolute paths."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -65,7 +65,7 @@ class RequestFile(BaseModel):
 
 
 def write_request(request: RunRequest, folder: Path) -> None:
-    """Write the request into a new run folder, and return when it is on disk."""
+    """Write the request into a new run folder and flush it to disk."""
     content = RequestFile(program=version(PROGRAM), **_theatre(request), **_procedure(request))
     write_atomically(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
     for place in (folder, folder.parent):  # a name is on disk only when its folder is
@@ -154,7 +154,7 @@ def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
 
 
 def request_hash(folder: Path) -> dict[str, str]:
-    """Return the hash of the request that a run began with, for the first line of its journal."""
+    """Return the hash of a run's request file for the first journal line."""
     from ronna_hw.evidence.manifest import sha256_of
 
     path = folder / REQUEST_FILE

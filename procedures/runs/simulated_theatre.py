@@ -1,4 +1,4 @@
-"""A simulated theatre with its patient and staff, run as child processes, and the truth about a run in it."""
+"""Simulated theatre, patient and staff in child processes, and ground truth about a run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ THEATRE_FOLDER = "theatre"  # of a run that has a theatre of its own
 
 
 class SimulatedTheatre:
-    """Simulated theatre in one folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
+    """Simulated theatre in one folder and, if `phantom` is given, a patient (CT and plan) in another."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class SimulatedTheatre:
         continued: bool = False,
         on_controller_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the theatre. `continued` resumes an earlier world, without the run's fault script."""
+        """Start the theatre. `continued` resumes an earlier state and ignores the fault script."""
         self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
         is_resumed = continued and self._file.exists()
         self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if is_resumed else None
@@ -69,7 +69,7 @@ class SimulatedTheatre:
             raise
 
     def await_patient(self) -> None:
-        """Wait for the CT series and the plan. Raises PRO-013 with the message of a command that refused.
+        """Wait until CT series and plan are complete. Raises PRO-013 with the message of a failed command.
 
         A refused theatre is reported at once; PRC-001 if time runs out.
         """
@@ -84,7 +84,7 @@ class SimulatedTheatre:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
     def await_theatre(self) -> None:
-        """Wait for every device. Raises PRO-013 with the command's message, or PRC-001 if there is none."""
+        """Wait until all devices are ready. Raises PRO-013 with the simulator's message, or else PRC-001."""
         child = self.theatre.child
         try:
             self.theatre.await_ready()
@@ -95,7 +95,7 @@ class SimulatedTheatre:
             raise CommandRefused(SIMULATOR_NAME, child.messages[-1], code) from error
 
     def keep_file(self) -> None:
-        """Keep the current theatre file, which the journal names, instead of restoring the former one."""
+        """Keep the current theatre file on exit instead of restoring the earlier one."""
         self._former = None
 
     def __enter__(self) -> Self:
@@ -139,7 +139,7 @@ class SimulatedRoom:
     """
 
     def __init__(self, control: str) -> None:
-        """`control` is the endpoint of the control port, with its token."""
+        """Set the control port's endpoint, which includes its token."""
         self._control = control
 
     def announce(self, step: str) -> None:
@@ -147,11 +147,11 @@ class SimulatedRoom:
         ask_control_port(self._control, "step", name=step)
 
     def change_tool(self, number: int, description: str) -> None:
-        """Have another tool mounted."""
+        """Mount the tool with this number."""
         ask_control_port(self._control, "mount", number=number)
 
     def prepare_stand(self, holds: str) -> None:
-        """Have the ball or the divot put on the calibration stand."""
+        """Put the ball or the divot on the calibration stand."""
         ask_control_port(self._control, "stand", holds=holds)
 
     def work(self, task: Task) -> tuple[float, ...]:
@@ -166,7 +166,7 @@ class SimulatedRoom:
         return tuple(float(reading) for reading in answer.get("readings", ()))
 
     def tell_missed_faults(self, tell: Callable[[str], None]) -> Callable[[object, object, object], None]:
-        """Return an exit callback that names the room's faults that began too late to have an effect."""
+        """Return an exit callback that reports room faults scheduled too late to take effect."""
 
         def at_exit(_kind: object, problem: object, _trace: object) -> None:
             if isinstance(problem, ControlPortSilent) or not isinstance(problem, RonnaError | None):
@@ -179,7 +179,7 @@ class SimulatedRoom:
 
 
 def ask_verifier(folder: Path) -> Truth:
-    """Return the verifier's truth about a run. Raises PRO-013 with its message, PRC-001 if it hangs."""
+    """Ask the verifier for the ground truth about a run. Raises PRO-013 if it fails, PRC-001 if it hangs."""
     from procedures.reporting.outcome import Truth
 
     answer = run_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
@@ -190,7 +190,7 @@ def ask_verifier(folder: Path) -> Truth:
 
 
 def find_truth(folder: Path) -> Truth | None:
-    """Return the truth about a run; None without a simulated theatre or anything to compare."""
+    """Return the ground truth about a run, or None if it is unavailable."""
     if not (folder / THEATRE_FOLDER).is_dir():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Lock on the devices of a theatre: one program at a time, for the run named in the arm's note.
+"""Theatre lock: one program at a time may use the devices, for the run named in the arm's note.
 
 Note and theatre file are both locked. The note belongs to the arm, whatever the file is called. The file
 serves a user who can neither write nor create the note.
@@ -29,19 +29,19 @@ WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remov
 
 @dataclass(frozen=True)
 class TheatreUser:
-    """The program that holds a theatre's devices, as far as this user may see it."""
+    """The program using a theatre, and its run if known to this user."""
 
     run: Path | None
     holder: PortUser | None
 
     @property
     def seen(self) -> str:
-        """Sentence that names the run using the theatre, and its process id."""
+        """Sentence stating which run and process is using the theatre."""
         number = "" if self.holder is None else f" (pid {self.holder.pid})"
         return f"{'another program' if self.run is None else self.run.name}{number} is using this theatre"
 
     def advice(self, then: str) -> str:
-        """Return advice to leave that program alone. `then` says what to do once it has ended."""
+        """Return advice not to disturb the program; `then` is what to do once it has ended."""
         alone = "Leave it alone: its arm may be at a patient."
         if self.run is None:
             return f"{alone} {then.capitalize()} when it has ended."
@@ -51,7 +51,7 @@ class TheatreUser:
 
 @contextmanager
 def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
-    """Lock the devices of a theatre file for a run, and yield the note left by earlier runs.
+    """Lock a theatre file's devices for a run and yield the note left by earlier runs.
 
     Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
     With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
@@ -98,7 +98,7 @@ def _open_note(path: Path) -> int | None:
 
 
 def _open_own(path: Path, flags: int = os.O_RDONLY) -> int | None:
-    """Open a file or folder; None if it does not exist or this user may not open it."""
+    """Open a file or folder, or return None if it is missing or this user may not open it."""
     try:
         return os.open(path, flags | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
     except OSError:
@@ -106,7 +106,7 @@ def _open_own(path: Path, flags: int = os.O_RDONLY) -> int | None:
 
 
 def _lock(file: int, path: Path, *, needed: bool) -> None:
-    """Lock an open file. Raises PRO-043 while another program holds it; other failures only if `needed`."""
+    """Lock an open file. Raises PRO-043 if another program has it locked, other errors only if `needed`."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -128,7 +128,7 @@ def _write_note(file: int | None, note: TheatreNote) -> bool:
 
 
 def find_theatre_user(theatre: Path) -> TheatreUser | None:
-    """Return the present user of a theatre file's devices, or None, as far as this user may see."""
+    """Return the current user of a theatre file's devices, or None, as far as permissions allow."""
     if user := _find_user_of_own_run(theatre):
         return user
     path = note_path(theatre)
@@ -149,7 +149,7 @@ def read_last_note(theatre: Path) -> TheatreNote:
 
 
 def find_unwritable_note(theatre: Path) -> Path | None:
-    """Return the path of the note that `hold_theatre` needs and this user may not write, or None."""
+    """Return the path of the note that `hold_theatre` needs to write if this user may not, else None."""
     path = note_path(theatre)
     nearest_existing = next(place for place in (path, *path.parents) if place.exists())
     return None if os.access(nearest_existing, os.W_OK) else path
@@ -172,13 +172,13 @@ def _build_in_use_error(user: TheatreUser) -> TheatreInUse:
 
 
 def _identify_user(path: Path, file: int) -> TheatreUser:
-    """Return the holder of a lock, with its run if the note was written by the same process."""
+    """Return the program that holds a lock, with its run if that program also wrote the note."""
     note, holder = read_note(path), find_lock_holder(file)
     return TheatreUser(note.run if holder is not None and holder.pid == note.pid else None, holder)
 
 
 def _find_user_of_own_run(theatre: Path) -> TheatreUser | None:
-    """Return the user of a simulated theatre that belongs to one run, found through the run's folder."""
+    """Return the user of a simulated theatre that lies inside a run's folder, or None."""
     run = theatre.resolve().parent.parent
     if not (run / JOURNAL_FILE).is_file():
         return None

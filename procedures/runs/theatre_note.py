@@ -1,4 +1,4 @@
-"""The note about an arm: the run that has its devices, and where the last run left the arm.
+"""Notes on an arm: which run has its devices, and where the last run left the arm.
 
 The address of the arm's controller selects the note: a copy of the theatre file, or one with other records,
 is the same arm. A simulated theatre has an identity instead, as another one may get its address next.
@@ -32,7 +32,7 @@ JOG = "jog it home with the controller's pendant"
 
 
 class TheatreNote(BaseModel):
-    """Content of the note about an arm."""
+    """Contents of an arm's note."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -44,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def with_outcome(self) -> TheatreNote:
-        """Return the note updated from the journal of `run`. A missing run may have done anything."""
+        """Return the note updated from the journal of `run`; the arm of a missing run may be anywhere."""
         home = (
             None
             if self.pid is None or self.run is None
@@ -56,7 +56,7 @@ class TheatreNote(BaseModel):
 
 
 def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
-    """Whether a run brought the arm home; None if it certainly moved nothing.
+    """Whether a run brought the arm home, or None if it certainly did not move the arm.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.
     """
@@ -73,7 +73,7 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
 
 
 def note_path(theatre: Path) -> Path:
-    """Return the path of the note for a theatre's arm: next to the theatre file if the arm has no key."""
+    """Return the path of an arm's note, beside the theatre file if the arm has no key."""
     theatre = theatre.resolve()
     if controller := _controller_key(theatre):
         return ARMS_FOLDER / f"{controller}.in-use"
@@ -81,7 +81,7 @@ def note_path(theatre: Path) -> Path:
 
 
 def _controller_key(theatre: Path) -> str:
-    """Return a key for the arm: addresses if real, theatre identity if simulated, empty if unknown."""
+    """Return a key for the arm: its addresses, a simulated theatre's identity, or empty if unknown."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
@@ -98,7 +98,7 @@ def _controller_key(theatre: Path) -> str:
 
 
 def read_note(path: Path) -> TheatreNote:
-    """Read a note. A missing file reads as an empty note.
+    """Read a note; a missing file is an empty note.
 
     A note is not believed if it is damaged, or if an account that does not use the arm may have written it.
     """
@@ -114,7 +114,7 @@ def read_note(path: Path) -> TheatreNote:
 
 
 def _is_trusted(note: Path) -> bool:
-    """Whether only users of the arm can have written or removed a note. Raises OSError if it is missing.
+    """Whether only users of the arm can have written or removed the note. Raises OSError if it is missing.
 
     Next to a theatre file, its owner decides: not every file system has rights.
     """
@@ -174,7 +174,7 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
 
 
 def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
-    """Return the last run that moved this theatre's arm and where an instrument may be inside, or None."""
+    """Return the last run that moved the arm and where its instrument may still be, or None."""
     last = note.moved_before
     if last is None:
         return None

@@ -1,4 +1,4 @@
-"""The way out of an interrupted run: the head to avoid, and an instrument that may be in the guide.
+"""Leaving the head in an interrupted run: collision bodies, and any instrument left in the guide.
 
 The valid registration gives the place of the head, or else the last valid one. A lost block of the journal
 may have contained the lines about an instrument. So the position of a mounted guide is compared with the axis
@@ -38,7 +38,7 @@ AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives th
 
 
 def surround(engine: Engine) -> None:
-    """Set the arm's surroundings before anything moves. With an unknown head the arm must be home.
+    """Set the arm's collision surroundings before any motion; an unknown head requires the arm at home.
 
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
@@ -60,14 +60,14 @@ def surround(engine: Engine) -> None:
 
 
 def has_head_moved(engine: Engine) -> bool:
-    """Whether the guide must leave by a registration that is no longer valid."""
+    """Whether the guide was positioned by a registration that is no longer valid."""
     return (
         guide_registration := _find_guide_registration(engine)
     ) is not None and not guide_registration.is_valid
 
 
 def find_guide_axis(engine: Engine) -> tuple[Insertion, float] | None:
-    """Return the trajectory whose axis the guide is on, and its travel along it in mm."""
+    """Return the insertion whose axis the guide is on and its travel in mm, or None."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
@@ -110,7 +110,7 @@ def is_guide_at_divot(engine: Engine) -> bool:
 
 
 def surround_calibration(engine: Engine) -> None:
-    """Set the arm's surroundings from the results of a calibration so far, before anything moves."""
+    """Set the collision surroundings from a calibration's results so far, before anything moves."""
     workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
@@ -130,7 +130,7 @@ def surround_calibration(engine: Engine) -> None:
 
 @dataclass(frozen=True)
 class _GuideRegistration:
-    """Registration by which the guide was positioned, and whether it is still valid."""
+    """Registration used to position the guide, and whether it is still valid."""
 
     key: StepKey  # of the step that positions the guide
     robot_from_ct: Transform
@@ -138,7 +138,7 @@ class _GuideRegistration:
 
 
 def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
-    """Return the registration for the guide's trajectory: the valid one, or else the last that was valid."""
+    """Return the registration for the guide's trajectory: the valid one, or else the last superseded one."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None

@@ -1,1 +1,1 @@
-"""Steps of the procedures: one module for each clinical step, and one for the steps of each calibration."""
+"""Procedure steps: a module per clinical step, and modules for the steps of calibrations."""

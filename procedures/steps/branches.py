@@ -1,4 +1,4 @@
-"""Decision points and failure branches of a case: event, detection, action and ending.
+"""Failure branches and operator decisions of a case: event, detection, action and ending.
 
 The only such table: steps take their questions from it, the page of the state chart shows it, and a test
 reaches every row. No branch moves the arm again unasked.
@@ -35,7 +35,7 @@ MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
 class Ending(StrEnum):
-    """Ending of a failure branch."""
+    """How a failure branch ends."""
 
     HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
     ASK = "ask"  # the operator decides; without agreement it holds
@@ -45,7 +45,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True)
 class Branch:
-    """Row of the table of branches. `errors` hold the case, immediately or if the operator disagrees."""
+    """A failure branch. `errors` hold the case, immediately or if the operator disagrees."""
 
     event: str
     detected_by: str
@@ -63,7 +63,7 @@ class Branch:
         trajectory: str | None = None,
         answers: tuple[str, ...] | None = None,
     ) -> Question:
-        """Build the branch's question, by default with all answers. Raises ValueError if it has none."""
+        """Build the branch's question, by default with all answers. Raises ValueError without a topic."""
         if self.topic is None:
             raise ValueError(f"no question is defined for: {self.event}")
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
@@ -75,7 +75,7 @@ def strategy_answer(strategy: str) -> str:
 
 
 def stage_answer(task: str) -> str:
-    """Return the answer that continues the work through the guide from a given stage."""
+    """Return the answer for resuming the work through the guide at a given stage."""
     return f"from {task}"
 
 

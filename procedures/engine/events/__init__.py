@@ -1,4 +1,4 @@
-"""Events of a case in one numbered stream for all readers: journal, terminal, console, links."""
+"""Case events in one numbered stream, shared by journal, terminal, console and links."""
 
 from procedures.engine.events.event_types import (
     Advisory,

@@ -1,4 +1,4 @@
-"""`RUN/events.jsonl`: the stream of events on disk, one event per line, for followers outside the process.
+"""Event stream on disk (`RUN/events.jsonl`), one event per line, for followers in other processes.
 
 Evidence is the journal's business; this file is a convenience and never stops anything. Every fact is in it,
 signals at a bounded rate and size, and how many of them are missing. Its writer holds a lock on it, so that a
@@ -36,10 +36,10 @@ LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
 class EventFile:
-    """Writer of a program's events to its run's event file, in a separate thread."""
+    """Background writer of a run's event file."""
 
     def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
-        """Start the thread. Never raises: a failure to write is logged, and the case continues."""
+        """Start the writer thread. Write failures are logged, never raised, and do not affect the case."""
         self._path = folder / EVENTS_FILE
         self._reader = events.subscribe()
         self._signals_left = signals_bytes
@@ -116,7 +116,7 @@ class EventFile:
                 self._lost += 1
 
     def _tell_lost(self, *, at_once: bool) -> None:
-        """Report lost signals, under the number and time of the last event: it is not part of the stream."""
+        """Report lost signals under the number and time of the last event, without using a new number."""
         now_s = time.monotonic()
         due = at_once or now_s - self._lost_reported_s >= LOST_PERIOD_S
         if due and self._lost > self._lost_reported and (last := self._last) is not None:
@@ -124,7 +124,7 @@ class EventFile:
             self._waiting.append(_line(last.model_copy(update={"what": SignalsLost(count=self._lost)})))
 
     def _write(self) -> None:
-        """Write only whole lines; keep the rest for the next call."""
+        """Write the pending lines completely or not at all; keep unwritten ones for the next call."""
         if self._file is None or not self._waiting:
             self._waiting.clear()
             return
@@ -154,7 +154,7 @@ class EventFile:
 
 
 def _lock(file: int) -> None:
-    """Take the writer's lock, waiting briefly since followers hold it while they look for a writer."""
+    """Acquire the writer's lock, retrying briefly because followers hold it while checking for a writer."""
     for _ in range(LOCK_TRIES):
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -168,10 +168,10 @@ def _line(event: Event) -> bytes:
 
 
 class FollowedRun:
-    """Read-only follower of a run's event file, for any number of programs at a time."""
+    """Read-only follower of a run's event file. Any number of programs can follow the same run."""
 
     def __init__(self, folder: Path, sleep: Callable[[float], None] = time.sleep) -> None:
-        """Open the event file of a run. Raises CLI-005 for a folder without events."""
+        """Open a run's event file. Raises CLI-005 if the folder has none."""
         self._path = folder / EVENTS_FILE
         if not self._path.is_file():
             raise PathProblem(
@@ -183,7 +183,7 @@ class FollowedRun:
 
     @property
     def over(self) -> bool:
-        """Whether the run's own program has released the file, whatever the outcome."""
+        """Whether the program that ran the case has released the file, for whatever reason."""
         with self._path.open("rb") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -192,7 +192,7 @@ class FollowedRun:
         return True
 
     def batches(self, *, whole: bool = False) -> Iterator[Sequence[Event]]:
-        """Yield the current state, or all events so far if `whole`, then new events. Raises PRO-018."""
+        """Yield the current state (the full history if `whole`), then new events. Raises PRO-018."""
         over = self.over
         course = self._read()
         if whole:
@@ -209,7 +209,7 @@ class FollowedRun:
                 yield events
 
     def _read(self) -> list[Event]:
-        """Return events from whole lines written since the last call."""
+        """Return the events from complete lines added since the last call."""
         with self._path.open("rb") as file:
             if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
                 raise EventsUnreadable(

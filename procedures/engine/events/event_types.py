@@ -1,4 +1,4 @@
-"""Event types: facts, all delivered to each reader, and signals, only the latest delivered.
+"""Event types: facts, all delivered to every reader, and signals, only the latest value delivered.
 
 A signal is replaced by the next of the same kind about the same thing (`about`): a slow reader misses poses,
 never a question or a fault.
@@ -27,18 +27,18 @@ class _Plain(BaseModel):
 
 
 class _EventBase(_Plain):
-    """Base of all kinds of events."""
+    """Base class of all event contents."""
 
     signal: ClassVar[bool] = False
 
     @property
     def about(self) -> str:
-        """Subject of a signal, which replaces the previous signal of its kind on the same subject."""
+        """Subject of a signal; a new signal replaces the previous one of its kind on the same subject."""
         return ""
 
 
 class CaseState(_EventBase):
-    """The case as a whole entered a state of its state chart."""
+    """The case entered a new state of the state chart."""
 
     kind: Literal["case"] = "case"
     state: str = Field(description="For example `operation.relocalization`, `paused`, `held`, `finished`.")
@@ -46,7 +46,7 @@ class CaseState(_EventBase):
 
 
 class StepState(_EventBase):
-    """A step began, ended, or lost its result to a repetition."""
+    """A step began or ended, or its result was superseded."""
 
     kind: Literal["step"] = "step"
     step: str = Field(description="Such as `registration:T1`.")
@@ -66,7 +66,7 @@ class Progress(_EventBase):
 
 
 class Questioned(_EventBase):
-    """A question is open."""
+    """A question was put to the operator."""
 
     kind: Literal["question"] = "question"
     question: int = Field(description="Number of the question in this run.")
@@ -97,7 +97,7 @@ class Answered(_EventBase):
 
 
 class Seat(_EventBase):
-    """Somebody took the operator's seat at a console, or left it."""
+    """An operator took or left the console seat."""
 
     kind: Literal["seat"] = "seat"
     holder: str = Field(description="Name as given; empty: the seat is free.")
@@ -118,14 +118,14 @@ class OrderedStep(_Plain):
 
 
 class Order(_EventBase):
-    """The steps of the case in their order."""
+    """The case's steps in order."""
 
     kind: Literal["order"] = "order"
     steps: tuple[OrderedStep, ...] = Field(max_length=MOST_STEPS)
 
 
 class Waiting(_EventBase):
-    """The engine waits between steps for its operator."""
+    """The engine is waiting between steps for the operator."""
 
     kind: Literal["waiting"] = "waiting"
     upcoming: str | None = Field(description="The step that comes next, or `home`; none: the case is over.")
@@ -133,7 +133,7 @@ class Waiting(_EventBase):
 
 
 class DeviceFact(_Plain):
-    """A fact that a device reports, such as its operating mode, and whether a case can continue with it."""
+    """A fact reported by a device, such as its operating mode, and whether it lets the case continue."""
 
     name: str
     found: str
@@ -141,7 +141,7 @@ class DeviceFact(_Plain):
 
 
 class DeviceState(_EventBase):
-    """State, latched fault and alarms of a device. Not a signal: no change of it is lost."""
+    """State, latched fault and alarms of a device. A fact, not a signal, so that no change is lost."""
 
     kind: Literal["device"] = "device"
     device: str
@@ -152,7 +152,7 @@ class DeviceState(_EventBase):
 
 
 class MeasuringVolume(_EventBase):
-    """A tracker's measuring volume: rectangles across its axis, from near to far, in its own frame."""
+    """A tracker's measuring volume as rectangular cross-sections from near to far, in its own frame."""
 
     kind: Literal["volume"] = "volume"
     device: str
@@ -177,7 +177,7 @@ class DeviceAge(_EventBase):
 
 
 class Pose(_EventBase):
-    """Pose of an arm, published at a bounded rate."""
+    """Arm pose, published at a bounded rate."""
 
     signal: ClassVar[bool] = True
     kind: Literal["pose"] = "pose"
@@ -205,7 +205,7 @@ class Pose(_EventBase):
 
 
 class Body(_Plain):
-    """A capsule that motions are checked against; the ends of a moving one come with each pose."""
+    """A capsule in the collision check; the ends of a moving capsule are sent with each pose."""
 
     name: str
     radius_mm: float
@@ -214,14 +214,14 @@ class Body(_Plain):
 
 
 class CameraView(_Plain):
-    """The view of a camera of the mounted tool, in the frame of the tool."""
+    """View of one camera of the mounted tool, in the tool frame."""
 
     name: str
     points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")
 
 
 class Bodies(_EventBase):
-    """Bodies in the collision check before and during arm motion."""
+    """Bodies checked for collision before and during arm motion."""
 
     kind: Literal["bodies"] = "bodies"
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
@@ -258,14 +258,14 @@ class LinkHealth(_EventBase):
 
 
 class Advisory(_EventBase):
-    """A finding for the operator that stops nothing."""
+    """A finding reported to the operator without stopping the case."""
 
     kind: Literal["finding"] = "finding"
     text: str
 
 
 class Refusal(_EventBase):
-    """A step may not begin."""
+    """A step was refused."""
 
     kind: Literal["refusal"] = "refusal"
     step: str
@@ -282,7 +282,7 @@ class Fault(_EventBase):
 
 
 class SignalsLost(_EventBase):
-    """The event file lacks some signals. Facts are never lost."""
+    """Some signals are missing from the event file. Facts are never lost."""
 
     kind: Literal["signals_lost"] = "signals_lost"
     count: int = Field(ge=1, description="Signals of this program so far that the file does not hold.")
@@ -320,7 +320,7 @@ EventContent = Annotated[
 
 
 class Event(_Plain):
-    """One event with number and time, as received by readers and stored in the run's event file."""
+    """A numbered, timed event as delivered to readers and stored in the run's event file."""
 
     version: int = VERSION
     number: int = Field(description="Counts all events of a run from 1.")
@@ -330,12 +330,12 @@ class Event(_Plain):
 
     @property
     def subject(self) -> str:
-        """Kind and subject of a signal; only the latest signal for each matters."""
+        """Key of a signal, from its kind and subject; only the latest signal per key matters."""
         return f"{self.what.kind} {self.what.about}"
 
 
 def digest_of_question(question: Questioned) -> str:
-    """Return the hexadecimal SHA-256 of all content of a question on which the answer depends.
+    """Return the SHA-256 (hex) of everything in a question that can influence the answer.
 
     An answer quotes it, so that nobody confirms what was not shown.
     """

@@ -1,4 +1,4 @@
-"""Numbered event stream for any number of readers, none of which can block the engine.
+"""Numbered event stream for any number of readers, which never block the engine.
 
 A reader begins with a snapshot (the latest of everything that has a present value) and then gets changes.
 Facts wait for it without limit: a case has some thousands. Of a signal only the latest waits, so that a slow
@@ -89,7 +89,7 @@ class CurrentState:
 
 @dataclass(frozen=True)
 class Batch:
-    """Events since the last read, in order; `lost` counts signals replaced meanwhile."""
+    """Events since the last read, in order; `lost` counts signals replaced before they were read."""
 
     events: tuple[Event, ...]
     lost: int
@@ -150,7 +150,7 @@ class EventStream:
         self._ended = False
 
     def publish(self, what: EventContent) -> Event:
-        """Number an event and deliver it to every reader, without waiting for readers."""
+        """Assign an event its number and deliver it to every reader without blocking."""
         with self._lock:
             self._count += 1
             event = Event(
@@ -166,7 +166,7 @@ class EventStream:
         self.publish(JournalLine(line=json.loads(line)))
 
     def subscribe(self) -> Reader:
-        """Return a new reader, which gets a snapshot of the current state, then every change."""
+        """Return a new reader that starts with a snapshot of the current state, followed by every change."""
         with self._lock:
             reader = Reader(self._current.events)
             self._readers.append(reader)
@@ -175,7 +175,7 @@ class EventStream:
         return reader
 
     def hold_time(self) -> None:
-        """Freeze the time of events before the theatre's clock closes."""
+        """Freeze the event time before the theatre clock is closed."""
         now_s = self._now_s()
         self._now_s = lambda: now_s
 

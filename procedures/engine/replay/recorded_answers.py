@@ -1,4 +1,4 @@
-"""Tape of a run: its sections and the recorded answers to every device call."""
+"""Reading tape of a run: the recorded answers to all device calls, divided into sections."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ class _Strict(BaseModel):
 
 
 class CalibrationOpening(_Strict):
-    """Steps of a recorded calibration and the records in use."""
+    """Recipe of a recorded calibration, and the calibration records it used."""
 
     recipe: dict[str, object]
     records: dict[str, object]
 
 
 class Opening(_Strict):
-    """Opening line of a section: facts needed for replay besides the answers."""
+    """Opening line of a process on the tape, with everything besides answers that a replay needs."""
 
     theatre_file: str | None = None
     paced: bool = False
@@ -106,7 +106,7 @@ class _PixelsAt(_Strict):
 
 @dataclass(frozen=True)
 class RecordedAnswer:
-    """Recorded result of a call: value or error, device state, and other known device data."""
+    """Recorded outcome of a device call: value or error, device state and properties."""
 
     state: Lifecycle
     value: object = None
@@ -126,14 +126,14 @@ class RecordedAnswers:
     _section: Mapping[tuple[str, str], deque[_AnswerLine]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
-        """Begin a section, whose process may have had its own clock."""
+        """Switch to a section and to its theatre time, since each process may have had its own clock."""
         self._section = self._sections.get(section, {})
         given_s = (line.theatre_time_s for lines in self._section.values() for line in lines)
         self.moment_s = min(given_s, default=self.moment_s)
 
     @contextmanager
     def peek(self) -> Iterator[None]:
-        """Return answers without consuming them during the block, for calls before the step began."""
+        """Return answers during the block without consuming them, as for checks before a step."""
         self.is_peeking = True
         try:
             yield
@@ -141,7 +141,7 @@ class RecordedAnswers:
             self.is_peeking = False
 
     def look(self, device: str, name: str) -> object:
-        """Return the next value of a property, or repeat the last one if none is left.
+        """Return the next recorded value of a property, repeating the last one indefinitely.
 
         Raises PRO-024.
         """
@@ -152,7 +152,7 @@ class RecordedAnswers:
         return self.value_of(device, name, line.answer, RECORDED_PROPERTIES[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
-        """Return the next answer of one kind to a call. Raises PRO-024."""
+        """Return the next recorded answer to a call, parsed as `kind`. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
@@ -171,7 +171,7 @@ class RecordedAnswers:
         return RecordedAnswer(line.state, value, properties)
 
     def value_of(self, device: str, call: str, plain: object, kind: object) -> object:
-        """Return the value of a recorded answer, with its pixels. Raises PRO-024 for damaged ones."""
+        """Parse a recorded answer as `kind`, loading any pixels. Raises PRO-024 for damaged data."""
         try:
             return _parse_value(kind, plain, self._get_pixels)
         except (ValueError, KeyError, TypeError) as error:
@@ -204,14 +204,14 @@ def read_answers(run: Path) -> RecordedAnswers:
 
 
 class TimedValue(NamedTuple):
-    """Answer without an error, with its time."""
+    """Value of a successful answer, with its theatre time."""
 
     theatre_time_s: float
     value: object
 
 
 def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
-    """Yield section, device, call and answer of all calls without an error, in order. Raises PRO-024."""
+    """Yield section, device, call and value of all successful answers in order. Raises PRO-024."""
     answers = read_answers(run)
     for line in _read_lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
@@ -221,7 +221,7 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
 
 
 def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
-    """Yield openings and answers in order, skipping a line torn by a kill."""
+    """Yield openings and answers in order, skipping lines torn when a process was killed."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
@@ -256,7 +256,7 @@ def _parse_value(kind: object, plain: object, get: GetPixels) -> object:
 
 
 def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
-    """Return a journal-line callback for the thread that runs the steps.
+    """Return a journal callback that divides the tape into sections.
 
     The answers of devices to a step, or on the way home, are one section, numbered by its first line.
     """
@@ -279,7 +279,7 @@ def opening_line(
     began: datetime,
     calibration: Mapping[str, object] | None = None,
 ) -> dict[str, object]:
-    """Return the facts needed for replay besides the answers. Paths in the run folder are relative.
+    """Return the contents of an opening line, with relative paths for files in the run folder.
 
     `calibration` has the steps of a calibration and the records that were in use.
     """

@@ -1,4 +1,4 @@
-"""Stand-ins for operator, staff, clock and devices in a replay, which repeat recorded answers."""
+"""Stand-ins that replay the recorded behaviour of operator, staff, clock and devices."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear
 
 
 class RecordedOperator:
-    """Operator of a replay, who repeats the answers recorded in the journal."""
+    """Operator stand-in that repeats the answers recorded in the journal."""
 
     def __init__(self) -> None:
         self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
 
     def begin(self, section: Sequence[Line]) -> None:
-        """Begin a section with these lines."""
+        """Load the journal lines of a new section."""
         self._confirmations, motions = [], 0
         for line in section:
             motions += line["entry"] == Entry.MOTION
@@ -57,13 +57,13 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Room staff of a replay, who repeat recorded readings. Recorded controller inputs name the tools."""
+    """Room staff stand-in that repeats recorded readings; recorded controller inputs identify the tools."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []
 
     def begin(self, work: Sequence[Line]) -> None:
-        """Begin a section with these lines."""
+        """Load the journal's work lines of a new section."""
         self._work = list(work)
 
     def announce(self, step: str) -> None:
@@ -86,7 +86,7 @@ class RecordedRoom:
 
 
 class RecordedClock:
-    """Clock of a replay at the theatre time of the last answer. Sleeping takes no time."""
+    """Replay clock that shows the theatre time of the latest answer. Sleeping takes no time."""
 
     def __init__(self, answers: RecordedAnswers) -> None:
         self._answers = answers
@@ -103,7 +103,7 @@ class RecordedClock:
 
 
 def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
-    """Return a stand-in with a device's public names and recorded answers. The device stays closed."""
+    """Build a stand-in with a device's public interface and recorded answers, without opening the device."""
     own = vars(_StandIn)
     names = [name for name in dir(device) if not name.startswith("_") and name not in own]
     calls = list_recorded_calls(device)
@@ -116,7 +116,7 @@ def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
 
 
 class _StandIn:
-    """Device stand-in with state and latest reading from recorded answers."""
+    """Device stand-in whose state and latest reading come from recorded answers."""
 
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
         self._device = device

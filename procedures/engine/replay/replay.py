@@ -56,7 +56,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class ReplayedRecord:
-    """Replayed record with verdict; `why` names differing fields or the obstacle to recomputation."""
+    """Verdict on one record; `why` lists the differences or explains why it was not recomputed."""
 
     record: str
     step: str
@@ -71,7 +71,7 @@ class _Difference:
 
 
 def compare_records(step: str, recorded: Record, again: Record) -> ReplayedRecord:
-    """Compare payloads: equal if bit-identical, rounded if within differences between processors."""
+    """Compare payloads: equal if identical, rounded if all differences are within rounding limits."""
     found = list(_differences(recorded.payload, again.payload, ""))
     real = [one for one in found if not one.rounding]
     verdict = Verdict.DIFFERENT if real else Verdict.ROUNDED if found else Verdict.EQUAL
@@ -139,7 +139,7 @@ def replay(
 
 
 class _RecordedStops:
-    """Recorded arm stops between motions. The next motion is again a first motion in the replay.
+    """Pseudo-guard that repeats recorded arm stops, so that the next motion counts as a first motion.
 
     It is asked before each motion, like a guard, and is always met.
     """
@@ -152,7 +152,7 @@ class _RecordedStops:
         self._before = 0
 
     def begin(self) -> None:
-        """Start counting motions of the next section."""
+        """Restart the motion count for a new section."""
         self._before = self._workcell.history.motions
 
     def unmet(self) -> None:
@@ -246,14 +246,14 @@ class _Replay:
         return compare_records(step, recorded, again)
 
     def _rest_devices(self) -> None:
-        """Reset every opened device to configured, so that the next motion is a first motion."""
+        """Return open devices to the configured state, so that the next motion counts as a first motion."""
         for device in self._theatre.devices.values():
             if device.state is not Lifecycle.DISCONNECTED:
                 device.recover("")
         self._engine.setting.workcell.stop()
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
-        """Yield number, first line and subsequent lines of each section."""
+        """Yield the number, first line and remaining lines of each section."""
         lines = self._run.journal
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
@@ -261,7 +261,7 @@ class _Replay:
 
 
 def _without_preconditions(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
-    """Return the step with preconditions that consume no answers. Unreadable ones count as met."""
+    """Make a step's preconditions peek at answers without consuming them; missing answers count as met."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         try:

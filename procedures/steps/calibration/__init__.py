@@ -1,1 +1,1 @@
-"""Steps of calibrations."""
+"""Calibration steps."""

@@ -1,4 +1,4 @@
-"""The ball of a calibration: its coarse position, given or found by the tracker, and the move over it."""
+"""Calibration ball: coarse position, as stated or from the tracker, and motion of the head over it."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some sh
 
 
 class BallPlace(StepResult, kind="ball_place"):
-    """Coarse positions of the ball and of other balls in the robot frame."""
+    """Coarse positions of the calibration ball and of other balls, robot frame."""
 
     ball_mm: Numbers3 = Field(description="The ball to measure.")
     others_mm: tuple[Numbers3, ...] = Field(description="Other balls to keep clear of.")
 
     @classmethod
     def among(cls, points_mm: Array, number: int) -> Self:
-        """Build the place of ball `number` among balls at `points_mm` (n, 3)."""
+        """Select ball `number` among balls at `points_mm` (n, 3); the others are obstacles."""
         x, y, z = points_mm[number].tolist()
         others = tuple((float(u), float(v), float(w)) for u, v, w in np.delete(points_mm, number, axis=0))
         return cls(ball_mm=(x, y, z), others_mm=others)
 
     @property
     def reference(self) -> Rotation:
-        """Orientation robot <- tool that looks straight down on the ball, with the mount turned outwards."""
+        """Orientation robot <- tool looking straight down at the ball, with the mount facing outwards."""
         return tool_orientation(DOWN, np.array(self.ball_mm), 0.0)
 
     @property
     def first_look(self) -> PlannedLook:
-        """Look from above with the ball in the tool centre."""
+        """Look from above with the ball at the tool centre."""
         pose = Transform.of(
             Frame.ROBOT,
             Frame.TOOL,
@@ -67,7 +67,7 @@ class BallPlace(StepResult, kind="ball_place"):
 
 
 def run(context: StepContext) -> Outcome[BallPlace]:
-    """Choose the isolated ball in the tracker's view that is nearest to the head. Raises CAL-009."""
+    """Choose the isolated ball nearest to the stereo head. Raises CAL-009 if the tracker sees none."""
     points = context.result(GlobalLocalization).points_mm
     isolated_balls = find_isolated(points)
     if not isolated_balls:
@@ -80,7 +80,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
 
 
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
-    """Build the step that locates the ball. With a stated position, the tracker is not used."""
+    """Build the step that locates the ball, using the stated position instead of the tracker if given."""
     if stated_mm is not None:
         stated = Outcome(BallPlace(ball_mm=stated_mm, others_mm=()), "as stated")
         return StepSpec(BallPlace, "Use the given ball position", Phase.PREPARATION, lambda _context: stated)
@@ -106,7 +106,7 @@ def bring_over_ball(
     ball: str = "the ball",
     if_missing: str | None = None,
 ) -> BallWatcher:
-    """Bring the head over the ball until it is in view, once the operator confirms the motion.
+    """After confirmation, move the head over the ball until it is in view.
 
     Before anything moves, `poses` poses around the ball must be within reach. Raises CAL-010, PRO-002 unless
     confirmed, STE-009 with the advice `if_missing` if the ball is not found.
@@ -145,7 +145,7 @@ def bring_over_ball(
 
 
 def return_home_if_clear(context: StepContext) -> list[str]:
-    """Go home and return no remarks; if the way is not clear, stay and return a remark instead."""
+    """Go home if the path is clear; otherwise stay and return a remark."""
     try:
         context.workcell.go_home()
     except NotClear as error:  # raised before anything moved
@@ -154,7 +154,7 @@ def return_home_if_clear(context: StepContext) -> list[str]:
 
 
 def reachable_joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
-    """Return the joints for a planned look in the arm's home branch; None if it is out of reach."""
+    """Return the joints for a planned look in the arm's home branch, or None if out of reach."""
     try:
         return workcell.joints_at(look.pose, workcell.home_rad)
     except LimitError:

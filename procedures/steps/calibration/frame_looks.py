@@ -1,4 +1,4 @@
-"""Rotation of the reference frame about its position in all directions, in view of the tracker."""
+"""Rotation of the reference frame about its own position, in view of the tracker."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ RETURN_AFTER = 10  # looks, then one at home to notice any move
 
 
 class ObservedFrame(StepResult, kind="frame_looks"):
-    """Looks from which a calibration of the reference frame is computed."""
+    """Looks used to calibrate the reference frame."""
 
     observed: FrameLooks = Field(description="Contents of `frame-looks.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[ObservedFrame]:
-    """Take the looks. Raises CAL-010, CAL-002 for too few poses, PRO-002 unless confirmed, DEV-003."""
+    """Rotate the frame and take the looks. Raises CAL-010, CAL-002, DEV-003, or PRO-002 unless confirmed."""
     context.result(CheckedSetUp)
     workcell, calibrations = context.workcell, context.workcell.calibrations
     plan = _reachable_turns(workcell, count + validation)
@@ -135,7 +135,7 @@ class _FrameRotation:
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def look_at(self, joints: JointVector, use: Use) -> None:
-        """Take a look from one pose, reached from the usual side. An unusable pose is counted as rejected."""
+        """Take a look from a pose, approached from the usual side; count an unusable pose as rejected."""
         workcell = self.context.workcell
         try:
             workcell.settle(joints, ONE_SIDE, allow_detour=True)
@@ -166,7 +166,7 @@ class _FrameRotation:
 
 
 def rotation_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
-    """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
+    """Build the rotation step with `count` looks for the fit and `validation` looks for validation."""
     return StepSpec(
         ObservedFrame,
         "Rotate the reference frame in view of the tracker",

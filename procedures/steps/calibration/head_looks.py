@@ -1,4 +1,4 @@
-"""Steps of the stereo head's calibration: single look at the ball, looks from all sides, looks of a check."""
+"""Steps of the stereo head calibration: a single look, looks from all sides, and check looks."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class BallMeasurement(StepResult, kind="ball_look"):
 
 
 def run_in_place(context: StepContext) -> Outcome[BallMeasurement]:
-    """Take a look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
+    """Take a look without motion, connecting only the cameras. Raises CAL-001, STE-010."""
     workcell = context.workcell
     head, stereo = workcell.calibrations.stereo_head, workcell.stereo
     head.check_valid_at(context.setting.today())
@@ -101,7 +101,7 @@ def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
 
 
 class ObservedBall(StepResult, kind="ball_observation"):
-    """Looks at the ball from which a stereo head calibration is computed."""
+    """Looks at the ball used to calibrate the stereo head."""
 
     observed: ObservationSet = Field(description="Contents of `observations.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -148,7 +148,7 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
-    """Build the step from the number of poses and of visits to each orientation of the check."""
+    """Build the step with `poses` calibration poses and `visits` to each check orientation."""
     return StepSpec(
         ObservedBall,
         "Measure the ball",
@@ -163,7 +163,7 @@ def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
 def check_look(
     watcher: BallWatcher, variants: Sequence[PlannedLook], seen: Sequence[Observation]
 ) -> Observation | None:
-    """Take a look of the check from the joints of an earlier one, or from the first variant that works."""
+    """Repeat an earlier check look at the same joints, or else take the first variant that works."""
     for one in seen:
         if one.orientation is not None and one.orientation == variants[0].orientation:
             return watcher.observe_at(one.joints_rad, one.orientation)
@@ -183,7 +183,7 @@ def raise_too_few(watcher: BallWatcher, count: int) -> None:
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):
-    """Looks at the ball from which a stereo head check is computed."""
+    """Looks at the ball used to check the stereo head."""
 
     calibration: str = Field(description="Name of the calibration being checked.")
     looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")

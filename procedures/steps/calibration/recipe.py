@@ -1,4 +1,4 @@
-"""Steps of each calibration in order, and the recipe from which a replay rebuilds them."""
+"""Step sequence of each calibration, and the recipe from which a replay rebuilds it."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ MOST_LOOKS = 1000  # no command takes half of it
 
 
 def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
-    """Return the steps that set up, find the ball, and look at it from all sides."""
+    """Return the steps of a stereo head calibration: set-up, ball location, looks from all sides."""
     return (*_steps_to_ball(ball_mm), observation_step(poses, visits))
 
 
 def head_check(baseline: Baseline, visits: int) -> Steps:
-    """Return the steps that set up, and look at the ball as the calibration did."""
+    """Return the steps of a stereo head check: set-up, looks from the baseline's poses."""
     return (set_up.STEP, visit_step(baseline, visits))
 
 
 def head_look(ball_mm: Numbers3 | None) -> Steps:
-    """Return the steps that set up, find the ball, and look at it once."""
+    """Return the steps of a single measurement: set-up, ball location, one look."""
     return (*_steps_to_ball(ball_mm), look_step(over_ball=True))
 
 
 def look_in_place() -> Steps:
-    """Return the step that looks once without motion."""
+    """Return the single step that takes a look without motion."""
     return (look_step(over_ball=False),)
 
 
 def arm_looks(count: int, validation: int) -> Steps:
-    """Return the steps that set up, find the spheres, and look at them from all sides."""
+    """Return the steps of an arm calibration: set-up, sphere location, looks from all sides."""
     return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
 
 
 def frame_looks(count: int, validation: int) -> Steps:
-    """Return the steps that set up, and rotate the reference frame in view of the tracker."""
+    """Return the steps of a frame calibration: set-up, rotation in view of the tracker."""
     return (set_up.STEP, rotation_step(count, validation))
 
 
 def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:
-    """Return the steps that set up, look at the stand's ball, change to the guide, and read the divot."""
+    """Return the steps of a tip calibration: set-up, ball location, looks at the ball, divot readings."""
     place = place_step(ball_mm) if ball_mm is not None else stand_place_step()
     return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
 
@@ -73,7 +73,7 @@ class Calibrated(StrEnum):
 
 
 class Recipe(Strict):
-    """Parameters of the steps of one calibration."""
+    """Parameters of one calibration's steps."""
 
     of: Calibrated = Field(description="What is calibrated.")
     looks: int = Field(ge=0, le=MOST_LOOKS, description="Measurements, poses or readings to compute from.")
