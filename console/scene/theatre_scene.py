@@ -307,9 +307,7 @@ class TheatreScene:
         return self._sights.hidden
 
     def look_at(self, view_name: str, figures: CaseFigures | None) -> None:
-        """Point the camera at the `robot` or `head`, along a trajectory, or forwards from behind the
-        `tracker`.
-        """
+        """Point the camera at the `robot` or `head`, along the `tracker`'s view, or along a trajectory."""
         path = (
             next((item for item in figures.trajectories if item.name == view_name), None) if figures else None
         )

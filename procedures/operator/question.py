@@ -253,7 +253,5 @@ class Room(Protocol):
         ...
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Perform the task and return its readings, empty if not performed. The step requests
-        confirmation.
-        """
+        """Perform the task and return its readings, empty if not done. The step requests confirmation."""
         ...
