@@ -151,7 +151,7 @@ class CartCase:
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
-        """Raise ARM-001 to ARM-003 for a pose or an approach that no branch reaches."""
+        """Raise ARM-001 to ARM-003 for a pose or approach that no branch can reach."""
         visits: list[Visit] = [build_target_visit(setting, one) for one in axis.targeted]
         if setting.strategy.localizes_per_trajectory and not _depends_on_branch(setting):
             start_branch = setting.kinematics.branch_of(setting.start_rad)
@@ -165,7 +165,7 @@ class CartCase:
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
     def _find_hidden(self, setting: ArmSetting, move: CartMove) -> str:
-        """Describe the frame or the spheres that the arm at home hides from the tracker; empty if none."""
+        """Describe the frame or spheres hidden from the tracker by the arm at home, or return ''."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
@@ -184,7 +184,7 @@ class CartCase:
 
 
 def _depends_on_branch(setting: ArmSetting) -> bool:
-    """Whether the strategy's orientations depend on the branch, so that other branches must be examined."""
+    """Return whether the strategy's orientations depend on the branch, so that all branches must be tried."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 
