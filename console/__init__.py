@@ -1,1 +1,1 @@
-"""Browser console: a case while it runs and afterwards, and the planner."""
+"""Browser console for running and recorded cases, and the planner."""

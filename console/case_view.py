@@ -1,4 +1,4 @@
-"""State of a case at one moment, folded from its events: everything that the page shows.
+"""Immutable snapshot of a case for display, folded from the case's events.
 
 The fold is pure; it is fed by the engine's socket or by a run's file.
 """
@@ -64,7 +64,7 @@ class Rate:
     hz: float | None = None
 
     def at(self, count: int, now_s: float) -> Rate:
-        """Return the rate now. A decreased count means that counting has restarted."""
+        """Return the updated rate. A count that has decreased means counting has restarted."""
         if count < self.count:
             return Rate(count, now_s)
         span_s = now_s - self.since_s
@@ -91,7 +91,7 @@ class ReportedPose:
 
 @dataclass(frozen=True)
 class Notice:
-    """A fault, refusal or finding: what happened, and what to do. `settled` once the step has passed."""
+    """A fault, refusal or finding and the recommended action. `settled` once the step has finished."""
 
     kind: str
     theatre_time_s: float
@@ -104,7 +104,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class CaseView:
-    """The case after event `number`. `fact` is the number of the last event that is not a signal."""
+    """The case after event `number`. `fact` is the number of the last event other than a signal."""
 
     number: int = 0
     fact: int = 0
@@ -144,7 +144,7 @@ class CaseView:
 
     @property
     def upcoming(self) -> str:
-        """Next step, as far as the events show."""
+        """Next step, as far as can be told from the events."""
         if self.waiting is not None:
             return self.waiting.upcoming or ""
         return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")
@@ -307,7 +307,7 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
 
 
 class RecordedCase:
-    """Recorded events in order. A view is folded from the last stored view before it."""
+    """Recorded events in order. Views are folded from periodic snapshots."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
@@ -327,7 +327,7 @@ class RecordedCase:
         return len(self._events)
 
     def at(self, count: int) -> CaseView:
-        """Return the view after the given number of events."""
+        """Return the view after the first `count` events."""
         count = min(max(count, 0), len(self._events))
         view = self._stored_views[count // STORED_EVERY]
         for event in self._events[count - count % STORED_EVERY : count]:
@@ -335,5 +335,5 @@ class RecordedCase:
         return view
 
     def time_s(self, count: int) -> float:
-        """Return the theatre time after the given number of events."""
+        """Return the theatre time after the first `count` events."""
         return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0

@@ -7,7 +7,7 @@ import contextlib
 
 
 class ChangeNotifier:
-    """Notifier of subscribed pages. Each subscribes with an event that is set on every change."""
+    """Notifies subscribed pages by setting each subscriber's event on every change."""
 
     def __init__(self) -> None:
         self._waiting: set[asyncio.Event] = set()
@@ -19,7 +19,7 @@ class ChangeNotifier:
         return event
 
     def unsubscribe(self, event: asyncio.Event) -> None:
-        """Remove the subscription of an event."""
+        """Remove a subscriber's event."""
         self._waiting.discard(event)
 
     def notify(self) -> None:
@@ -29,7 +29,7 @@ class ChangeNotifier:
 
 
 async def await_change(changed: asyncio.Event, limit_s: float) -> None:
-    """Wait until the event is set or the limit has passed, then clear the event.
+    """Wait until the event is set or the time limit expires, then clear the event.
 
     Not with `asyncio.wait_for`: before Python 3.12 it loses a cancellation if the event is set at that
     moment, and the page of a closed tab would be updated for ever.

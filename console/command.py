@@ -1,4 +1,4 @@
-"""`ronna-console`: shows a case in a browser, during the run or afterwards."""
+"""`ronna-console`: shows a running or recorded case in a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of the console itself."""
+"""Errors raised by the console itself."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class NothingToShow(RonnaError):
 
 
 class UnreliableRun(RonnaError):
-    """A run folder is truncated, was changed, or comes from another version."""
+    """The run folder is truncated, was altered, or comes from another version."""
 
     code = "CON-003"
     action = "ronna-procedure verify lists everything."

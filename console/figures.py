@@ -23,7 +23,7 @@ from ronna_hw.evidence.manifest import PICTURES_FOLDER
 
 
 def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
-    """Return the figures without those not yet measured at the moment of a view, or measured again since.
+    """Drop the figures that were not yet measured at the moment of a view, or have been remeasured since.
 
     `latest` is the view that the figures belong to.
     """
@@ -63,7 +63,7 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
 
 
 class Figures:
-    """The latest figures, read by a background thread."""
+    """Latest figures, read by a background thread."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub

@@ -1,4 +1,4 @@
-"""Access control of the console: tokens, sessions, and a guard that denies by default.
+"""Access control of the console: tokens, sessions, and a default-deny guard.
 
 A loopback address is no authentication: other users and every page in the same browser can reach it. A
 request needs the right account of this computer, the right Host, the right Origin if it may change something,
@@ -51,14 +51,14 @@ HEADERS = {
 
 
 class RateLimit:
-    """Rate limit: at most `count` in any time span of this length."""
+    """Sliding-window rate limit of `count` per `span_s` seconds."""
 
     def __init__(self, count: int, span_s: float) -> None:
         self._span_s = span_s
         self._counted_s: deque[float] = deque(maxlen=count)
 
     def allows(self, now_s: float) -> bool:
-        """Return whether the limit allows one more, and count it if so."""
+        """Return whether another request is within the limit, and count it if so."""
         full = len(self._counted_s) == self._counted_s.maxlen
         if full and now_s - self._counted_s[0] < self._span_s:
             return False
@@ -67,7 +67,7 @@ class RateLimit:
 
 
 class Role(StrEnum):
-    """Rights of a session."""
+    """Role of a session, which determines its rights."""
 
     OPERATOR = "operator"
     VIEWER = "viewer"
@@ -93,7 +93,7 @@ class Sessions:
         self._pages = {role: RateLimit(PAGES, PAGES_S) for role in Role}
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
-        """Open a session for a token and return its cookie; None for an unknown or disallowed token."""
+        """Open a session for a token and return its cookie, or None if the token is unknown or disallowed."""
         roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
         given = token.encode()
         role = None
@@ -110,11 +110,11 @@ class Sessions:
         return cookie
 
     def may_open_page(self, role: Role) -> bool:
-        """Return whether the limit of a role allows another page, and count it if so."""
+        """Return whether another page is within the limit of a role, and count it if so."""
         return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:
-        """Return the session of a cookie; None if there is none."""
+        """Return the session with this cookie, or None if there is none."""
         return None if cookie is None else self._sessions.get(cookie)
 
 
@@ -125,7 +125,7 @@ MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave r
 
 
 class Guard:
-    """ASGI application that guards another one."""
+    """ASGI middleware that guards another application."""
 
     def __init__(
         self,
@@ -136,7 +136,7 @@ class Guard:
         trust: Trust = lambda _peer, _role: True,
         is_foreign: Callable[[object], bool] = lambda _peer: False,
     ) -> None:
-        """`trust` refuses a connection whose role has too many.
+        """`trust` rejects a connection once its role has too many.
 
         `is_foreign` tells by host and port which connections another account of this computer has.
         """
@@ -152,7 +152,7 @@ class Guard:
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     def viewer_guard(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
-        """Return a guard of the same application for remote viewers, over TLS and without the operator's key.
+        """Return a guard for remote viewers of the same application, with TLS and no operator token.
 
         Its clients count towards the limits of this guard.
         """
@@ -255,7 +255,7 @@ class Guard:
 
 
 def _read_headers(scope: Scope) -> dict[str, str]:
-    """Return the headers by lower-case name, ignoring any that are duplicated."""
+    """Return the headers by lower-case name, dropping duplicated ones."""
     found: dict[str, str] = {}
     repeated = set()
     for name, value in scope["headers"]:
@@ -266,7 +266,7 @@ def _read_headers(scope: Scope) -> dict[str, str]:
 
 
 def _head_bytes(scope: Scope) -> int:
-    """Return the size in bytes of request line and headers, without separators."""
+    """Return the size in bytes of the request line and headers, excluding separators."""
     line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 
@@ -280,7 +280,7 @@ def _read_token(scope: Scope) -> str | None:
 
 
 def _limit_body(receive: Receive, remaining_bytes: int) -> Receive:
-    """Cut off a body that exceeds its limit, as if its sender had disconnected."""
+    """Cut off a body that exceeds the size limit, as if the client had disconnected."""
 
     async def receive_limited() -> Message:
         nonlocal remaining_bytes

@@ -1,4 +1,4 @@
-"""Case shared by all pages: its state, its subscribers, and the route of orders to its engine."""
+"""Case shared by all pages: its state, its subscribers, and the channel for orders to its engine."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SendOrder = Callable[[SentOrder], Awaitable[None]]
 
 
 class Hub(ChangeNotifier):
-    """Shared view of a case. Pages subscribe with an event that is set on every change."""
+    """State of a case, shared by all pages and announced on every change."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -59,13 +59,13 @@ class Hub(ChangeNotifier):
         self.show(fold(self.view, event))
 
     def show(self, view: CaseView) -> None:
-        """Show another view: the next moment, or a selected moment."""
+        """Switch to another view: the next one, or one selected for review."""
         self.view = view
         self.notify()
 
     @property
     def seated_session(self) -> str:
-        """Session in the operator's seat; empty if the engine's events name another holder.
+        """Session in the operator's seat, or an empty string if the engine's events report another holder.
 
         The engine's reply to its claim may arrive before the event that its predecessor has left.
         """
@@ -74,7 +74,7 @@ class Hub(ChangeNotifier):
 
     @property
     def aged_view(self) -> CaseView:
-        """View of the case in which readings of devices without news from the engine age by host time."""
+        """View of the case, with the age of unreported device readings extended by host time."""
         view = self.view
         unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
         old_s = {name: age_s for name, age_s in unseen_s.items() if age_s > UNSEEN_S}
@@ -111,12 +111,12 @@ class Hub(ChangeNotifier):
 
     @property
     def is_over(self) -> bool:
-        """Whether the case is under review and its program has ended, so that its folder is final."""
+        """Whether a case under review has ended and its folder is final."""
         return self.review is not None and self.review.is_over
 
     @property
     def frozen(self) -> str:
-        """Reason why the display is frozen; empty if it is not."""
+        """Reason why the display is frozen, or an empty string if it is not."""
         if self.break_reason:
             return f"{self.break_reason} The data shown is out of date."
         if self.view.outcome:
@@ -139,7 +139,7 @@ class Hub(ChangeNotifier):
         self.notify()
 
     def break_off(self, reason: str) -> None:
-        """Note that nothing more can be read. `reason` gives the code and the action."""
+        """Note that no more events can be read. `reason` includes the error code and the action."""
         self.break_reason = reason
         self.notify()
 
@@ -157,19 +157,19 @@ class Hub(ChangeNotifier):
     # Orders
 
     def connect(self, send: SendOrder) -> None:
-        """Route all further orders through this function."""
+        """Send all further orders through this function."""
         self._send = send
         self.live = True
         self.note_heartbeat()
 
     def reply(self, reply: Reply) -> None:
-        """Handle the engine's reply to an order."""
+        """Pass on the engine's reply to an order."""
         waiting = self._replies.pop(reply.nonce, None)
         if waiting is not None and not waiting.done():
             waiting.set_result(reply.refused)
 
     async def order(self, session: Session, content: dict[str, Any]) -> str:
-        """Give an order on behalf of a session. Return the reason for a refusal, or an empty text.
+        """Send an order on behalf of a session. Return the reason for a refusal, or an empty string.
 
         Raises ValueError if it is not an order.
         """

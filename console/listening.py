@@ -1,4 +1,4 @@
-"""Sockets and connections of the console: on loopback, and at a separate address for remote viewers.
+"""Listening sockets and connections of the console, on loopback and at an address for remote viewers.
 
 A request has little time to arrive. The guard sees it only after its head is complete, so incomplete heads
 are limited here.
@@ -43,7 +43,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
 
 
 def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """Build the server with everything behind the guard. The server for `viewers` uses TLS."""
+    """Build a server for the guarded application, with TLS if it is for `viewers`."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
         uvicorn.Config(
@@ -66,7 +66,7 @@ def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn
 
 
 class ListeningSocket(socket.socket):
-    """Listening socket that drops the oldest of too many unauthenticated connections.
+    """Listening socket that drops the oldest unauthenticated connection when there are too many.
 
     On loopback it remembers which connections are of another account of this computer.
     """
@@ -80,7 +80,7 @@ class ListeningSocket(socket.socket):
         self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept the next connection, unauthenticated and before any TLS handshake."""
+        """Accept the next connection, before authentication and any TLS handshake."""
         connection, address = super().accept()
         self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
         if len(self._strangers) >= MOST_STRANGERS:
@@ -94,14 +94,14 @@ class ListeningSocket(socket.socket):
         return connection, address
 
     def is_foreign(self, peer: object) -> bool:
-        """Return whether the connection from this host and port belongs to another account of this computer.
+        """Return whether the connection from this host and port belongs to another account on this computer.
 
         Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
         """
         return peer in self._foreign
 
     def trust(self, peer: object, role: Role) -> bool:
-        """Trust the connection from this host and port, which has a session; False if its role is full."""
+        """Mark an authenticated connection as trusted. Return False if its role has too many connections."""
         if peer not in self._strangers:
             return True
         known = self._known[role] = _still_open(self._known[role])
@@ -116,7 +116,7 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
 
 
 class Connection(H11Protocol):
-    """HTTP/1.1 connection that is dropped when the time limit for a head or an answer expires."""
+    """HTTP/1.1 connection with time limits for receiving a request head and sending a response."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -125,12 +125,12 @@ class Connection(H11Protocol):
         self._answer_ends_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
-        """Start the time limit of the first request."""
+        """Start the timeout for the first request."""
         super().connection_made(transport)
         self._wait(REQUEST_LIMIT_S)
 
     def handle_events(self) -> None:
-        """Start the time limit of the answer when the head is complete."""
+        """Start the response timeout once the request head is complete."""
         super().handle_events()
         if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
             self._is_answering = True
@@ -138,7 +138,7 @@ class Connection(H11Protocol):
             self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Leave the socket to the guard, which closes sockets without a session.
+        """Hand the socket over to the guard, which closes sockets without a session.
 
         A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
         """
@@ -148,7 +148,7 @@ class Connection(H11Protocol):
             self.transport.abort()
 
     def on_response_complete(self) -> None:
-        """Start the time limit of the next request."""
+        """Start the timeout for the next request."""
         self._is_answering = False
         self._wait(REQUEST_LIMIT_S)
         super().on_response_complete()
@@ -163,7 +163,7 @@ class Connection(H11Protocol):
         self._deadline = self.loop.call_later(limit_s, self._end)
 
     def _end(self) -> None:
-        """Drop the connection, unless a complete answer is still being sent to a slow reader."""
+        """Drop the connection, unless a complete response is still being sent to a slow reader."""
         remaining_s = self._answer_ends_s - self.loop.time()
         if remaining_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
             self._wait(min(remaining_s, REQUEST_LIMIT_S))

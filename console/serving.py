@@ -16,7 +16,7 @@ NICER = 10  # than the engine: a page must never cost it a cycle
 
 
 def main() -> None:
-    """Serve one run. The arguments are those of the command line."""
+    """Serve one run, as specified on the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--feed", type=int, required=True)

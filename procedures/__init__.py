@@ -1,1 +1,1 @@
-"""The clinical side: from the CT series to the needle tip."""
+"""The clinical procedure, from the CT series to the needle tip."""

@@ -1,4 +1,4 @@
-"""Panels of the case state: page head, progress of the steps, devices and the robot link."""
+"""Panels for the state of a case: page head, step progress, devices and the robot link."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def banner(view: CaseView) -> str:
-    """Show whether this is simulation or hardware, which must never be confused."""
+    """Show whether the case is simulated or runs on hardware. The two must never be confused."""
     if view.banner is None:
         return tag("div", OPENING, class_="banner opening")
     if view.banner:
@@ -33,7 +33,7 @@ def banner(view: CaseView) -> str:
 
 
 def case_line(view: CaseView) -> str:
-    """Show the run with its theatre and strategy."""
+    """Show the run, its theatre and its strategy."""
     run = tag("b", text(view.run or "no run yet"))
     more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
     ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""
@@ -41,7 +41,7 @@ def case_line(view: CaseView) -> str:
 
 
 def clock(view: CaseView, beat: int) -> str:
-    """Show theatre time, with a number that changes while the page is updated."""
+    """Show the theatre time, with a beat number that changes as long as the page is updated."""
     return tag(
         "div",
         tag("span", f"{view.theatre_time_s:.1f} s", class_="num") + '<div class="dim">theatre time</div>',
@@ -55,7 +55,7 @@ def clock(view: CaseView, beat: int) -> str:
 
 
 def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
-    """Show who is in the operator's seat, and what this page may do."""
+    """Show who is in the operator's seat, and whether this page is operating or viewing."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
         words, kind = f"You are operating as {holder}", "ok"
@@ -69,7 +69,7 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
 
 
 def chart(view: CaseView) -> str:
-    """Show the steps by phase. Finished phases are collapsed while another phase is unfinished."""
+    """Show the steps by phase, collapsing completed phases until all are complete."""
     finished = all(row.state == "done" for row in view.steps)
     latest = next((row for row in reversed(view.steps) if row.state == "done"), None)
     phases = []

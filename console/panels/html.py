@@ -1,4 +1,4 @@
-"""HTML from untrusted text: all text is escaped, and only these tags are generated."""
+"""HTML generation from untrusted text, with all text escaped."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ronna_hw.text import printable
 
 
 def text(words: object) -> str:
-    """Escape plain text for a page."""
+    """Escape plain text for use in a page."""
     return escape(printable(str(words)))
 
 
 def tag(name: str, content: str, **attributes: str) -> str:
-    """Wrap HTML in an element. `class_` is its CSS class; underscores become hyphens."""
+    """Wrap HTML in an element. `class_` sets the CSS class; underscores become hyphens."""
     shown = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
         for key, value in attributes.items()
@@ -25,18 +25,18 @@ def tag(name: str, content: str, **attributes: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
-    """Build a table of plain text."""
+    """Build a table of plain-text cells."""
     columns = tag("tr", "".join(tag("th", text(heading), scope="col") for heading in head))
     body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
     return table_of(columns, body, caption)
 
 
 def table_of(head: str, body: str, caption: str = "") -> str:
-    """Build a table from rows of HTML."""
+    """Build a table from header and body rows in HTML."""
     title = tag("caption", text(caption)) if caption else ""
     return tag("div", tag("table", f"{title}<thead>{head}</thead><tbody>{body}</tbody>"), class_="wide")
 
 
 def evidence_table(evidence: Evidence) -> str:
-    """Build a table of evidence for a question."""
+    """Build a table of the evidence for a question."""
     return table(evidence.head, evidence.rows, evidence.title)

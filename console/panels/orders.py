@@ -47,7 +47,7 @@ NOT_EMERGENCY = (
 
 
 class SeatPanel:
-    """Panel of the operator's seat, which is taken by entering a name and pressing a button."""
+    """Panel for the operator's seat, taken by entering a name and pressing a button."""
 
     def __init__(self, give: Give, *, may_operate: bool) -> None:
         self._give = give
@@ -73,7 +73,7 @@ class SeatPanel:
 
 
 class OrderPanel:
-    """Panel of Next, Run to, Pause, Resume, Acknowledge, Abort. Stop is separate and needs no seat."""
+    """Panel of the order buttons. Stop is separate, since it needs no seat."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
@@ -92,7 +92,7 @@ class OrderPanel:
         self._build("")
 
     def _build(self, upcoming: str) -> None:
-        """Create new buttons for the present state, so that a late click on the old ones has no effect."""
+        """Recreate the buttons for the present state, so that a late click on an old one has no effect."""
         self._quoted = upcoming
 
         async def order_next() -> None:
@@ -113,7 +113,7 @@ class OrderPanel:
             self._resume = _button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable the orders possible now. Each quotes the state in which its button was shown."""
+        """Enable the valid orders. Each order quotes the state in which its button was shown."""
         state = case_activity(view)
         has_ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""
@@ -142,7 +142,7 @@ class OrderPanel:
 
 
 def case_activity(view: CaseView) -> CaseActivity:
-    """Return the case state for which an order from its page is valid."""
+    """Return the case activity against which orders from the page are checked."""
     if view.question is not None:
         return PAUSED if view.question.topic == Topic.PAUSE else CaseActivity.ASKING
     return WAITING if view.waiting is not None and view.upcoming else CaseActivity.RUNNING
@@ -263,7 +263,7 @@ class QuestionPanel:
 
 
 class HeldButton:
-    """Button that acts after being held for a second, by pointer or space bar."""
+    """Button that must be held for a second to act, by pointer or space bar."""
 
     def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
         self._act = act
@@ -313,7 +313,7 @@ class HeldButton:
 
 
 def _moment_ms(event: Any) -> float:
-    """Return the time of the event by the browser's clock, in ms; NaN if not reported."""
+    """Return the event's browser timestamp in ms, or NaN if not reported."""
     moment = event.args.get("timeStamp")
     return float(moment) if isinstance(moment, int | float) else math.nan
 

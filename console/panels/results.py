@@ -1,4 +1,4 @@
-"""Panels of the results: accuracy, images, notices, and the latest journal and log lines."""
+"""Panels for results: accuracy, images, notices, and the latest journal and log lines."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def accuracy(figures: CaseFigures | None) -> str:
 
 
 def live_pair(hub: Hub) -> str:
-    """Show the latest image pair with the outlines found in it."""
+    """Show the latest image pair with the detected outlines."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
@@ -65,7 +65,7 @@ def live_key(hub: Hub) -> object:
 
 
 def pictures(figures: CaseFigures | None) -> str:
-    """Show the measured image pairs with the outlines found in them, newest first."""
+    """Show the measured image pairs with the detected outlines, newest first."""
     names = figures.pictures[-MOST_PICTURES:][::-1] if figures else ()
     if not names:
         return tag("p", "No stereo picture yet.", class_="dim")
@@ -80,7 +80,7 @@ def _render_picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Show three planes through each target. Those of the current step are expanded."""
+    """Show three planes through each target, expanding those of the current step."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     current_name = (view.running or view.upcoming).partition(":")[2]
@@ -90,7 +90,7 @@ def cuts(view: CaseView, figures: CaseFigures | None) -> str:
 
 
 def cuts_key(view: CaseView) -> object:
-    """Return the part of the view that the cuts depend on."""
+    """Return a key that changes with the target to expand."""
     return (view.running or view.upcoming).partition(":")[2]
 
 
@@ -101,7 +101,7 @@ def _render_cut(way: str, name: str, *, is_open: bool) -> str:
 
 
 def course(figures: CaseFigures | None) -> str:
-    """Show the timeline, as in the report."""
+    """Show the timeline as it appears in the report."""
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")
@@ -137,7 +137,7 @@ def problems(figures: CaseFigures | None) -> str:
 
 
 def log(lines: tuple[str, ...]) -> str:
-    """List the latest log lines, newest first. Warnings and errors are marked by level."""
+    """List the latest log lines, newest first, with warnings and errors highlighted."""
     shown = "".join(tag("li", text(line), class_=_level_class(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 
@@ -162,7 +162,7 @@ class LogTail:
         self._lines: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
-        """Return the latest lines as text, oldest first; empty if there is no log."""
+        """Return the latest lines as text, oldest first, or an empty tuple if there is no log."""
         try:
             size = self._path.stat().st_size
             if size != self._size:
@@ -181,7 +181,7 @@ class LogTail:
 
 
 def _as_text(line: bytes) -> str:
-    """Format a log line like `10:21:05 info step begins: part engine`; empty if the line is not valid."""
+    """Format a log line like `10:21:05 info step begins: part engine`, or return '' if it is invalid."""
     try:
         content = parse_json(line)
         time, level, event = (str(content.pop(name, "")) for name in HEADS)

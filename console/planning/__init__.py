@@ -1,1 +1,1 @@
-"""Planner: CT slices, the spheres in them, and trajectories that are drawn, judged and saved."""
+"""Planner: CT slices with detected spheres, and trajectories to be drawn, assessed and saved."""

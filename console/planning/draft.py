@@ -1,4 +1,4 @@
-"""Draft of a plan, its history, and the file of its unsaved changes.
+"""Draft of a plan, its undo history, and the file for unsaved changes.
 
 A draft may be incomplete; each change is a new value. Unsaved changes are kept next to the plan, so that
 neither a crash nor Ctrl-C loses them.
@@ -29,7 +29,7 @@ LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a 
 
 @dataclass(frozen=True)
 class DraftTrajectory:
-    """A trajectory in LPS. An end that has not been chosen yet is None."""
+    """A trajectory in LPS. Endpoints not yet chosen are None."""
 
     identifier: str
     entry_mm: Point | None = None
@@ -39,20 +39,20 @@ class DraftTrajectory:
 
     @property
     def ends(self) -> tuple[Point, Point] | None:
-        """Entry and target, if both are chosen."""
+        """Entry and target, or None unless both are chosen."""
         if self.entry_mm is None or self.target_mm is None:
             return None
         return self.entry_mm, self.target_mm
 
     @property
     def depth_mm(self) -> float | None:
-        """Distance from entry to target in mm; None if an end is missing."""
+        """Distance from entry to target in mm, or None if either is missing."""
         return None if self.ends is None else math.dist(*self.ends)
 
 
 @dataclass(frozen=True)
 class Draft:
-    """Content to be saved in `plan.toml`, and the spheres that count as markers."""
+    """Content of a future `plan.toml`, and the spheres counted as markers."""
 
     patient_orientation: str
     implanted: int
@@ -108,7 +108,7 @@ class Draft:
         return replace(self, ways=remaining or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
-        """Return the structure with that name; None if there is none."""
+        """Return the structure with that name, or None if there is none."""
         return next((item for item in self.structures if item.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
@@ -125,7 +125,7 @@ class Draft:
         return replace(self, structures=tuple(item for item in self.structures if item.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
-        """Return the content of a plan file, with the trajectories that have both ends."""
+        """Return the content of a plan file, with complete trajectories only."""
         content: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "series_instance_uid": series_instance_uid,
@@ -158,7 +158,7 @@ class Draft:
 
 
 class History:
-    """The current draft, with undo and redo."""
+    """Current draft with undo and redo."""
 
     def __init__(self, draft: Draft) -> None:
         self._past: list[Draft] = []
@@ -166,7 +166,7 @@ class History:
         self.now = draft
 
     def change(self, draft: Draft, *, continues: bool = False) -> None:
-        """Apply a change. One that `continues`, as during a drag, is undone together with its predecessor."""
+        """Apply a change. One that `continues` the previous change, as during a drag, is undone with it."""
         if draft == self.now:
             return
         if not continues or not self._past:
@@ -181,13 +181,13 @@ class History:
             self.now = self._past.pop()
 
     def redo(self) -> None:
-        """Redo the last change undone."""
+        """Redo the last undone change."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
 
     def replace_all(self, by: Callable[[Draft], Draft]) -> None:
-        """Apply new information to every draft in the history."""
+        """Apply a function to every draft in the history."""
         self._past = [by(item) for item in self._past]
         self._future = [by(item) for item in self._future]
         self.now = by(self.now)
@@ -205,7 +205,7 @@ class History:
 
 @dataclass(frozen=True)
 class Axis:
-    """Direction from the target out to the entry, in degrees, as set on a stereotactic ring and arc.
+    """Direction from target to entry, as ring and arc angles of a stereotactic frame, in degrees.
 
     `azimuth_deg` in the axial plane, 0 to the patient's left, 90 to the back; `elevation_deg` above
     it, up to the crown.
@@ -224,7 +224,7 @@ class Axis:
         )
 
     def entry_mm(self, target_mm: Point, depth_mm: float) -> Point:
-        """Return the entry at the given depth above the target."""
+        """Return the entry point at the given depth from the target."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         along = (
             math.cos(elevation) * math.cos(azimuth),
@@ -236,7 +236,7 @@ class Axis:
 
 
 class _StoredDraft(BaseModel):
-    """A draft and the plan it is based on, without spheres, which are detected again."""
+    """Stored form of a draft and its base plan, without the spheres, which are detected again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -255,7 +255,7 @@ class _StoredDraft(BaseModel):
 
 
 class UnsavedFile:
-    """File next to a plan that stores its unsaved changes."""
+    """File of unsaved changes, stored next to the plan."""
 
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")
@@ -263,20 +263,20 @@ class UnsavedFile:
         self._is_ours = False  # written or adopted here
 
     def store_draft(self, draft: Draft, plan_sha256: str) -> None:
-        """Store a draft based on the plan file with that digest. Raises OSError."""
+        """Store a draft based on the plan file with this digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _StoredDraft(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_atomically(self.path, kept.model_dump_json(indent=1).encode())
         self._is_ours = True
 
     def forget(self) -> None:
-        """Delete the file, since there are no unsaved changes."""
+        """Delete the file once there are no unsaved changes."""
         if self._is_ours:
             self.path.unlink(missing_ok=True)
         self._is_ours = False
 
     def restore(self, plan_sha256: str, draft: Draft) -> Draft | None:
-        """Return the stored draft with the spheres of `draft`; None if nothing is stored.
+        """Return the stored draft with the spheres of `draft`, or None if nothing is stored.
 
         Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
         """

@@ -1,4 +1,4 @@
-"""Small controls of the planner: number fields and buttons.
+"""Small planner controls: number fields and buttons.
 
 A number is committed on Enter or on leaving its field; an invalid entry shows the reason next to it. Emptied,
 the field shows the present value again.
@@ -14,7 +14,7 @@ from ronna_hw.text import parse_typed_number
 
 
 class NumberField:
-    """Number field with the given number of decimals. `on_value` receives the entered value."""
+    """Number field with a fixed number of decimals. `on_value` receives the entered value."""
 
     def __init__(self, label: str, name: str, on_value: Callable[[float], None], decimals: int = 1) -> None:
         self._on_value, self._decimals = on_value, decimals
@@ -31,7 +31,7 @@ class NumberField:
         self._field.on("keydown.enter", self._commit)
 
     def show(self, value: float | None) -> None:
-        """Show the present value. Text being typed stays unless the value changes otherwise."""
+        """Show the present value. Keep text being typed unless the value changes otherwise."""
         words = "" if value is None else f"{value:.{self._decimals}f}"
         if words != self._shown:
             self._shown = words
@@ -39,7 +39,7 @@ class NumberField:
             self._show_mistake("")
 
     def enable(self, enabled: bool) -> None:
-        """Enable or disable typing."""
+        """Enable or disable input."""
         self._field.set_enabled(enabled)
 
     def _commit(self) -> None:
@@ -69,6 +69,6 @@ class NumberField:
 
 
 def small_button(words: str, act: Callable[[], object], name: str) -> ui.button:
-    """Add a button to a row of a panel. `name` is for screen readers."""
+    """Add a small button to a row of a panel. Screen readers announce it as `name`."""
     button = ui.button(words, on_click=act, color=None).classes("plain small")
     return button.props(f'no-caps unelevated aria-label="{name}"')

@@ -35,7 +35,7 @@ SHARES_SHOWN = 6
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Expected error at one target. The squares of its components add up to that of `rms_mm`."""
+    """Expected error at one target. Its components add up in quadrature to `rms_mm`."""
 
     rms_mm: float
     limit_mm: float  # contains it with 95 %
@@ -60,7 +60,7 @@ class Judgement:
 
 
 def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judgement:
-    """Judge the trajectories that have both ends. Never raises for problems of a draft."""
+    """Assess the complete trajectories. Problems in the draft become findings, never exceptions."""
     judged = Judgement(draft, thorough=thorough or theatre is None, is_arm_known=theatre is not None)
     if not any(item.ends for item in draft.ways):
         return judged
@@ -150,7 +150,7 @@ def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> Expect
 
 
 def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
-    """Describe the findings of an arm check that passed."""
+    """Describe the results of a passed arm check."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
@@ -168,7 +168,7 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
 
 
 def verdict(judged: Judgement, draft: Draft) -> str:
-    """Show the assessment of the draft. Until it is available, show the previous one, marked as outdated."""
+    """Show the assessment of the draft, or the previous one marked as outdated until it is available."""
     parts = [
         tag(
             "li",
@@ -188,7 +188,7 @@ def verdict(judged: Judgement, draft: Draft) -> str:
 
 
 def expected(judged: Judgement, draft: Draft) -> str:
-    """Show the expected error at each target and its margin."""
+    """Show the expected error and the margin at each target."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")
@@ -201,7 +201,7 @@ def expected(judged: Judgement, draft: Draft) -> str:
 
 
 def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:
-    """Mark findings as outdated, in grey and in words, if their draft is no longer current."""
+    """Mark findings as outdated, greyed out and with a note, once their draft has changed."""
     if judged.draft is draft or not content:
         return content
     return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")

@@ -1,4 +1,4 @@
-"""Panels of the markers: accepted spheres, candidates rejected with reasons, and proposed further sites."""
+"""Marker panels: accepted spheres, rejected candidates with reasons, and proposed additional sites."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Page of the planner: its parts, the handling of clicks, and the update loop."""
+"""Planner page: its panels, click handling, and the update loop."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def add_planner(app: FastAPI, editor: PlanEditor) -> None:
 
 
 class PlannerPage:
-    """Page of a session. Viewers see the same draft but cannot change it."""
+    """Planner page of one session. Viewers see the shared draft but cannot change it."""
 
     def __init__(self, editor: PlanEditor, session: Session, *, low: bool) -> None:
         self._editor, self._low = editor, low
@@ -64,7 +64,7 @@ class PlannerPage:
         self._beat = 0
 
     def build(self) -> None:
-        """Create the parts and start updating them."""
+        """Create the panels and start updating them."""
         editor, page_view = self._editor, self._page_view
         with ui.element("header").classes("head"):
             ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)

@@ -1,4 +1,4 @@
-"""Plan editor shared by all pages: the CT, the current draft, its assessment, and its file."""
+"""Plan editor shared by all pages: the CT, the current draft, its assessment, and the plan file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
 
 class PlanEditor(ChangeNotifier):
-    """Editor of one draft. Announces every change, after which background threads check the draft again."""
+    """Editor of one draft. Announces every change and has the draft checked again in the background."""
 
     def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
         super().__init__()
@@ -61,13 +61,13 @@ class PlanEditor(ChangeNotifier):
 
     @property
     def read_only(self) -> RonnaError | None:
-        """Reason why nothing can be changed; None if the draft is editable."""
+        """Reason why the draft is read-only, or None if it is editable."""
         if self._has_begun and not self._saving.locked():  # our own save is not a case
             return self._block_reason()
         return None if self._has_begun else self._blocked_by
 
     def begin_editing(self) -> bool:
-        """Acquire the plan for editing, then adopt the saved and unsaved changes of others.
+        """Acquire the plan for editing, then adopt changes saved by others and unsaved changes.
 
         False while a case or another planner has it; call again later.
         """
@@ -83,7 +83,7 @@ class PlanEditor(ChangeNotifier):
         return True
 
     def close(self) -> Path | None:
-        """Release the plan to the next planner. Return the file with unsaved changes, if any."""
+        """Release the plan for other planners. Return the file of unsaved changes, if any."""
         kept = self.store_draft()
         self._lock.leave()
         return kept
@@ -118,7 +118,7 @@ class PlanEditor(ChangeNotifier):
             return False
 
     def _read_draft(self) -> Draft | None:
-        """Read the draft from the plan file. Return None if there is no usable one."""
+        """Read the draft from the plan file, or return None if there is no usable plan."""
         try:
             self._on_disk = _digest(self.file)
             if not self._on_disk:
@@ -151,7 +151,7 @@ class PlanEditor(ChangeNotifier):
             self.notice = UnsavedChanges("unsaved changes from the last session were restored")
 
     def store_draft(self) -> Path | None:
-        """Store unsaved changes next to the plan. Return the file; None if there are no changes."""
+        """Store unsaved changes next to the plan. Return the file, or None if nothing was stored."""
         self.storage_problem = None
         if not self._has_begun:
             return None
@@ -235,19 +235,19 @@ class PlanEditor(ChangeNotifier):
         self.altered()
 
     def redo(self) -> None:
-        """Redo the last change undone. Refused while the draft is read-only."""
+        """Redo the last undone change. Refused while the draft is read-only."""
         if self.read_only is None:
             self.history.redo()
         self.altered()
 
     def altered(self) -> None:
-        """Trigger check and storage of the draft, and notify the pages."""
+        """Trigger checking and storage of the draft, and notify the pages."""
         self._change_event.set()
         self._keep_event.set()
         self.notify()
 
     async def add_marker(self, place_mm: Point) -> None:
-        """Measure the sphere at a position and count it as a marker. Raises CT-019."""
+        """Measure the sphere at a position and add it as a marker. Raises CT-019."""
         found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
         (marker,) = found.markers
         for number, item in enumerate(self.draft.markers, start=1):
@@ -256,14 +256,14 @@ class PlanEditor(ChangeNotifier):
         self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
 
     def reject_marker(self, number: int) -> None:
-        """Stop counting the sphere with this number (from 1) as a marker."""
+        """Remove the sphere with this number (from 1) from the markers."""
         remaining = tuple(item for k, item in enumerate(self.draft.markers, start=1) if k != number)
         self.change(replace(self.draft, markers=remaining))
 
     # Background work
 
     async def work(self) -> None:
-        """Build the head, find the spheres, then judge and store the draft after every change. Never ends."""
+        """Run all background work: head surface, sphere detection, assessment and storage. Never returns."""
         await asyncio.gather(
             self._prepare(), self._judge_all(), self._check_all(), self._keep_all(), self._await_the_plan()
         )
@@ -313,7 +313,7 @@ class PlanEditor(ChangeNotifier):
                 self._check_event.set()
 
     async def _check_all(self) -> None:
-        """Run the thorough check, which takes long. A draft changed meanwhile makes the result obsolete."""
+        """Run the thorough check, which is slow, and discard the result if the draft has since changed."""
         while True:
             await self._check_event.wait()
             self._check_event.clear()
@@ -337,7 +337,7 @@ class PlanEditor(ChangeNotifier):
 
 
 def _digest(path: Path) -> str:
-    """Return the hash of a file; empty if missing, `REFUSED` if it cannot be a plan. Raises OSError."""
+    """Return a file's hash, empty if missing or `REFUSED` if it cannot be a plan. Raises OSError."""
     try:
         return hashlib.sha256(read_bounded(path, LARGEST_TOML_BYTES)).hexdigest()
     except FileNotFoundError:
@@ -347,7 +347,7 @@ def _digest(path: Path) -> str:
 
 
 def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
-    """Return an error for a plan within a run folder, where any write counts as tampering; else None."""
+    """Return an error if the plan is inside a run folder, where any write counts as tampering."""
     run = next((item for item in plan.resolve().parents if (item / JOURNAL_FILE).exists()), None)
     if run is None:
         return None

@@ -1,4 +1,4 @@
-"""`python -m console.planning.serving REQUEST`: process of `ronna-plan open`, until Ctrl-C."""
+"""`python -m console.planning.serving REQUEST`: server process of `ronna-plan open`, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SixNumbers = tuple[float, float, float, float, float, float]
 
 
 class PlannerRequest(BaseModel):
-    """A CT, its plan, and the arm meant to follow the plan, if known."""
+    """A CT, its plan, and the arm to execute the plan, if known."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,4 +1,4 @@
-"""Panel of a CT slice that can be scrolled and clicked, with draggable trajectory ends, and its overlay."""
+"""Scrollable, clickable panel of a CT slice, with an overlay and draggable trajectory endpoints."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class SlicePanel:
             self._dragged_end = ""
 
     def _dragged_position_mm(self, cut: Cut, x: float, y: float) -> Point:
-        """Return the new position of a dragged end, which keeps its depth behind the image."""
+        """Return the new position of a dragged endpoint, keeping its depth behind the image."""
         if self._dragged_end == STROKE:
             return cut.to_patient_mm(x, y)
         assert self._draft is not None
@@ -203,7 +203,7 @@ def _image_address(cut: Cut, window: str) -> str:
 
 
 def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
-    """Draw the overlay as SVG in the image's pixels."""
+    """Draw the overlay as SVG in image pixels."""
     parts = [*_draw_sides(cut), *_draw_cross(cut, place_mm)]
     parts += [_structure_path(cut, np.array(item.points_mm)) for item in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):
@@ -214,7 +214,7 @@ def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
 
 
 def find_grasped_end(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
-    """Return the trajectory end at a point of the image: `entry` or `target`; empty if there is none."""
+    """Return which endpoint is at an image position: `entry`, `target`, or an empty string for neither."""
     best, name = HANDLE_PX, ""
     for end, place in (("target", way.target_mm), ("entry", way.entry_mm)):
         if place is not None:
@@ -246,7 +246,7 @@ def _draw_sphere(cut: Cut, centre_mm: Sequence[float], name: str) -> Iterable[st
 
 
 def _structure_path(cut: Cut, points_mm: NDArray[np.float64]) -> str:
-    """Return the points near the image as one SVG path, since a thousand elements would scroll too slowly."""
+    """Draw the points near the image as a single SVG path; a thousand elements would scroll too slowly."""
     away = points_mm - cut.middle_mm
     near = away[np.abs(away @ cut.normal) < POINT_WITHIN_MM]
     places = SIZE_PX / 2.0 + np.stack([near @ cut.right, near @ cut.down], axis=1) / cut.step_mm
@@ -284,7 +284,7 @@ def _draw_sides(cut: Cut) -> Iterable[str]:
 
 
 def side_letters(direction: NDArray[np.float64]) -> str:
-    """Return the letters of the patient's sides along a direction, closest side first."""
+    """Return the anatomical letters for a direction, dominant side first."""
     order = sorted(range(3), key=lambda axis: -abs(direction[axis]))
     return "".join(
         LETTERS[axis][int(direction[axis] > 0)] for axis in order if abs(direction[axis]) > LEAST_SHARE

@@ -1,4 +1,4 @@
-"""CT slices for a page: its view, the image of each plane, and the routes that serve the images."""
+"""CT slices for a page: the view, the image of each plane, and the image routes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Pose of an image in LPS: its centre, and its directions right and down. `step_mm` is per pixel."""
+    """Image plane in LPS: centre, and unit vectors right and down. `step_mm` is the pixel size."""
 
     middle_mm: Array
     right: Array
@@ -72,13 +72,13 @@ class Cut:
         return np.asarray(np.cross(self.right, self.down))
 
     def to_patient_mm(self, x_px: float, y_px: float) -> Point:
-        """Return the LPS position of a point in the image. (0, 0) is the corner of the first pixel."""
+        """Convert image coordinates to LPS. (0, 0) is the corner of the first pixel."""
         half = SIZE_PX / 2.0
         place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
         return as_point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
-        """Return the image position of a point in px, and its distance behind the image in mm."""
+        """Return the image coordinates of an LPS point in px, and its depth behind the image in mm."""
         away = np.asarray(place_mm, dtype=float) - self.middle_mm
         half = SIZE_PX / 2.0
         return (
@@ -89,13 +89,13 @@ class Cut:
 
 
 def as_point(place: ArrayLike) -> Point:
-    """Convert an array to three plain numbers."""
+    """Convert an array to a tuple of three floats."""
     x, y, z = (float(value) for value in np.asarray(place))
     return x, y, z
 
 
 def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
-    """Render the image, black at the lower end of the window and white at the upper end."""
+    """Render a PNG image, with the window mapped from black to white."""
     low, high = window_hu
     hu = sample_cut_hu(volume, cut)
     grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
@@ -105,7 +105,7 @@ def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> byte
 
 
 def sample_cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """Return the HU of every pixel (rows, columns), interpolated between slices only along a trajectory."""
+    """Sample the HU of every pixel (rows, columns), interpolating between slices only along a trajectory."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
     per_px = (
@@ -154,7 +154,7 @@ def _interpolate_between_slices(volume: Volume, first: Array, per_px: Array) -> 
 
 @dataclass
 class PageView:
-    """View of one page. All images pass through the crosshair, except the image along a trajectory."""
+    """View settings of one page. All images pass through the crosshair, except the one along a trajectory."""
 
     geometry: VoxelGeometry
     place_mm: Point = (0.0, 0.0, 0.0)
@@ -173,11 +173,11 @@ class PageView:
 
     @property
     def step_mm(self) -> float:
-        """Pixel size in mm; unzoomed, the whole scan fits."""
+        """Pixel size in mm. At the lowest zoom the whole scan fits."""
         return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
 
     def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
-        """Return the image of a plane; None along an incomplete trajectory."""
+        """Return the image plane, or None along an incomplete trajectory."""
         if plane is Plane.ALONG:
             return None if way is None or way.ends is None else self._cut_along(*way.ends)
         right, down = (np.array(item) for item in DIRECTIONS[plane])
@@ -204,7 +204,7 @@ class PageView:
         self.place_mm = as_point(np.clip(place_mm, low, high))
 
     def scroll(self, plane: Plane, steps: int) -> None:
-        """Scroll by this number of slices."""
+        """Scroll by a number of slices, or rotate the image along a trajectory."""
         if plane is Plane.ALONG:
             self.turn_deg = (self.turn_deg + TURN_DEG * steps) % 360.0
             return
@@ -214,21 +214,21 @@ class PageView:
         self.go_to(as_point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
 
     def move(self, plane: Plane, right: int, down: int) -> None:
-        """Move the crosshair within an image, in pixels of the image."""
+        """Move the crosshair within an image, in image pixels."""
         if plane is Plane.ALONG:
             return
         across, downwards = (np.array(item) for item in DIRECTIONS[plane])
         self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
-        """Zoom about the crosshair. Fully zoomed out, show the whole scan."""
+        """Zoom about the crosshair. At the lowest zoom, show the whole scan."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)
 
 
 def add_pictures(app: Any, editor: PlanEditor) -> None:
-    """Serve the images of a plan's CT. Their addresses do not reveal the patient."""
+    """Serve the images of a plan's CT at URLs that do not reveal the patient."""
 
     async def cut(request: Request) -> Response:
         try:
@@ -246,7 +246,7 @@ def add_pictures(app: Any, editor: PlanEditor) -> None:
 
 
 def _parse_request(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
-    """Parse a request; raises KeyError or ValueError if it is invalid."""
+    """Parse an image request. Raises KeyError or ValueError if it is invalid."""
     middle, right, down = (_parse_vector(given[name]) for name in "mrd")
     step_mm = float(given["s"])
     is_orthonormal = abs(right @ down) < UNIT and all(

@@ -1,4 +1,4 @@
-"""Structures for trajectories to avoid: drawn in the images or imported, with margins and distances."""
+"""Panel of structures for trajectories to avoid, drawn or imported, with margins and distances."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ShowProblem = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Panel of the structures. Strokes and files are added to the structure named in its field."""
+    """Panel of the structures. Strokes and imported files go to the structure named in its field."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class StructurePanel:
                 small_button("−", partial(self._remove, name), f"remove {name}")
 
     def _look_at(self, name: str) -> None:
-        """Go to where the current trajectory is closest to the structure, otherwise to its first point."""
+        """Move the crosshair to the structure, at its closest point to the current trajectory if known."""
         near = {item.trajectory: item for item in self._editor.judged.distances if item.structure == name}
         structure = self._editor.draft.structure(name)
         if self._page_view.way in near:
@@ -150,7 +150,7 @@ class StructurePanel:
 
 
 def _distance_table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """Tabulate distances, with a row per structure and a column per trajectory."""
+    """Build a table of distances, one row per structure and one column per trajectory."""
     known = {(item.structure, item.trajectory): item for item in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(
@@ -181,7 +181,7 @@ def _distance_cell(distance: StructureDistance | None) -> str:
 
 
 def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
-    """Add a stroke from `start_mm`, or its first point, to the named structure. Raises PLAN-002."""
+    """Add a stroke from `start_mm`, or a first point, to the named structure. Raises PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
     known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
@@ -197,7 +197,7 @@ def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None
 def import_structure(
     draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry
 ) -> Draft:
-    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    """Import a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_as_refusals():

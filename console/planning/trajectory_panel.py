@@ -1,4 +1,4 @@
-"""Panel of the trajectories: the edited one, its ends as numbers, and its axis as two angles and a depth."""
+"""Panel of the trajectories: the edited one, its endpoint coordinates, and its axis as angles and depth."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class TrajectoryPanel:
         self.fields["margin"].show(way.margin_mm)
 
     def place(self, end: str, place_mm: Point, *, continues: bool = False) -> None:
-        """Move an end of the current trajectory."""
+        """Move an endpoint of the current trajectory."""
         way = self._way
         way = replace(way, entry_mm=place_mm) if end == "entry" else replace(way, target_mm=place_mm)
         self._change(way, continues=continues)

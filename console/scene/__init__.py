@@ -1,1 +1,1 @@
-"""3-D scenes of theatre and head, posed on the server so that the page needs no kinematics."""
+"""3-D scenes of theatre and head. Poses are computed on the server, so the page needs no kinematics."""

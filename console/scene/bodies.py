@@ -1,4 +1,4 @@
-"""Bodies of the 3-D scene, built from the page library's few shapes, and the closest checked pair."""
+"""Bodies of the 3-D scene, built from the page library's basic shapes, and the closest checked pair."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Call = list[Any]  # to a method of the scene, with its arguments
 
 @dataclass(frozen=True)
 class Closest:
-    """Pair of bodies with the least clearance, and that clearance."""
+    """Pair of bodies with the smallest clearance."""
 
     first: str
     second: str
@@ -30,13 +30,13 @@ class Closest:
 
 
 def axis_ends(values: tuple[float, ...]) -> tuple[Point, Point]:
-    """Split six numbers into the two ends of an axis."""
+    """Split six coordinates into the two endpoints of an axis."""
     a, b, c, d, e, f = values
     return (a, b, c), (d, e, f)
 
 
 def rotation_along(start: Point, end: Point) -> Rows:
-    """Return a rotation, row by row, that turns z into the direction from start to end."""
+    """Return a row-major rotation matrix that aligns z with the direction from start to end."""
     length = math.dist(start, end)
     if length == 0.0:
         return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -48,7 +48,7 @@ def rotation_along(start: Point, end: Point) -> Rows:
 
 
 def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point) -> Point | None:
-    """Return the end of the tool on the axis of a trajectory; None without a tool."""
+    """Project the tool end nearest the target onto a trajectory's axis, or return None without a tool."""
     depth_mm = math.dist(entry, target)
     shares = [
         sum((p - t) * (e - t) for p, t, e in zip(point, target, entry, strict=True)) / depth_mm**2
@@ -59,7 +59,7 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Return the closest of the pairs checked for the arm's motion; None if nothing is near."""
+    """Return the closest of the pairs checked during motion, or None if no pair is close."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
     moving = [axis_ends(one) for one in pose.bodies_mm]
@@ -114,7 +114,7 @@ def _unit(a: Point) -> Point:
 
 
 class Capsule:
-    """Body between two points at a constant distance, so that only its pose is sent."""
+    """Capsule between two points a fixed distance apart, so that moving it only takes a new pose."""
 
     def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
         length, radius = math.dist(start, end) * METRES, body.radius_mm * METRES
@@ -128,7 +128,7 @@ class Capsule:
         self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Store the capsule's pose. Return the calls that place it on an open page."""
+        """Store the capsule's pose. Return the calls that apply it on an open page."""
         return placing_calls(self.group, start, rotation_along(start, end))
 
     def delete(self) -> None:
@@ -137,7 +137,7 @@ class Capsule:
 
 
 class Rod:
-    """Thin line between two points that may both move."""
+    """Thin line between two points, either of which may move."""
 
     def __init__(self, scene: Any, radius_mm: float, colour: str) -> None:
         radius = radius_mm * METRES
@@ -148,7 +148,7 @@ class Rod:
         self.group.visible(False)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Store the rod's pose. Return the calls that place it on an open page."""
+        """Store the rod's pose and length. Return the calls that apply them on an open page."""
         length = max(math.dist(start, end) * METRES, 1e-6)
         self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
         self.group.visible_ = True

@@ -1,4 +1,4 @@
-"""Surface of the head from its CT, as a mesh small enough for any graphics hardware."""
+"""Surface mesh of the head from its CT, small enough for any graphics hardware."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def find_series_folder(run: Path) -> Path | None:
 
 
 def build_head_stl(series: Path) -> bytes:
-    """Build a binary STL in CT coordinates, metres. Raises reading errors, and CT-022 without a head."""
+    """Build a binary STL in CT coordinates and metres. Raises reading errors, and CT-022 without a head."""
     return encode_stl(*head_surface(read_series(series)))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
-    """Return corners (n, 3) in LPS mm and triangles (m, 3) of the largest body denser than air, filled.
+    """Return vertices (n, 3) in LPS mm and triangles (m, 3) of the largest body denser than air, filled.
 
     Raises ValueError if there is none.
     """
@@ -62,7 +62,7 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
-    """Average over whole blocks, slab by slab to limit memory: a whole volume of floats would be large."""
+    """Average over whole blocks, slab by slab, to avoid a full-size float copy of the volume."""
     counts = np.array(voxels.shape) // factor
     a, b, c = (int(count_per_axis) for count_per_axis in factor)
     slices, rows, columns = (int(count_per_axis) for count_per_axis in counts)
@@ -74,7 +74,7 @@ def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
 
 
 def encode_stl(corners_mm: Array, triangles: NDArray[np.int64]) -> bytes:
-    """Encode a surface as binary STL, metres."""
+    """Encode a surface as binary STL in metres."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = corners_mm[triangles] * METRES
     first, second, third = (facets["corners"][:, number] for number in range(3))

@@ -1,4 +1,4 @@
-"""Tracker and stereo head in the scene: measuring volume, lines of sight, camera pyramids."""
+"""Tracker and stereo head in the scene: measuring volume, lines of sight, camera frusta."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 class Sights:
-    """Lines of sight and volumes of a scene. Sends changes only."""
+    """Lines of sight and measuring volumes in a scene. Sends only changes."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -36,7 +36,7 @@ class Sights:
         self._shown: object = ()
 
     def show(self, view: CaseView, figures: CaseFigures | None) -> None:
-        """Show the sights of a moment."""
+        """Show lines of sight and volumes at one moment of the case."""
         tracker = None if figures is None else figures.robot_from_tracker
         key = tracker, view.volume, None if figures is None else figures.spheres
         if key != self._shown:

@@ -154,7 +154,7 @@ class TheatreScene:
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show the case at one moment. `heads` counts how often the head's surface was built."""
+        """Show the case at one moment. `heads` counts rebuilds of the head's surface."""
         with self.scene:
             if view.bodies is not self._bodies and view.bodies is not None:
                 self._build_bodies(view.bodies, view.pose.pose if view.pose else None)
@@ -307,7 +307,7 @@ class TheatreScene:
         return self._sights.hidden
 
     def look_at(self, view_name: str, figures: CaseFigures | None) -> None:
-        """Point the camera at the `robot` or `head`, from behind the `tracker`, or along a trajectory."""
+        """Point the camera at the `robot` or `head`, along the `tracker`'s view, or along a trajectory."""
         path = (
             next((item for item in figures.trajectories if item.name == view_name), None) if figures else None
         )
@@ -330,7 +330,7 @@ class TheatreScene:
 
 
 def _instrument_ends(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
-    """Return the planned ends of the instrument at its target; None without an instrument."""
+    """Return the planned endpoints of the instrument at its target, or None without an instrument."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((item for item in figures.trajectories if item.name == name), None) if figures else None
     if topic != AT_TARGET or path is None or view.pose is None:

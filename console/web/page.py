@@ -1,4 +1,4 @@
-"""Page of a case: its parts, their content, and the update loop."""
+"""Case page: its panels, their content, and the update loop."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
 
 
 class CasePage:
-    """An open page of a session."""
+    """Case page open in one session."""
 
     def __init__(self, hub: Hub, figures: Figures, tail: LogTail, session: Session, *, low: bool) -> None:
         self._hub = hub
@@ -82,7 +82,7 @@ class CasePage:
         return self._hub.seated_session == self._session.identifier and self._hub.view.seat is not None
 
     def build(self) -> None:
-        """Create the parts and start updating them."""
+        """Create the panels and start updating them."""
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
             self._add(banner, lambda view: view.banner)
@@ -171,7 +171,7 @@ class CasePage:
             self._add(render, key).classes("body")
 
     def _update_figures(self, view: CaseView) -> object:
-        """Return a key that changes with the figures known at the shown moment."""
+        """Update the figures known at the displayed moment, and return a key that changes with them."""
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
@@ -237,7 +237,7 @@ class CasePage:
 
 
 class MomentPanel:
-    """Slider through a recorded case. At its end it follows the live case."""
+    """Slider through a recorded case. At the end position it follows new events."""
 
     def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
         self._recorded = recorded

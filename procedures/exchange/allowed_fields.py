@@ -1,4 +1,4 @@
-"""Allow-list of the fields that `export` may take out of a run folder; nothing else is written.
+"""Allow-list of the only fields that `export` may write outside a run folder.
 
 No field holds a person's name, number, date of birth, place or device. The series and its frame of reference
 are named by their DICOM UIDs: without them no other program could overlay the result on the CT.
@@ -74,17 +74,17 @@ def name_spheres(markers: Iterable[M]) -> dict[str, M]:
 
 
 def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
-    """Return the allowed fields in the order of the list, without all others."""
+    """Return the allowed fields of a document, in the order of the allow-list."""
     return {name: content[name] for name in allowed if name in content}
 
 
 def label_of(trajectory: str, number: int) -> str:
-    """Return the trajectory's name if it is a plain label, otherwise its number, counted from 1."""
+    """Return the trajectory's name if it is a plain label, otherwise a label with its number (from 1)."""
     return trajectory if PLAIN_LABEL.fullmatch(trajectory) else f"trajectory{number}"
 
 
 def require_allowed(dicom_object: Dataset) -> Dataset:
-    """Return the object. Raises EXC-004 for an unlisted attribute, or for a filled one that must be empty."""
+    """Return the object, or raise EXC-004 for an attribute that is unlisted, or filled but must be empty."""
     for element in dicom_object.iterall():
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue

@@ -44,7 +44,7 @@ POINTS_FILE = "postoperative-points.dcm"
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a result: CT series, frame of reference, time of creation, and a key.
+    """Origin of a result: CT series, frame of reference, creation time, and a key.
 
     `key`, for example a record's hash, makes the identifiers unique to this result.
     """
@@ -56,12 +56,12 @@ class Origin:
 
 
 def fiducial_uid(origin: Origin, name: str) -> str:
-    """Return the UID of a sphere, the same in the fiducials object and in registrations that use it."""
+    """Return the UID of a sphere, shared by the fiducials object and the registrations that use it."""
     return str(uid(origin, "fiducial", name))
 
 
 def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
-    """Build the fiducials object for the spheres of a CT series, named M1, M2, ... in order."""
+    """Build the Spatial Fiducials object for the spheres of a CT series, named M1, M2, ... in order."""
     points = [
         _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
         for name, marker in name_spheres(markers).items()
@@ -81,7 +81,7 @@ def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, descri
 def _point(
     name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
 ) -> Dataset:
-    """Build the item of a point in LPS mm; an uncertainty (3-D rms) of 0 is not stated."""
+    """Build the fiducial item for a point in LPS mm. A 3-D rms uncertainty of 0 is omitted."""
     item = Dataset()
     item.FiducialIdentifier = name
     item.FiducialDescription = description
@@ -104,7 +104,7 @@ def spatial_registration(
     description: str = "",
     fiducial_uids: Sequence[str] = (),
 ) -> Dataset:
-    """Build the registration object for a pose robot <- CT.
+    """Build the Spatial Registration object for a pose robot <- CT.
 
     Its own frame of reference is the robot's; the pose maps the CT's into it. `fiducial_uids` name the
     spheres used by the fit, in the fiducials object of the origin `spheres` (by default the same). All
@@ -133,7 +133,7 @@ def frames_registration(
     label: str,
     description: str,
 ) -> Dataset:
-    """Build the registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
+    """Build the Spatial Registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
     items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
@@ -177,7 +177,7 @@ def _used_fiducial_item(fiducial_uid: str, origin: Origin) -> Dataset:
 
 
 def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write fiducials and registration; `frames` are the frames of reference of planned and later CT.
+    """Write fiducials and registration. `frames` are the frame of reference UIDs of the planned and later CT.
 
     The registration is left out when both CTs claim the same frame of reference. Raises EXC-002, EXC-004.
     """
@@ -215,7 +215,7 @@ def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Datase
 
 
 def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
-    """Build an object that is complete except for its content."""
+    """Build a DICOM object with all attributes except its content."""
     instance = instance_uid(origin, modality)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class
@@ -245,23 +245,23 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
 
 
 def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
-    """Set the patient identity in the notation of the series (birth date YYYYMMDD)."""
+    """Set the patient identity in DICOM notation (birth date YYYYMMDD)."""
     made.PatientName, made.PatientID = name, identifier
     made.PatientBirthDate, made.PatientSex = birth_date, sex
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:
-    """Return the SOP instance UID of a result's object of this modality."""
+    """Return the SOP instance UID of a result's object for this modality."""
     return uid(origin, modality, "instance")
 
 
 def uid(origin: Origin, *what: str) -> UID:
-    """Return a UID derived from the origin and the purpose."""
+    """Return a UID derived from the origin and the strings in `what`."""
     return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """Build an item of a code sequence."""
+    """Build a code sequence item."""
     item = Dataset()
     item.CodeValue = value
     item.CodingSchemeDesignator = scheme
@@ -270,7 +270,7 @@ def code_item(value: str, scheme: str, meaning: str) -> Dataset:
 
 
 def decimals(values: Sequence[float]) -> list[str]:
-    """Format numbers as decimal strings of at most 16 characters, with as many digits as fit."""
+    """Format numbers as DICOM decimal strings of at most 16 characters, as precisely as they allow."""
     return [_decimal(float(value)) for value in values]
 
 

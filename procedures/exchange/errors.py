@@ -1,4 +1,4 @@
-"""Errors of the export of results, EXC-001 to EXC-004."""
+"""Export errors, EXC-001 to EXC-004."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import ConfigurationError, DataError
 
 
 class UnknownForm(ConfigurationError):
-    """The file name extension belongs to no exchange format."""
+    """The file name extension matches no exchange format."""
 
     code = "EXC-001"
     action = "Use a name that ends in .dcm, .json, .mrk.json or .csv."
 
 
 class NotWritable(DataError):
-    """An exported file cannot be written."""
+    """An export file cannot be written."""
 
     code = "EXC-002"
     action = "Give another folder."
@@ -27,7 +27,7 @@ class NothingToExport(DataError):
 
 
 class FieldNotAllowed(DataError):
-    """An object for export has an attribute that is not on the allow-list."""
+    """An object to be exported has an attribute that is not on the allow-list."""
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."

@@ -50,7 +50,7 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class RawReading:
-    """Answer of a device in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+    """Reading from a device during a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
 
     step: str
     device: str
@@ -60,7 +60,7 @@ class RawReading:
 
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
-    """Yield the readings in a run folder, in order, up to the first damaged one. Raises PRO-024."""
+    """Yield the readings in a run folder in order, stopping at the first damaged one. Raises PRO-024."""
     run = Path(run)
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(
@@ -80,7 +80,7 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
-    """Write the readings as PNG and CSV, with their extent, into the new folder `out`.
+    """Write the readings as PNG and CSV into the new folder `out`, and record their extent.
 
     Returns the folder and whether it is complete: about `most_bytes` are written at most. Raises EXC-002,
     EXC-003, PRO-024, and then leaves nothing behind.
@@ -103,7 +103,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
 
 
 class RawExtent(BaseModel):
-    """Content of `extent.json`."""
+    """Fields of `extent.json`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -120,7 +120,7 @@ def write_extent(folder: Path, extent: RawExtent) -> None:
 
 
 def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
-    """Describe what is missing in a run's folder of raw readings, compared with its journal `lines`.
+    """Describe what a run's folder of raw readings lacks, compared with the journal `lines`.
 
     None if nothing is missing, or if there is no such folder.
     """
@@ -139,7 +139,7 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
 
 
 def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
-    """Write all tables and pictures; return whether everything fitted."""
+    """Write all tables and images. Return whether they fitted within the size limit."""
     files: dict[str, TextIO] = {}
     pictures, frames, size, readings = 0, 0, 0, 0
     try:
@@ -177,7 +177,7 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
 
 
 def _write_picture(path: Path, image: CameraImage) -> int:
-    """Write the pixels as received, 8 or 16 bits; return the number of bytes."""
+    """Write the image as received, with 8 or 16 bits per pixel, and return the number of bytes."""
     import cv2  # only here: `show` and `verify` read the extent alone
 
     _, content = cv2.imencode(".png", image.pixels)

@@ -1,4 +1,4 @@
-"""Export of a finished run: spheres and one registration per trajectory, in formats of other programs."""
+"""Export of a finished run to common formats: its spheres, and one registration per trajectory."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ALL = "all"  # name of a registration that serves every trajectory
 
 
 def export_run(run: Path, out: Path) -> list[Path]:
-    """Write the exportable results of a run into `out`; return the files.
+    """Write the exportable results of a run to `out` and return the files.
 
     Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written. EXC-002 also for a
     folder with registrations of another run.
@@ -104,7 +104,7 @@ def _file_of(trajectory: str) -> str:
 
 
 def _label_registrations(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
-    """Return the registrations by export label; their targets are renamed as well."""
+    """Return the registrations by export label, with their targets relabelled too."""
     names = dict.fromkeys(name for one in used for name in one.targets)
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
     is_single = [one.stored.record.trajectory for one in used].count(None) == 1
@@ -121,7 +121,7 @@ def _label_registrations(used: Sequence[UsedRegistration]) -> dict[str, Stored[R
 
 
 def _placing(registration: Record, folder: RunFolder) -> str:
-    """Return the hash of the locked cart's record, which identifies its position; '' if none was locked."""
+    """Return the hash of the locked-cart record, which identifies the cart position; '' if never locked."""
     by_name = {record.identifier: record for record in folder.records}
     locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
     return "" if locked is None else locked.sha256
@@ -144,7 +144,7 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
 
 
 def _registration_table(registrations: Iterable[RegisteredRobot]) -> str:
-    """Format a CSV with one row per target: the matrix row by row, then the error."""
+    """Format a CSV with one row per target: the matrix in row-major order, then the error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]

@@ -1,4 +1,4 @@
-"""Export of the spheres of one localization as Slicer markups, JSON, CSV or DICOM, by file extension."""
+"""Export of localized spheres as Slicer markups, JSON, CSV or DICOM, by file extension."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MARKUPS_SCHEMA = (
 
 
 def check_names(paths: Sequence[Path]) -> None:
-    """Raise EXC-001 for a file name with an unknown extension; cheap, so called before any work."""
+    """Raise EXC-001 for a file name with an unknown extension. Cheap enough to call before any work."""
     for path in paths:
         if not path.name.endswith((MARKUPS, JSON, CSV, DICOM)):
             raise UnknownForm(f"cannot tell the format of {path.name}")
@@ -36,7 +36,7 @@ def check_names(paths: Sequence[Path]) -> None:
 def write_spheres(
     spheres_found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None
 ) -> None:
-    """Write the spheres to each file; only DICOM files contain the `patient`.
+    """Write the spheres to each file. Only DICOM files include the `patient`.
 
     Raises EXC-001, EXC-002.
     """
@@ -70,7 +70,7 @@ def write_spheres(
 
 
 def slicer_markups(markers: Sequence[Marker]) -> str:
-    """Format a `.mrk.json` with one control point per sphere, LPS in mm."""
+    """Format a `.mrk.json` with one control point per sphere, in LPS mm."""
     points = [
         {
             "id": str(number),
@@ -91,7 +91,7 @@ def slicer_markups(markers: Sequence[Marker]) -> str:
 
 
 def table(markers: Sequence[Marker]) -> str:
-    """Format a CSV with name, L, P, S and uncertainty in mm."""
+    """Format a CSV with columns for name, L, P, S and uncertainty in mm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
@@ -100,7 +100,7 @@ def table(markers: Sequence[Marker]) -> str:
 
 
 def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
-    """Format the spheres as JSON in the order of localization, LPS in mm, with their series."""
+    """Format the spheres and their series as JSON, in localization order and LPS mm."""
     content = {
         "series_instance_uid": origin.series_instance_uid,
         "frame_of_reference_uid": origin.frame_of_reference_uid,

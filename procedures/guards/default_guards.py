@@ -1,4 +1,4 @@
-"""Guards of every procedure, in order of evaluation: disk, clock, robot link, mounted tool, records."""
+"""Guards used in every procedure: disk, clock, robot link, mounted tool, records."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def case_guards(
     find: Callable[[str], None],
     doubt_tool: Callable[[str], None],
 ) -> tuple[Guard, ...]:
-    """Build the guards that hold from the first step to the last.
+    """Build the guards that are active from the first step to the last.
 
     `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
     checked one.
@@ -51,7 +51,7 @@ def case_guards(
 
 
 def patient_watch(engine: Engine, void: Void) -> MotionWatch:
-    """Build the watch of the patient during motions; `void` voids results when the head has moved."""
+    """Build the patient watch for motions. `void` invalidates results after a head movement."""
     setting = engine.setting
     return MotionWatch(
         setting.workcell,
@@ -66,14 +66,14 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
 
 
 def sight_guard(engine: Engine, void: Void) -> HeadInSight:
-    """Build the guard that bounds the approach to an unseen head; `void` as for `patient_watch`."""
+    """Build the guard that limits the approach to an unseen head. `void` is as for `patient_watch`."""
     setting = engine.setting
     return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
 
 
 @dataclass
 class ArmLink:
-    """Guard of the robot link: fresh arm pose, and few late or lost cycles since the last checkpoint."""
+    """Guard for the robot link: a fresh arm pose, and few late or lost cycles since the last check."""
 
     workcell: Workcell
     name: str = "robot link"
@@ -81,7 +81,7 @@ class ArmLink:
     _verdict: str | None = None
 
     def unmet(self) -> str | None:
-        """Describe a stale pose or a bad link."""
+        """Describe a stale arm pose or a poor link."""
         seen = self.workcell.arm.observe()
         if seen.state not in RUNNING:  # motions report a fault themselves
             self._since = self._verdict = None
@@ -114,14 +114,14 @@ class ArmLink:
 
 @dataclass
 class DiskSpace:
-    """Guard of free disk space, which suspends the case before the journal becomes unwritable."""
+    """Guard for free disk space. Suspends the case before the journal can no longer be written."""
 
     folder: Path
     least_bytes: int = LEAST_FREE_BYTES
     name: str = "disk space"
 
     def unmet(self) -> str | None:
-        """Describe a lack of free space."""
+        """Describe insufficient free space."""
         try:
             free = shutil.disk_usage(self.folder).free
         except OSError as error:
@@ -136,7 +136,7 @@ class DiskSpace:
 
 @dataclass
 class ToolStillMounted:
-    """Guard of the mounted tool, as reported by the controller while the arm's stream runs.
+    """Guard for the mounted tool, as reported by the controller while the arm is streaming.
 
     `doubt_tool` is told when another tool is reported, and may end the step.
     """
@@ -146,7 +146,7 @@ class ToolStillMounted:
     name: str = "mounted tool"
 
     def unmet(self) -> str | None:
-        """Describe the tool reported instead of the checked one."""
+        """Describe a mismatch between the reported tool and the checked one."""
         workcell = self.workcell
         expected = workcell.mount.checked_number
         if expected is None or workcell.arm.observe().state not in RUNNING:
@@ -164,7 +164,7 @@ class ToolStillMounted:
 
 
 class WallClock:
-    """Guard that detects steps of the host's wall clock, which dates the records.
+    """Guard that detects steps of the host's wall clock, used to date the records.
 
     No limit depends on the wall clock, so a jump stops nothing: it is a finding.
     """
@@ -182,7 +182,7 @@ class WallClock:
         self._ahead_s = wall_s() - monotonic_s()
 
     def unmet(self) -> None:
-        """Record a clock step as a finding. Never unmet."""
+        """Record a clock step as a finding. Never suspends the case."""
         ahead_s = self._wall_s() - self._monotonic_s()
         step_s = ahead_s - self._ahead_s
         if abs(step_s) > LARGEST_STEP_S:
@@ -194,7 +194,7 @@ class WallClock:
 
 
 class UnchangedRecords:
-    """Guard that the calibration and tool records in use still match the theatre file.
+    """Guard that checks the calibration and tool records in use against the theatre file.
 
     A file that nobody touched is not read again; a touched one is compared by content. The way out is not
     held up: it uses the records that brought the arm there.
@@ -203,14 +203,14 @@ class UnchangedRecords:
     name = "calibration and tool records"
 
     def __init__(self, path: Path, began_with: TheatreFile, in_use: Callable[[], bool]) -> None:
-        """Set up the guard; `in_use` returns whether a step uses them beyond the way out or home."""
+        """Set up the guard. `in_use` returns whether a step uses the records, other than to leave or home."""
         self._path = path
         self._records = _records(began_with)
         self._in_use = in_use
         self._seen: Stamp | None = None  # at the last comparison without difference
 
     def unmet(self) -> str | None:
-        """Name the changed records, or the reason why the file cannot be read."""
+        """List the changed records, or describe why the file cannot be read."""
         if not self._in_use():
             return None
         try:

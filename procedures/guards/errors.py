@@ -1,4 +1,4 @@
-"""Errors of guards: a changed cart, tracker, head or input."""
+"""Errors raised by guards: a changed cart, tracker, head or input."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.text import format_against_limit
 
 
 class BaseShifted(RefusedError):
-    """Tracker and arm disagree on the position of the frame on the arm: the cart or the tracker was moved."""
+    """Tracker and arm disagree on the position of the frame on the arm: cart or tracker was moved."""
 
     code = "PRO-019"
     action = (
@@ -32,7 +32,7 @@ class InputChanged(RefusedError):
 
 
 class PatientUnseen(RefusedError):
-    """The tracker does not see the head before a guide moves towards it."""
+    """The tracker cannot see the head, so the guide may not move towards it."""
 
     code = "PRO-022"
     action = (
@@ -42,7 +42,7 @@ class PatientUnseen(RefusedError):
 
 
 class PatientMoved(RefusedError):
-    """The spheres on the head are not where they were localized. `moved_mm` is their rms displacement."""
+    """The spheres have moved since they were localized. `moved_mm` is their rms displacement."""
 
     code = "PRO-020"
     action = (
@@ -54,7 +54,7 @@ class PatientMoved(RefusedError):
 
     @classmethod
     def from_shift(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
-        """Build the error for a move of this size."""
+        """Build the error for a displacement."""
         moved = cls(
             what, limit=f"{limit_mm:g} mm", got=f"{format_against_limit(moved_mm, limit_mm, 2)} mm rms"
         )

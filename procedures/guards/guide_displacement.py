@@ -1,4 +1,4 @@
-"""Displacement of the guide while somebody works through it.
+"""Displacement of the guide while someone works through it.
 
 Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
 and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
@@ -45,7 +45,7 @@ HIDDEN = ", and clear the line between the tracker and the frame on the arm: it 
 
 @dataclass
 class GuideAtRest:
-    """Rest position of the guide, and its displacement since.
+    """Rest position of the guide, and its displacement since then.
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
     tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
@@ -69,11 +69,11 @@ class GuideAtRest:
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
 
     def begin_watch(self) -> None:
-        """Forget the readings of an earlier watch."""
+        """Discard the readings of an earlier watch."""
         self._recent.clear()
 
     def add_frame(self, frame: TrackerFrame, tool: str) -> None:
-        """Add a tracker frame and compare the mean of the latest frames with the rest position."""
+        """Add a tracker frame and compare the mean of recent frames with the rest position."""
         reading = frame.tool(tool)
         if self.seen_mm is None or reading.validity is not Validity.OK:
             return
@@ -102,7 +102,7 @@ class GuideAtRest:
                 break
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
-        """Update the displacement from the largest evidence. A hidden frame keeps its last seen position."""
+        """Update the displacement from its largest estimate. Hidden points keep their last displacement."""
         if seen_mm is not None and self.seen_mm is not None:
             moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
             self._point_shifts_mm = np.where(np.isfinite(moved_mm), moved_mm, self._point_shifts_mm)
@@ -114,7 +114,7 @@ class GuideAtRest:
 
 @dataclass
 class GuideDisplacement:
-    """Guard of the `GuideAtRest` in the case memory while somebody works through the guide."""
+    """Guard for guide displacement while someone works through the guide."""
 
     workcell: Workcell
     clock: Clock
@@ -122,7 +122,7 @@ class GuideDisplacement:
     name: str = "guide"
 
     def unmet(self) -> str | None:
-        """Describe a displacement of the guide. Raises the tracker's errors."""
+        """Describe an excessive guide displacement. Raises the tracker's errors."""
         rest = self.memory.find(GuideAtRest)
         if rest is None or not rest.is_worked_through:
             return None
@@ -141,7 +141,7 @@ class GuideDisplacement:
 def measure_guide_at_rest(
     workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
 ) -> GuideAtRest:
-    """Measure the rest position of the guide. Raises PRO-007 if a hand is already on it, and tracker errors.
+    """Measure the guide's rest position. Raises PRO-007 if the guide is already pushed, and tracker errors.
 
     `room` is the watch of the case, which relates the tracker to the arm.
     """
@@ -158,7 +158,7 @@ def measure_guide_at_rest(
 
 
 def _require_unturned(by_arm: Transform, seen: Transform) -> None:
-    """Raise PRO-007 if the frame on the mount is rotated relative to its pose by the arm."""
+    """Raise PRO-007 if the frame on the mount appears rotated relative to the arm's pose."""
     turned_rad = float((by_arm.rigid.rotation.inv() * seen.rigid.rotation).magnitude())
     if turned_rad > TURNED_RAD:
         turned_deg, limit_deg = math.degrees(turned_rad), math.degrees(TURNED_RAD)
@@ -174,7 +174,7 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
 def _measure_frame(
     workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
 ) -> tuple[Transform | None, Array | None]:
-    """Return the mean pose of the frame on the mount, and `seen_mm`; None if too few frames show it."""
+    """Return the mean pose of the frame on the mount, and `seen_mm`, or (None, None) if rarely seen."""
     frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
     is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
     if is_on_mount is None:
@@ -186,7 +186,7 @@ def _measure_frame(
 
 
 def _mean_of_seen_mm(readings_mm: Array) -> Array:
-    """Return the mean of each point (3, 3) over readings (n, 3, 3); NaN if fewer than half show it."""
+    """Average each point (3, 3) over readings (n, 3, 3). NaN if seen in fewer than half."""
     is_seen: NDArray[np.bool_] = np.asarray(np.isfinite(readings_mm).all(axis=2))
     counts = is_seen.sum(axis=0)[:, np.newaxis]
     sums_mm = np.where(is_seen[..., np.newaxis], readings_mm, 0.0).sum(axis=0)
@@ -195,6 +195,6 @@ def _mean_of_seen_mm(readings_mm: Array) -> Array:
 
 
 def _points_mm(is_on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
-    """Return frame on the mount, end of the guide and frame on the guide (3, 3) mm, in the tracker frame."""
+    """Return mount frame, guide end and guide frame as points (3, 3) mm in the tracker frame."""
     guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
     return np.array([is_on_mount.translation_mm, is_on_mount.apply(end_in_frame_mm), guide_mm])

@@ -1,4 +1,4 @@
-"""Displacement of the patient's spheres, frame by frame while the arm moves.
+"""Frame-by-frame displacement of the patient's spheres while the arm moves.
 
 The tracker's noise is 0.2 mm in one frame, so the latest readings of each sphere are averaged. Hands and
 drapes hide now one sphere, now another: none needs to be in every frame.
@@ -35,7 +35,7 @@ ENOUGH_IN_PLACE = 2
 
 @dataclass
 class HeadFrames:
-    """Latest readings of the spheres on the head, `spheres_mm` (n, 3) in the tracker's frame.
+    """Recent readings of the head's spheres, expected at `spheres_mm` (n, 3) in the tracker's frame.
 
     `moved_mm` is their rms displacement, None while undecided. `doubtful` asks for the very next frame.
     `seen` says that the last frame showed enough spheres, and that it is not undecided for too long.
@@ -50,7 +50,7 @@ class HeadFrames:
     _displacements: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
 
     def add_frame(self, frame: TrackerFrame) -> None:
-        """Add a reading."""
+        """Add a tracker frame."""
         places = [one.position_mm for one in frame.strays if one.validity is Validity.OK]
         displacements = _displacements(self.spheres_mm, places)
         near = np.isfinite(displacements[:, 0])
@@ -70,7 +70,7 @@ class HeadFrames:
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
     def _mean_mm(self) -> float | None:
-        """Return the rms displacement of spheres with enough readings, or None if there are too few.
+        """Return the rms displacement of spheres with enough readings, or None for too few such spheres.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
         sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
@@ -87,7 +87,7 @@ class HeadFrames:
 
 
 def _displacements(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:
-    """Return the displacement (n, 3) of each sphere to the nearest seen point; NaN if none is near."""
+    """Return each sphere's displacement (n, 3) to the nearest measured point, NaN if none is near."""
     displacements = np.full(spheres_mm.shape, np.nan)
     if places_mm:
         apart = np.asarray(places_mm)[None] - spheres_mm[:, None]

@@ -1,4 +1,4 @@
-"""Patient watch by the tracker while the arm moves and while an instrument is at its target.
+"""Tracking of the patient while the arm moves or an instrument is at its target.
 
 A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, or when a guide
 has approached them unseen for too long. It reads every fourth frame, and every frame while in doubt. The
@@ -45,7 +45,7 @@ UNSEEN = "the tracker has not seen the head for too long"
 
 @dataclass
 class MotionWatch:
-    """Patient watch of a run. `find` and `void` journal; `tell` displays immediately from any thread."""
+    """Patient watch of a run. `find` and `void` write to the journal; `tell` informs the operator at once."""
 
     workcell: Workcell
     clock: Clock
@@ -124,7 +124,7 @@ class MotionWatch:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
-        """Identify the moved body from another reading at rest, which includes the frame on the arm."""
+        """Determine what has moved from a further reading at rest that includes the frame on the arm."""
         found: RonnaError | None
         try:
             with self.beside():
@@ -144,7 +144,7 @@ class MotionWatch:
 
 @dataclass
 class _WatchThread:
-    """Thread that reads frames until ended. `unseen_s` is theatre time since the head was last seen."""
+    """Thread that reads tracker frames. `unseen_s` is the theatre time since the head was last seen."""
 
     workcell: Workcell
     clock: Clock
@@ -173,7 +173,7 @@ class _WatchThread:
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
     def begin(self) -> None:
-        """Start the watch and wait, for a limited time, for its first frame and for a stop it causes."""
+        """Start the thread. Wait, within a limit, for its first frame and any stop triggered by it."""
         if self.guide is not None:
             self.guide.begin_watch()
         self._thread.start()
@@ -182,7 +182,7 @@ class _WatchThread:
             self._stopping.join()
 
     def end(self) -> _WatchThread:
-        """End the thread; its fields hold the findings."""
+        """Stop and join the thread, whose fields then contain the findings."""
         self._ending.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -278,7 +278,7 @@ class _WatchThread:
         self.tell(f"{why} during {self.what}" + (": the arm is stopped" if stop else ""))
 
     def _stop_again(self) -> None:
-        """Repeat a failed stop, for example after its time limit, while the arm may still move."""
+        """Retry a failed stop, for example after a timeout, while the arm may still be moving."""
         wanted = self._stop_wanted and not self._is_stopping
         if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
             self._begin_stop()
@@ -294,7 +294,7 @@ class _WatchThread:
         self._stopping = stopping
 
     def _report_silence(self, why: str) -> None:
-        """Report a silent tracker once, immediately, since the unwatched motion may still take long."""
+        """Report a silent tracker once and immediately, since the unwatched motion may still take long."""
         if not self._silence_reported:
             self._silence_reported = True
             self.tell(f"the head is not watched: {why}")

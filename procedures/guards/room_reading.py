@@ -1,4 +1,4 @@
-"""Tracker reading of the room with the arm at rest: frame on the arm and all spheres.
+"""Tracker reading of the frame on the arm and all spheres, with the arm at rest.
 
 Some of the spheres are ghosts, where the lines of sight to two different markers cross. Each of the tracker's
 two sensors knows a marker only as a line. Two markers in one plane with both sensors produce, besides their
@@ -37,7 +37,7 @@ LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
 
 @dataclass(frozen=True)
 class RoomReading:
-    """Mean of `frames` tracker frames with the arm at rest.
+    """Average of `frames` tracker frames with the arm at rest.
 
     `robot_from_flange` is the arm's pose, by its calibration if there is one. `frame_mm` (3,) is the frame on
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
@@ -54,24 +54,24 @@ class RoomReading:
 
     @property
     def is_careful(self) -> bool:
-        """True if enough frames (`CAREFUL_FRAMES`) are averaged for a look before or after a target."""
+        """Whether at least `CAREFUL_FRAMES` frames were averaged, as before or after a target."""
         return self.frames >= CAREFUL_FRAMES
 
     @property
     def is_comparable(self) -> bool:
-        """Whether readings of the same pose can differ in the frame on the arm only by noise."""
+        """Whether the frame on the arm differs only by noise from other such readings of the same pose."""
         return self.is_careful and self.settled
 
     @property
     def head_limit_mm(self) -> float:
-        """Threshold of the spheres' rms displacement above which the head has moved."""
+        """Smallest rms displacement of the spheres that counts as a moved head."""
         return HEAD_NOTICEABLE_MM if self.is_careful else PATIENT_LIMIT_MM
 
 
 def read_room(
     workcell: Workcell, clock: Clock, robot_from_tracker: Transform, count: int = FRAMES
 ) -> RoomReading:
-    """Read frames of the tracker while the arm rests. Raises the tracker's errors."""
+    """Read tracker frames with the arm at rest. Raises the tracker's errors."""
     frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
     return room_reading(workcell, frames, robot_from_tracker)
 
@@ -79,7 +79,7 @@ def read_room(
 def room_reading(
     workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
 ) -> RoomReading:
-    """Average tracker frames taken at the arm's current pose into one reading."""
+    """Average tracker frames taken at the arm's current pose."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
@@ -106,7 +106,7 @@ def room_reading(
 
 
 def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
-    """Flag points (m, 3) at crossings of sensor lines to known markers. All in the tracker's frame.
+    """Flag points (m, 3) where sensor lines to known markers cross, all in the tracker's frame.
 
     The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the
     narrow limit: with the wide one, too much of the room about the head would count as crossings.
@@ -121,7 +121,7 @@ def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[
 
 
 def _distance_from_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
-    """Return the distance of each point (m, 3) from a sensor's line to each marker (n, 3).
+    """Return the distance of points (m, 3) from the sensor's lines of sight to markers (n, 3).
 
     Less the uncertainty of the sensor's position.
     """

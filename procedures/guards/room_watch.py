@@ -1,4 +1,4 @@
-"""Detection of moves since the localization, from the frame on the arm and the patient's spheres.
+"""Detection of movement since the localization, from the frame on the arm and the patient's spheres.
 
 The frame on the arm is compared by the difference of its places according to tracker and arm. As the mount is
 some millimetres off its drawing, this difference depends on the arm's orientation, so it is compared with
@@ -49,7 +49,7 @@ MOST_UNSEEN_S = 10.0
 
 @dataclass(frozen=True)
 class BaseShift:
-    """Displacement (3,) mm of the frame on the arm against an earlier reading, and its limit.
+    """Displacement (3,) mm of the frame on the arm since an earlier reading, and its limit.
 
     `exact` says that the arm is in the very pose of that reading.
     """
@@ -60,13 +60,13 @@ class BaseShift:
 
     @property
     def moved_mm(self) -> float:
-        """Length of the displacement."""
+        """Magnitude of the displacement."""
         return float(np.linalg.norm(self.way_mm))
 
 
 @dataclass(frozen=True)
 class RoomLook:
-    """Result of a comparison: displacements of head and base, each None if not seen.
+    """Result of a room check: displacements of head and base, None where not seen.
 
     `moved` is the error that names what has moved, or what hides it; `findings` stop nothing.
     """
@@ -79,11 +79,11 @@ class RoomLook:
 
     @property
     def in_place(self) -> bool:
-        """Whether head and base were seen and unmoved. The tracker may have moved slightly."""
+        """Whether head and base were seen and have not moved. The tracker may have moved slightly."""
         return self.moved is None and self.head_mm is not None and self.base is not None
 
     def require(self) -> tuple[str, ...]:
-        """Return the findings. Raises `moved` if set.
+        """Return the findings, or raise `moved` if set.
 
         Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
         head is at no known position.
@@ -95,7 +95,7 @@ class RoomLook:
 
 @dataclass
 class Approach:
-    """Approach of a guide to the head; `excused_s` is when the operator last continued without sight.
+    """Guide approach to the head. `excused_s` is when the operator last continued without line of sight.
 
     The time without sight is bounded only while it is under way: nothing holds up the way out.
     """
@@ -107,7 +107,7 @@ class Approach:
 
 @dataclass
 class RoomWatch:
-    """Watch over the spheres and frame of one global localization, with the readings since."""
+    """Watch over the spheres and frame of one global localization, with all later readings."""
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
@@ -120,7 +120,7 @@ class RoomWatch:
         self._localized_mm = self.spheres_mm
 
     def follow(self, spheres_mm: Array | None) -> None:
-        """Set the expected sphere positions (n, 3); None restores the localized positions."""
+        """Set the expected sphere positions (n, 3), or restore the localized ones with None."""
         expected_mm = self._localized_mm if spheres_mm is None else spheres_mm
         if not np.array_equal(expected_mm, self.spheres_mm):
             self.spheres_mm = expected_mm
@@ -133,12 +133,12 @@ class RoomWatch:
             self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
 
     def unseen_s(self, now_s: float) -> float:
-        """Return the theatre time since the head was seen or the operator continued without sight."""
+        """Return the theatre time since the head was seen or the operator chose to continue without sight."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
         return now_s - max(self.seen_s, excused_s)
 
     def excuse(self) -> None:
-        """Continue without sight; the unseen time restarts with the next motion or wait."""
+        """Continue without line of sight. The unseen time restarts with the next motion or wait."""
         if self.approach is not None:
             self.approach.excused_s = math.inf
 
@@ -148,21 +148,21 @@ class RoomWatch:
             self.approach.excused_s = min(self.approach.excused_s, now_s)
 
     def is_overdue(self, now_s: float) -> bool:
-        """Whether a guide approaches a head that has been unseen for too long."""
+        """Return whether a guide is approaching a head that has been unseen for too long."""
         return self.is_approached and self.unseen_s(now_s) > MOST_UNSEEN_S
 
     @property
     def is_approached(self) -> bool:
-        """Whether a guide is approaching the head or being held in front of it."""
+        """Whether a guide is approaching the head or is in position in front of it."""
         return self.approach is not None and self.approach.under_way
 
     @property
     def arm_hides_head(self) -> bool:
-        """Whether the arm is expected to hide the head in its present pose."""
+        """Whether the arm's present pose is expected to hide the head from the tracker."""
         return self.approach is not None and self.approach.arm_hides_head()
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
-        """Compare a reading with earlier ones, and keep it unless something has moved."""
+        """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
         base, head = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
@@ -188,7 +188,7 @@ class RoomWatch:
         *,
         agree: bool,
     ) -> BaseShifted | PatientMoved | PatientUnseen | None:
-        """Return the error for a move or hidden spheres, or None if nothing has moved.
+        """Return the error for a movement or for hidden spheres, or None if nothing has moved.
 
         `head_mm` (3,) is the displacement of the head in the robot frame. If arm and head `agree`, only the
         tracker has moved.
@@ -209,7 +209,7 @@ class RoomWatch:
     def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
-        """Return the error found from fewer than three known spheres, or None if none has moved."""
+        """Return the error based on fewer than three known spheres, or None if none has moved."""
         few = measure_shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
@@ -223,7 +223,7 @@ class RoomWatch:
         return None
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """Return a shift beyond its limit, else the one with the tightest limit; None without reference."""
+        """Return a shift over its limit, else the most tightly limited one, or None without a reference."""
         if reading.frame_mm is None:
             return None
         shifts = [
@@ -234,7 +234,7 @@ class RoomWatch:
         return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
     def _count_unknown(self, reading: RoomReading) -> int:
-        """Count points near the head at unknown positions, which may be moved spheres.
+        """Count points near the head at no known position, which may be displaced spheres.
 
         Ghosts do not count.
         """
@@ -245,7 +245,7 @@ class RoomWatch:
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
-        """Return earlier readings for comparison, each with its limit and whether its pose is the same.
+        """Return comparable earlier readings as (reading, limit in mm, whether the pose is the same).
 
         In the same pose: the oldest, so that a slow drift adds up, and the oldest that may differ by noise
         only. Otherwise the nearest in the same orientation, and the newest of those equally near.
@@ -272,7 +272,7 @@ def check_now(
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
 ) -> RoomLook:
-    """Look now and raise as `RoomLook.require`. A move voids results, then ends the watch."""
+    """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
     look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
     if isinstance(look.moved, BaseShifted | PatientMoved):
         void(look.moved)  # first: the watch goes on until this is written
@@ -297,7 +297,7 @@ def _angle_between_rad(one: Transform, other: Transform) -> float:
 def _moved_alike(
     head: PointShift | None, head_mm: Array | None, base: BaseShift | None, limit_mm: float
 ) -> bool:
-    """Whether spheres and frame moved alike, to an rms below the limit that includes any rotation."""
+    """Return whether spheres and frame moved alike, within an rms limit that includes rotation."""
     if head is None or head_mm is None or base is None:
         return False
     turned_mm2 = max(0.0, head.rms_mm**2 - float(head.mean_mm @ head.mean_mm))

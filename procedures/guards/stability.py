@@ -1,4 +1,4 @@
-"""Stability of the room during a case: observation of each part and smallest detectable change.
+"""Stability of the room during a case: how each part is observed, and the smallest detectable change.
 
 Before and after each target the arm is home, where the tracker sees everything and the arm is in the same
 pose: only there is a change noticed that is small enough to matter at a target. A move between two such looks
@@ -33,7 +33,7 @@ LOOKS_AT_ROOM = (
 
 
 class Subject(StrEnum):
-    """Part of the room that must not change."""
+    """Part of the room that must stay unchanged."""
 
     HEAD = "head"
     BASE = "cart and tracker"
@@ -45,7 +45,7 @@ class Subject(StrEnum):
 
 @dataclass(frozen=True)
 class WatchedSubject:
-    """Watched subject: observation method and steps, smallest detectable change, dependent results.
+    """Watched subject: observation method, steps, smallest detectable change, and dependent results.
 
     Without `looked_at` it is seen before every step and motion. `noticeable_mm` is None if a change does not
     displace the guide against the head.
@@ -60,7 +60,7 @@ class WatchedSubject:
 
     @property
     def unnoticed_rms_mm(self) -> float:
-        """Rms of an undetected displacement, uniformly distributed up to the smallest detectable one."""
+        """Rms of an undetected displacement, uniformly distributed up to the detection limit."""
         return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
 
 
@@ -102,7 +102,7 @@ WATCHED_SUBJECTS = (
 
 
 def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool]) -> dict[Subject, float]:
-    """Return the theatre time at which each subject was last seen unchanged, according to a journal.
+    """Return the theatre time at which each subject was last confirmed unchanged in a journal.
 
     `confirms` tells whether the look after a target, given by its record, saw a subject unchanged.
     """
@@ -120,7 +120,7 @@ def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool
 
 
 class SeenUnchanged(Values):
-    """Finding on one subject in the look after a target."""
+    """Finding on one subject from the check after a target."""
 
     subject: Subject = Field(description="Head, cart and tracker, or guide.")
     moved_mm: float | None = Field(description="How far it was from its place; none if it was not seen.")
@@ -129,33 +129,33 @@ class SeenUnchanged(Values):
 
     @classmethod
     def head(cls, moved_mm: float | None) -> SeenUnchanged:
-        """Return the finding on the head, from the rms displacement of its spheres."""
+        """Build the finding on the head from the rms displacement of its spheres."""
         return cls(subject=Subject.HEAD, moved_mm=moved_mm, noticeable_mm=HEAD_NOTICEABLE_MM)
 
     @classmethod
     def base(cls, moved_mm: float | None, limit_mm: float = BASE_NOTICEABLE_MM) -> SeenUnchanged:
-        """Return the finding on cart and tracker, from the frame on the arm."""
+        """Build the finding on cart and tracker from the frame on the arm."""
         return cls(subject=Subject.BASE, moved_mm=moved_mm, noticeable_mm=limit_mm)
 
     @classmethod
     def guide(cls, off_mm: float | None, *, differs: bool = False) -> SeenUnchanged:
-        """Return the finding on the guide, from its gauge."""
+        """Build the finding on the guide from its gauge measurement."""
         return cls(subject=Subject.GUIDE, moved_mm=off_mm, noticeable_mm=GUIDE_NOTICEABLE_MM, differs=differs)
 
     @property
     def unchanged(self) -> bool:
-        """Whether the subject was seen, with a displacement below the detection limit."""
+        """Whether the subject was seen and its displacement is below the detection limit."""
         return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
 
     def __str__(self) -> str:
-        """Return a phrase for the operator."""
+        """Describe the finding to the operator."""
         if self.moved_mm is None:
             return f"{self.subject} not seen"
         return f"{self.subject} within {self.moved_mm:.2f} mm"
 
 
 def undetected_changes_mm() -> dict[str, float]:
-    """Return the rms error of undetectable changes, by source, for the prediction at a target."""
+    """Return the rms error due to undetectable changes, by source, for target error prediction."""
     return {
         f"unnoticed change: {one.subject}": one.unnoticed_rms_mm
         for one in WATCHED_SUBJECTS

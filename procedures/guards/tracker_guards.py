@@ -1,4 +1,4 @@
-"""Guards of the tracker: reply delay, visibility of the frame on the arm and of the head.
+"""Guards on the tracker: reply delay, and visibility of the head and the frame on the arm.
 
 A late frame shows a head, or a hand, as it was before. A head that moves while every sphere is covered is
 noticed only when one is seen again; `HeadInSight` bounds how long that may take while a guide approaches or
@@ -44,7 +44,7 @@ PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm i
 
 
 def late_s(tracker: OpticalTracker) -> float | None:
-    """Return the reply delay if too long, else None. None also if the tracker does not report it."""
+    """Return the reply delay if it is too long, or None if acceptable or not reported."""
     if not isinstance(tracker, TimedTracker):
         return None
     last_s = tracker.replies_s[-JUDGED:]
@@ -54,7 +54,7 @@ def late_s(tracker: OpticalTracker) -> float | None:
 
 @dataclass
 class TrackerLink:
-    """Guard of the tracker's reply delay. While replies are late, it reads frames itself."""
+    """Guard for the tracker's reply delay. While replies are late, the guard reads frames itself."""
 
     tracker: OpticalTracker
     memory: CaseMemory
@@ -63,7 +63,7 @@ class TrackerLink:
     _looked_s: float = -math.inf
 
     def unmet(self) -> str | None:
-        """Describe late replies while a step reads, or a guide approaches or is held at the head."""
+        """Describe late replies while a step reads the tracker or a guide is at or approaching the head."""
         if not self._in_use or late_s(self.tracker) is None:
             return None
         if self.now_s() - self._looked_s >= BETWEEN_LOOKS_S:
@@ -80,14 +80,14 @@ class TrackerLink:
 
     @property
     def _in_use(self) -> bool:
-        """Whether the tracker is needed now. It is not needed for the way out."""
+        """Whether the tracker is needed now. The way out does not need it."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
             return room is not None and room.is_approached
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
-        """Read frames until one reply is late or enough are on time."""
+        """Read frames until one reply is late or enough have been on time."""
         with self.tracker.active() as tracker:
             for _ in range(JUDGED):
                 tracker.read_frame()
@@ -97,7 +97,7 @@ class TrackerLink:
 
 @dataclass
 class LineOfSight:
-    """Guard of the line of sight to the reference frame. While it is lost, the guard reads frames itself."""
+    """Guard for the line of sight to the reference frame. If it is lost, the guard reads frames itself."""
 
     tracker: OpticalTracker
     frame: str  # the tracker's name for the reference frame
@@ -106,7 +106,7 @@ class LineOfSight:
     _lost_since_s: float | None = None
 
     def unmet(self) -> str | None:
-        """Describe why the frame has had no pose for too long."""
+        """Describe why the frame's pose has been unavailable for too long."""
         if self.tracker.state is not Lifecycle.ACTIVE or self._validity() is Validity.OK:
             self._lost_since_s = None
             return None
@@ -132,7 +132,7 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard of the line of sight to the head. Looks itself on timeout; `void` ends a localization."""
+    """Guard for the line of sight to the head. Checks the room on timeout; `void` ends a localization."""
 
     workcell: Workcell
     clock: Clock
@@ -143,7 +143,7 @@ class HeadInSight:
 
     @property
     def patience_s(self) -> float:
-        """Theatre time to wait before the operator is asked."""
+        """Theatre time to wait before asking the operator."""
         room = self.memory.find(RoomWatch)
         return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
 
@@ -161,7 +161,7 @@ class HeadInSight:
 
     @property
     def excused_for_s(self) -> float:
-        """Theatre time for which an excuse lasts."""
+        """Theatre time for which the operator's excuse remains valid."""
         return MOST_UNSEEN_S
 
     def excuse(self) -> None:

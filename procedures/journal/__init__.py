@@ -1,1 +1,1 @@
-"""Journal of a run: each action is written before it begins and after it ends."""
+"""Journal of a run, written before each action begins and after it ends."""

@@ -1,4 +1,4 @@
-"""Errors of journal and results."""
+"""Journal and result errors."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from ronna_hw.errors import RefusedError, RonnaError
 
 
 class JournalNotWritable(RonnaError):
-    """The journal cannot be written; without a journal nothing moves."""
+    """The journal cannot be written. Nothing may move without a journal."""
 
     code = "PRO-003"
     action = "Free space or choose another output folder; the arm has been stopped."
 
 
 class StepRefused(RefusedError):
-    """A step cannot start: the listed preconditions are not met."""
+    """A step cannot start because its preconditions, listed in the message, are not met."""
 
     code = "PRO-001"
     action = "Do what is listed, or run the earlier steps first."
 
 
 class GateFailed(RefusedError):
-    """A result is outside the limits that it must meet before the procedure continues."""
+    """A result is outside the limits required for the procedure to continue."""
 
     code = "PRO-007"
     action = "Compare the value with its limit; repeat the step or correct its inputs."

@@ -1,4 +1,4 @@
-"""Journal of a run: each action is written before it begins and after it ends.
+"""Journal of a run, written before each action begins and after it ends.
 
 Append-only JSON lines, each flushed to disk before the call returns, each naming the SHA-256 of the line
 before it. Without a journal nothing moves: a write that fails raises PRO-003 and leaves no part of its line.
@@ -56,7 +56,7 @@ ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 
 class _Chain(NamedTuple):
-    """Length and last hash of the journal file."""
+    """Length and latest hash of the journal file."""
 
     size: int  # bytes
     lines: int
@@ -67,7 +67,7 @@ class Journal:
     """Journal of one run."""
 
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
-        """Create the journal of a run; `on_line` is called with every written line."""
+        """Create the journal of a run. `on_line` is called with every line written."""
         self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
         with self._close_on_error():
             _sync_folder(folder)
@@ -76,7 +76,7 @@ class Journal:
     def reopen_run(
         cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
     ) -> Journal:
-        """Open the journal of an interrupted run for continuation, setting aside a torn end.
+        """Reopen the journal of an interrupted run, setting aside a torn end.
 
         Raises PRO-003 if it cannot be written.
         """
@@ -97,7 +97,7 @@ class Journal:
             raise
 
     def _set_aside_torn_end(self, torn: bytes) -> None:
-        """Move a torn end into a file beside the journal."""
+        """Move a torn end to a file beside the journal."""
         folder = self.path.parent
         try:
             with (folder / TORN_FILE).open("ab") as torn_file:
@@ -124,11 +124,11 @@ class Journal:
         self._room = folder / ROOM_FILE
 
     def write(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
-        """Append one line and return when it is on disk. Raises PRO-003."""
+        """Append one line and return once it is on disk. Raises PRO-003."""
         self._append(entry, theatre_time_s, data, durable=True)
 
     def note(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
-        """Append one line, which reaches the disk with the next `write`. Raises PRO-003.
+        """Append one line that reaches the disk with the next `write`. Raises PRO-003.
 
         Sufficient for past events, never for intents.
         """
@@ -165,7 +165,7 @@ class Journal:
             self._write_line(line, durable=durable)
 
     def _write_line(self, line: bytes, *, durable: bool) -> None:
-        """Write a line and flush it, removing it again if the flush fails."""
+        """Write a line and flush it, removing it if the flush fails."""
         self._pending = line
         try:
             os.write(self._file, line)
@@ -188,7 +188,7 @@ class Journal:
             self._pending = b""
 
     def _hold_room(self) -> None:
-        """Reserve disk space before a step to record its outcome."""
+        """Reserve disk space for a step's outcome before the step begins."""
         if self._room.exists():
             return
         try:
@@ -202,7 +202,7 @@ class Journal:
             raise self._not_writable(error.strerror) from error
 
     def _settle_pending(self) -> None:
-        """Count the pending line if it is whole in the file, else remove its fragment.
+        """Count the pending line if it is complete in the file, otherwise remove its fragment.
 
         A signal may end a write at any point, also when the line is there and not counted yet. So the content
         of the file decides, and chain and pending line change by one assignment each. A line is handed on
@@ -238,7 +238,7 @@ class Journal:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Sync a folder so that the names of its files are on disk. Raises PRO-003."""
+    """Sync a folder to make its directory entries durable. Raises PRO-003."""
     try:
         directory = os.open(folder, os.O_RDONLY)
         try:

@@ -19,13 +19,13 @@ Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 
 class Values(BaseModel):
-    """Base of results and their parts: frozen, finite numbers, no unknown fields."""
+    """Base of results and their parts: frozen, with finite numbers and no unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class StepResult(Values):
-    """Base of step results. `kind` names the step; `version` rises when a field's meaning changes."""
+    """Base of step results. `kind` identifies the step; `version` changes with the meaning of a field."""
 
     kind: ClassVar[str]
     version: ClassVar[int]
@@ -35,11 +35,11 @@ class StepResult(Values):
         cls.kind, cls.version = kind, version
 
     def leaves_out(self) -> Mapping[str, str]:
-        """Return the trajectories left out of the case by this result, with reasons."""
+        """Return the trajectories that this result excludes from the case, with reasons."""
         return {}
 
     def names_series(self) -> str | None:
-        """Return the DICOM UID of the CT series if this result selects it, else None."""
+        """Return the DICOM UID of the CT series selected by this result, or None."""
         return None
 
 
@@ -53,7 +53,7 @@ class FramedPose(Values):
 
     @classmethod
     def of(cls, pose: Transform) -> Self:
-        """Return a transform as plain numbers."""
+        """Build a serializable pose from a transform."""
         return cls(
             target=pose.target,
             source=pose.source,
@@ -63,7 +63,7 @@ class FramedPose(Values):
 
     @property
     def transform(self) -> Transform:
-        """The pose as a checked transform."""
+        """The pose as a validated transform."""
         return Transform.of(
             self.target,
             self.source,

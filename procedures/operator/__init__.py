@@ -1,1 +1,1 @@
-"""Operator decisions, tasks of the room's staff, and checkpoints at which a case waits."""
+"""Operator decisions, tasks for the room staff, and checkpoints at which a case waits."""

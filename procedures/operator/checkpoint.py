@@ -1,4 +1,4 @@
-"""Checkpoints of a case: between steps, before each motion, and after a stopped motion.
+"""Checkpoints of a case: between steps, before each motion, and after an interrupted motion.
 
 The operator asks for a rest from any thread, by `pause` or `abort`; the engine's own thread rests at the next
 checkpoint. A watch stops the arm by itself, and its error is raised when the motion that `watching` holds has
@@ -25,15 +25,15 @@ PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the ope
 
 
 class Guard(Protocol):
-    """Condition that must hold while the arm works."""
+    """Condition that must be met while the arm works."""
 
     @property
     def name(self) -> str:
-        """Name, such as `disk space` or `line of sight`."""
+        """Guard name, such as `disk space` or `line of sight`."""
         ...
 
     def unmet(self) -> str | None:
-        """Check the condition; return why the case cannot continue, in plain words, or None.
+        """Check the condition. Return in plain words why the case cannot continue, or None if it can.
 
         No query: a guard may read devices for a second, record findings, void results and put a check of the
         tool in doubt. Raises only what ends the step.
@@ -43,7 +43,7 @@ class Guard(Protocol):
 
 @runtime_checkable
 class DispensableGuard(Guard, Protocol):
-    """Guard that the operator may excuse for a while."""
+    """Guard that the operator may excuse temporarily."""
 
     @property
     def topic(self) -> Topic:
@@ -52,21 +52,21 @@ class DispensableGuard(Guard, Protocol):
 
     @property
     def patience_s(self) -> float:
-        """Theatre time to wait before the operator is asked, in place of `PATIENCE_S`."""
+        """Theatre time to wait before asking the operator, overriding `PATIENCE_S`."""
         ...
 
     @property
     def excused_for_s(self) -> float:
-        """Theatre time of the next motion or wait for which `excuse` lasts."""
+        """Theatre time of the next motion or wait for which `excuse` remains valid."""
         ...
 
     def excuse(self) -> None:
-        """Excuse the guard for a while."""
+        """Excuse the guard temporarily."""
         ...
 
 
 class Checkpoint:
-    """Checkpoint that rests a case on request or for an unmet guard, and asks before it continues."""
+    """Checkpoint that rests a case on request or for an unmet guard, and asks before continuing."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class Checkpoint:
         clock: Clock,
         guards: Sequence[Guard] = (),
     ) -> None:
-        """Set up the checkpoint; the context `rest(state, reason)` is held while the case rests."""
+        """Set up the checkpoint. The context `rest(state, reason)` is active while the case rests."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
         # Held, with what is done and whether the arm moves, also while an instrument is at its target.
@@ -91,13 +91,13 @@ class Checkpoint:
         self._abort = False
 
     def pause(self, reason: str = "the operator asked for a pause", *, firm: bool = False) -> None:
-        """Request a rest at the next checkpoint. A `firm` one, as after a stop, cannot be withdrawn."""
+        """Request a pause at the next checkpoint. A `firm` one, as after a stop, cannot be withdrawn."""
         with self._lock:
             self._pause = reason
             self.firm = self.firm or firm
 
     def withdraw_pause(self) -> bool:
-        """Withdraw a pause; return False if there is none or it is firm."""
+        """Withdraw a pause request. Return False if there is none or it is firm."""
         with self._lock:
             if self.firm:
                 return False
@@ -111,12 +111,12 @@ class Checkpoint:
 
     @property
     def wanted(self) -> bool:
-        """Whether the case is to rest at the next checkpoint."""
+        """Whether a pause or abort is requested for the next checkpoint."""
         with self._lock:
             return self._abort or self._pause is not None
 
     def here(self, point: str) -> None:
-        """Rest here if a rest is requested or a guard is unmet.
+        """Rest here if requested or if a guard is unmet.
 
         Raises PRO-004 when the case is to end, and PRO-017 when a guard is not restored and the operator
         leaves the step.
@@ -127,7 +127,7 @@ class Checkpoint:
                 self._meet(guard, point)
 
     def rest_after_stop(self, what: str, redo: str) -> None:
-        """Rest after an external stop of a motion; return when the motion is to be replanned.
+        """Rest after a motion was stopped externally, and return when it is to be replanned.
 
         Raises PRO-004, PRO-017.
         """

@@ -1,4 +1,4 @@
-"""Questions to the operator, tasks for the room's staff, and the interfaces of both.
+"""Questions to the operator, tasks for the room staff, and the interfaces for both.
 
 A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
 never continues. Only one of the listed words answers; anything else is asked again.
@@ -18,7 +18,7 @@ from ronna_hw.text import strip_unit
 
 
 class Topic(StrEnum):
-    """Topics of questions, combined with a trajectory where applicable, such as `approach:T1`."""
+    """Question topics, combined with a trajectory where applicable, such as `approach:T1`."""
 
     PATIENT = "patient"  # that this is the patient and the plan
     RESUME = "resume"  # what was found again after a restart
@@ -84,7 +84,7 @@ FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DU
 
 
 class Evidence(BaseModel):
-    """Table of evidence for a question, as displayed text with units."""
+    """Table of evidence for a question, as display text with units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -99,7 +99,7 @@ READ, NOBODY = "read", "nobody"  # to a question for readings
 
 @dataclass(frozen=True)
 class ReadBack:
-    """Value to type after the first answer as proof of having read it.
+    """Value to be typed after the first answer, as proof that it was read.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
     `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
@@ -113,17 +113,17 @@ class ReadBack:
     unit: str = ""
 
     def fits(self, typed: str) -> bool:
-        """Whether the typed text matches the value, ignoring case and surrounding space."""
+        """Return whether the typed text matches the value, ignoring case and surrounding whitespace."""
         return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
 def _record_nothing() -> None:
-    """Record nothing."""
+    """Do nothing, as the default for `misread`."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """Signature of a console answer: the person's name and the digest of the displayed question."""
+    """Signature of an answer from the console: the person's name and the digest of the question shown."""
 
     by: str
     session: str
@@ -132,7 +132,7 @@ class Signature:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a question: its word and accompanying data."""
+    """Answer to a question: the chosen answer and accompanying data."""
 
     word: str
     typed: str | None = None  # what was read back
@@ -142,7 +142,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Question:
-    """Question to the operator. The first of `answers` continues; the last is assumed on silence.
+    """Question to the operator. The first of `answers` continues; the last is assumed on timeout.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
     value was read back. `number` counts the questions of a run; `evidence` is shown with the value. With
@@ -164,26 +164,26 @@ class Question:
 
     @property
     def name(self) -> str:
-        """Stable name for answer files: topic and, if any, trajectory."""
+        """Stable name for use in answer files: the topic and any trajectory."""
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
 
     @property
     def deliberate(self) -> bool:
-        """Whether the continuing answer moves the arm or accepts a result, so no slip may give it."""
+        """Whether continuing moves the arm or accepts a result, and so must not be possible by accident."""
         return self.topic in DELIBERATE
 
     @property
     def silence(self) -> str:
-        """Answer assumed on silence."""
+        """Answer assumed on timeout."""
         return self.answers[-1]
 
     def is_misread(self, answer: Answer) -> bool:
-        """Whether a continuing answer came with a wrong read-back value."""
+        """Return whether a continuing answer came with an incorrect read-back value."""
         typed = answer.typed if answer.word == self.answers[0] else None
         return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
 
     def why_refused(self, answer: Answer) -> str:
-        """Return why an answer does not count; empty if it does."""
+        """Return why an answer is refused, or an empty string if it is valid."""
         if answer.word not in self.answers:
             return f"{answer.word!r} is not an answer"
         if answer.word != self.answers[0]:
@@ -199,22 +199,22 @@ class Question:
 
 
 class Operator(Protocol):
-    """Operator interface: the person or script that decides."""
+    """Operator interface, implemented by the person or script that decides."""
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer to a question, or its last answer on timeout."""
+        """Return the answer to a question, or the question's last answer on timeout."""
         ...
 
 
 def join_answers(answers: Sequence[str]) -> str:
-    """Join answers for display, such as `yes or no`, quoting answers of several words."""
+    """Join answers for display, such as `yes or no`, quoting multi-word answers."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
 
 
 @dataclass(frozen=True)
 class Task:
-    """Task for the room's staff, named as in `ronna_hw.wire.room_tasks`, with the readings it yields.
+    """Task for the room staff, named as in `ronna_hw.wire.room_tasks`, and the readings it yields.
 
     `numbers` are needed for it; `reads` names each reading, such as `depth stop in mm`, and `plausible_mm` is
     its possible range.
@@ -229,7 +229,7 @@ class Task:
 
 
 def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
-    """Return why a reading must be mistyped; empty if it is plausible."""
+    """Return why a reading looks mistyped, or an empty string if it is plausible."""
     low, high = plausible_mm or (-math.inf, math.inf)
     if low <= reading <= high:
         return ""
@@ -238,10 +238,10 @@ def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
 
 
 class Room(Protocol):
-    """Interface of the room's staff, who change tools, work on the patient and follow the steps."""
+    """Interface of the room staff, who change tools, work on the patient and follow the steps."""
 
     def announce(self, step: str) -> None:
-        """Announce the running step, such as `at_target:T1`."""
+        """Announce the step being run, such as `at_target:T1`."""
         ...
 
     def change_tool(self, number: int, description: str) -> None:
@@ -249,9 +249,9 @@ class Room(Protocol):
         ...
 
     def prepare_stand(self, holds: str) -> None:
-        """Put the ball or divot on the calibration stand. The step then requests confirmation."""
+        """Place the ball or divot on the calibration stand. The step then requests confirmation."""
         ...
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Do the task and return its readings, empty if nobody does it. The step requests confirmation."""
+        """Perform the task and return its readings, empty if not done. The step requests confirmation."""
         ...

@@ -1,1 +1,1 @@
-"""The plan and its checks before any motion: CT, reach, paths, cart position, markers."""
+"""The plan and its pre-motion checks: CT, reach, paths, cart position, markers."""

@@ -1,4 +1,4 @@
-"""Map of cart positions from which the plan can be executed, and the best of these positions.
+"""Map of cart positions from which the plan can be executed, and choice of the best position.
 
 Positions on a grid are judged in separate processes, refined where positions that serve meet others. A square
 is reachable if all its corners serve; squares at the edge are halved twice. The map therefore errs on the
@@ -41,7 +41,7 @@ REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 @dataclass(frozen=True, eq=False)
 class PlaceMap:
-    """Map around the assumed position: `verdicts` by grid node, `allowed` (n, n) by square, x first.
+    """Map around the assumed position, with `verdicts` by grid node and `allowed` (n, n) by square, x first.
 
     The cart is rotated by `turn_rad` from its assumed orientation everywhere.
     """
@@ -53,17 +53,17 @@ class PlaceMap:
 
     @property
     def within_mm(self) -> float:
-        """Half width of the map."""
+        """Half-width of the map."""
         return self.half * FINEST_MM
 
     def allows(self, x_mm: float, y_mm: float) -> bool:
-        """Return whether the map allows a position; positions outside the map are not allowed."""
+        """Return whether the map allows a position. Positions outside the map are not allowed."""
         i, j = (int(np.floor(value / FINEST_MM)) + self.half for value in (x_mm, y_mm))
         is_inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
         return is_inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """Return the position farthest from unsuitable ones and its tolerance in mm; None without any."""
+        """Return the position farthest from unsuitable ones and its tolerance in mm, or None."""
         if not self.allowed.any():
             return None
         # nothing is known beyond the map
@@ -146,7 +146,7 @@ def map_places(
 
 
 def _inner_neighbours(node: Node) -> list[Node]:
-    """Return the neighbours on the coarsest grid, nearest first."""
+    """Return the neighbours on the coarsest grid, closest first."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
     return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]
@@ -163,7 +163,7 @@ def _middles(i: int, j: int, size: int) -> list[Node]:
 
 @contextmanager
 def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
-    """Provide a judge of many positions. `workers` 1 uses this process, None all processors.
+    """Provide a judge for many positions. `workers` 1 uses this process, None all processors.
 
     Raises PRC-001 when the processes halt.
     """
@@ -187,7 +187,7 @@ def _judge(case: CartCase, requests: Sequence[Request]) -> list[Verdict]:
 
 @dataclass(frozen=True, eq=False)
 class PlaceProposal:
-    """Proposed offset of the cart from its assumed position, with tolerance.
+    """Proposed offset of the cart from its assumed position, and its tolerance.
 
     `free_mm` in any direction; or half of that plus a further rotation by `turns_deg` (negative, positive).
     """
@@ -203,7 +203,7 @@ class PlaceProposal:
         return self.places.verdicts[(0, 0)]
 
     def as_payload(self) -> dict[str, Any]:
-        """Return plain values for a file or a script; map rows run along x, starting at the lowest y."""
+        """Return plain values for a file or script, with map rows along x from the lowest y."""
         places = self.places
         return {
             "best_mm": [self.best.x_mm, self.best.y_mm],
@@ -264,7 +264,7 @@ def _shift_place(best: CartMove, step_mm: float, way: tuple[float, float], turn_
 
 
 def draw_place(found: PlaceProposal, case: CartCase) -> bytes:
-    """Draw an SVG of the reachable area, the assumed position, and the best position with its tolerance."""
+    """Draw the reachable area, the assumed position, and the best position with its tolerance, as SVG."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Judge by the rules of the path check whether the whole procedure can be executed from a cart position."""
+"""Assessment of whether the whole procedure can be executed from a cart position."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CartMove:
 
 @dataclass(frozen=True)
 class PlaceSolution:
-    """Solution at a cart position: the arm's branch, and the turn of each trajectory about its axis."""
+    """Solution at a cart position: the arm branch, and each trajectory's turn about its axis."""
 
     branch: Branch
     turns_rad: tuple[tuple[str, float], ...]
@@ -57,7 +57,7 @@ class PlaceSolution:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a cart position: the solution, or the first pose that fails, with the reason."""
+    """Verdict on a cart position: the solution, or the first failing pose and the reason."""
 
     found: PlaceSolution | None
     pose: str = ""
@@ -71,7 +71,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class CartCase:
-    """Arm at the assumed cart position, with scene and task.
+    """Arm at the assumed cart position, with the scene and the task.
 
     Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
     `stereo_from_marker` that of the frame on the arm.
@@ -86,7 +86,7 @@ class CartCase:
     stereo_from_marker: Transform | None = None
 
     def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
-        """Judge a position. Known solutions are tried first; then, with `search`, all others."""
+        """Judge a position. Known solutions are tried first, then all others if `search` is set."""
         setting = self.setting_at(move)
         hidden = self._find_hidden(setting, move)
         if hidden:
@@ -125,7 +125,7 @@ class CartCase:
         return check_branch(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _find_unreachable(self, setting: ArmSetting) -> Verdict | None:
-        """Find the first axis with a pose that is unreachable at every turn, cheaply before the search."""
+        """Find the first axis with a pose unreachable at every turn, as a cheap check before the search."""
         start_branch = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(start_branch)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
@@ -151,7 +151,7 @@ class CartCase:
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
-        """Raise ARM-001 to ARM-003 for a pose or an approach that no branch reaches."""
+        """Raise ARM-001 to ARM-003 for a pose or approach that no branch can reach."""
         visits: list[Visit] = [build_target_visit(setting, one) for one in axis.targeted]
         if setting.strategy.localizes_per_trajectory and not _depends_on_branch(setting):
             start_branch = setting.kinematics.branch_of(setting.start_rad)
@@ -165,7 +165,7 @@ class CartCase:
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
     def _find_hidden(self, setting: ArmSetting, move: CartMove) -> str:
-        """Describe the frame or the spheres that the arm at home hides from the tracker; empty if none."""
+        """Describe the frame or spheres hidden from the tracker by the arm at home, or return ''."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
@@ -184,7 +184,7 @@ class CartCase:
 
 
 def _depends_on_branch(setting: ArmSetting) -> bool:
-    """Whether the strategy's orientations depend on the branch, so that other branches must be examined."""
+    """Return whether the strategy's orientations depend on the branch, so that all branches must be tried."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 

@@ -1,4 +1,4 @@
-"""Errors of plans, PLAN-001 to PLAN-029, and of the tool records they use, TOOL-002 and TOOL-003.
+"""Errors in plans, PLAN-001 to PLAN-029, and in tool records, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -12,25 +12,25 @@ from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaEr
 
 
 class PlanUnreadable(ConfigurationError):
-    """The plan file is missing, not readable or not TOML."""
+    """The plan file is missing, unreadable or not valid TOML."""
 
     code = "PLAN-001"
     action = "Give the path of a readable plan.toml, or correct the line that is quoted."
 
 
 class PlanError(DataError):
-    """Base of all errors inside a plan."""
+    """Base class of all errors in a plan."""
 
 
 class PlanMistakes(PlanError):
-    """The plan has invalid keys or values, or several kinds of mistakes; the message lists all."""
+    """The plan has invalid keys or values, or several kinds of mistakes, all listed in the message."""
 
     code = "PLAN-002"
     action = "Correct every line listed; docs/reference/plan-file.md describes every key."
 
 
 class WrongSeries(PlanError):
-    """The plan was made on a different CT series."""
+    """The plan belongs to a different CT series."""
 
     code = "PLAN-003"
     action = "Load the series that the plan was made on, or re-plan on this one."
@@ -44,14 +44,14 @@ class BadTrajectoryGeometry(PlanError):
 
 
 class DuplicateTrajectory(PlanError):
-    """Two trajectories have the same id, so neither can be identified."""
+    """Two trajectories have the same id and cannot be told apart."""
 
     code = "PLAN-005"
     action = "Give every trajectory a unique id."
 
 
 class OutsideField(PlanError):
-    """An entry or a target lies outside the CT."""
+    """An entry or target is outside the CT."""
 
     code = "PLAN-006"
     action = "Check the coordinates: LPS millimetres of this series, not of another frame or in RAS."
@@ -75,14 +75,14 @@ class WrongMarkerCount(PlanError):
 
 
 class WrongOrientation(PlanError):
-    """The CT was taken in a different patient position from the one in the plan."""
+    """The CT was acquired in a different patient position from the plan's."""
 
     code = "PLAN-009"
     action = "First find out which is right: left and right may be swapped."
 
 
 class NotIntoHead(PlanError):
-    """According to the CT, a trajectory does not lead from outside the head to a target inside it."""
+    """A trajectory does not lead from outside the head to a target inside it, judging by the CT."""
 
     code = "PLAN-011"
     action = "Check entry and target in the CT: they may be swapped, or given in RAS."
@@ -96,7 +96,7 @@ class UnknownTool(PlanError):
 
 
 class NotTheFrame(PlanError):
-    """The CT does not show the x-shaped frame that the plan names, or only part of it."""
+    """The CT shows only part of the planned x-shaped frame, or none of it."""
 
     code = "PLAN-013"
     action = 'Check the spheres in the CT; for single spheres on screws, set fiducials = "free".'
@@ -110,7 +110,7 @@ class NoHeadInCt(PlanError):
 
 
 class NoTemplate(PlanError):
-    """No positions on the head have distances that differ by the requested margin."""
+    """No set of positions on the head has distances that differ by the requested margin."""
 
     code = "PLAN-015"
     action = "Ask for a smaller --margin or for three markers."
@@ -131,35 +131,35 @@ class NotTheTemplate(PlanError):
 
 
 class StandoffInsideSkin(PlanError):
-    """The stand-off would hold the guide's lower end inside the skin."""
+    """The stand-off would place the guide's lower end inside the skin."""
 
     code = "PLAN-018"
     action = "Set a larger standoff_mm; also check the entry in the CT."
 
 
 class StopBeyondInstrument(PlanError):
-    """The depth stop would be beyond the end of the instrument."""
+    """The depth stop would be past the end of the instrument."""
 
     code = "PLAN-019"
     action = "Plan with a longer instrument or a smaller standoff_mm."
 
 
 class NoPlace(RefusedError):
-    """The whole plan cannot be carried out from any cart position examined."""
+    """None of the cart positions examined allows the whole plan to be executed."""
 
     code = "PLAN-020"
     action = "Search farther with --within, or change the head position, the free angles or the --strategy."
 
 
 class NoMarkerSites(PlanError):
-    """The head has no room for that many markers clear of the trajectories."""
+    """The head has no room for that many markers away from the trajectories."""
 
     code = "PLAN-021"
     action = "Ask for fewer --markers, or move an entry point."
 
 
 class PlaceUnfit(PlanError):
-    """The file of the proposed cart position cannot be read, or was made for another CT."""
+    """The file with the proposed cart position is unreadable or belongs to another CT."""
 
     code = "PLAN-022"
     action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or remove it from the case folder."
@@ -173,14 +173,14 @@ class AlteredPlan(PlanError):
 
 
 class OtherVoxels(PlanError):
-    """The CT has the UID of the plan's series but different voxels."""
+    """The CT has the plan's series UID but different voxels."""
 
     code = "PLAN-024"
     action = "Find out which CT is the patient's; re-plan on the one that is used."
 
 
 class PlanNotSaved(ConfigurationError):
-    """The plan could not be written."""
+    """The plan cannot be saved."""
 
     code = "PLAN-025"
     action = (
@@ -189,7 +189,7 @@ class PlanNotSaved(ConfigurationError):
 
 
 class PlanInUse(RefusedError):
-    """A case is running on the plan, a run has stored it, or another planner has it open."""
+    """The plan is used by a running case, part of a run folder, or open in another planner."""
 
     code = "PLAN-026"
     action = "You can still view it; save it when the case has ended, or under another --plan."
@@ -203,7 +203,7 @@ class NearStructure(PlanError):
 
 
 class StructureUnreadable(PlanError):
-    """The file of a structure's points cannot be used."""
+    """The file with a structure's points cannot be used."""
 
     code = "PLAN-028"
     action = "Give CSV rows or a JSON list of L, P, S in mm, or a 3D Slicer point list, of at most 1 MB."
@@ -217,21 +217,21 @@ class UnsavedChanges(PlanError):
 
 
 class NoToolRecord(ConfigurationError):
-    """The theatre file lacks a tool record that the case needs, or has one that contradicts the others."""
+    """The theatre file lacks a required tool record or has an inconsistent one."""
 
     code = "TOOL-002"
     action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
 
 
 class ForeignTool(RefusedError):
-    """A tool record was made on another flange, or with a tip calibration other than the one in use."""
+    """A tool record refers to another flange, or to a tip calibration other than the one in use."""
 
     code = "TOOL-003"
     action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
-    """Raise nothing for no findings, the finding itself for a single one, or one error that lists several."""
+    """Raise a single finding as it is, or several combined into one error. Do nothing if there are none."""
     if not findings:
         return
     if len(findings) == 1:

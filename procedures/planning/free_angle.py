@@ -1,4 +1,4 @@
-"""Choice of a trajectory's free angle: turns about the axis until all spheres are visible and reachable.
+"""Choice of free angles about the trajectory axes that make all spheres visible and all poses reachable.
 
 Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used, or
 else the clearest. If none serves, smaller steps are tried next to turns that lack only a little clearance.
@@ -41,7 +41,7 @@ BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
 
 @dataclass(frozen=True)
 class TurnedPaths:
-    """Paths along the turned axes; `turns_rad` holds the deviation of each from the planned angle."""
+    """Paths along the turned axes, with `turns_rad` relative to the planned angles."""
 
     check: PathCheck
     axes: Axes
@@ -51,7 +51,7 @@ class TurnedPaths:
 def choose_free_angles(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> TurnedPaths:
-    """Find an angle for each axis so that every sphere is visible and one branch reaches every pose.
+    """Find an angle for each axis that makes all spheres visible and all poses reachable in one branch.
 
     Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState`) is
     preferred to one that merely passes. If there is none, `check` lists what fails at the planned angles, or
@@ -93,7 +93,7 @@ def choose_free_angles(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for suitable turns, holding its constant inputs; fiducials (n, 3) in CT coordinates, mm."""
+    """Search for suitable turns, with its constant inputs. Fiducials (n, 3) are in CT coordinates, mm."""
 
     setting: ArmSetting
     fiducials_mm: Array
@@ -102,7 +102,7 @@ class _Search:
     def in_branch(
         self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
     ) -> TurnedPaths | None:
-        """Find turns that work together in this branch, each axis's best tried first, or None."""
+        """Find turns that work together in this branch, trying each axis's best first, or return None."""
         ranked = {name: self._search_turns(axes.only(name), turns, branch) for name, turns in options.items()}
         chosen: dict[str, float] = {}
         for name, turns in ranked.items():
@@ -124,7 +124,7 @@ class _Search:
                 chosen[name] = other
 
     def _search_turns(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
-        """Yield the suitable turns in this branch, then intermediate turns next to near misses."""
+        """Yield the suitable turns in this branch, then intermediate ones next to near misses."""
         near_misses = yield from self._rank_turns(axis, turns, branch)
         between = (
             turn for turn in intermediate_turns_rad(near_misses) if not self.hidden(_turn(axis, turn), branch)
@@ -134,7 +134,7 @@ class _Search:
     def _rank_turns(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
-        """Yield the suitable turns in this branch: good wrists in order, then the others, best first.
+        """Yield the suitable turns in this branch: those with a good wrist in order, then the best others.
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
@@ -156,7 +156,7 @@ class _Search:
         return near_misses
 
     def find_visible_turns(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
-        """Find the turns at which every sphere is visible, by axis and in the strategy's order.
+        """Find the turns that make every sphere visible, by axis and in the strategy's order.
 
         Usually the first will do, and checking the others takes most of the time: each is computed on demand.
         """
@@ -188,7 +188,7 @@ def _turn(axis: Axes, turn_rad: float) -> Axes:
 
 @dataclass(frozen=True)
 class WristState:
-    """Smallest wrist bend over all poses and approaches, and largest wrist turn between target and spheres.
+    """Smallest wrist bend over all poses and approaches, and largest wrist rotation from sphere to target.
 
     A whole turn counts as a change: the arm would have to make it in between.
     """
@@ -198,7 +198,7 @@ class WristState:
 
     @classmethod
     def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
-        """Evaluate the poses of one trajectory. The check must have reached its target."""
+        """Evaluate the poses of one trajectory from a check that has reached its target."""
         turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
         for one in check.reached:
             turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
@@ -216,7 +216,7 @@ class WristState:
 
     @property
     def is_good(self) -> bool:
-        """Whether the wrist is clear of its singularity, with one configuration at spheres and target."""
+        """Whether the wrist avoids its singularity and keeps one configuration at spheres and target."""
         return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
 
 
@@ -227,7 +227,7 @@ def find_alternatives(
     sight: StereoSight,
     tried: Collection[str] = (),
 ) -> tuple[Strategy, ...]:
-    """Find strategies that make this trajectory alone visible, reachable and clear, best first.
+    """Find strategies under which this trajectory alone would be visible, reachable and clear, best first.
 
     The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
@@ -245,7 +245,7 @@ def find_alternatives(
 
 
 def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """Find the trajectories that a check does not reach, each with its first reason.
+    """Find the trajectories that failed a path check, each with its first reason.
 
     A failure that belongs to none of them, such as in a neutral orientation, applies to all.
     """
@@ -260,7 +260,7 @@ def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict
 
 
 def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Recommend strategies that would reach the trajectories; None, for the usual advice, if none would."""
+    """Recommend strategies that would reach the trajectories, or return None if none would."""
     reaching = [
         f"{name} by {' or '.join(one.name for one in others)}"
         for name, others in alternatives_by_trajectory.items()
@@ -274,7 +274,7 @@ def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str 
 
 
 def _is_target_reachable(setting: ArmSetting, trajectory: Trajectory) -> bool:
-    """Whether the guide reaches the target at any angle in any branch."""
+    """Return whether the guide can reach the target at any angle in any branch."""
     return any(
         check_branch(setting, target, (), branch, first_only=True).passed
         for branch in setting.kinematics.branches

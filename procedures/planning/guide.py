@@ -1,4 +1,4 @@
-"""The guide in front of an entry: where it stops, the depth stop, and the guide's share of the target error.
+"""Guide position in front of an entry, depth stop, and the guide's contribution to the target error.
 
     upper end of the bore            lower end      skin          target
             |--------- length ---------|-- stand-off --|--- depth ---|
@@ -29,23 +29,23 @@ SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard 
 
 
 def place_guide(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
-    """Add the position of the held guide's tip frame to a trajectory."""
+    """Add the guide's rest position to a trajectory."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
     return planned.trajectory.with_rest(beyond_mm, plan.standoff_mm)
 
 
 def place_guides(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
-    """Add the positions of the held guide to all trajectories of a plan."""
+    """Add the guide's rest position to all trajectories of a plan."""
     return tuple(place_guide(plan, one, bore) for one in plan.trajectories)
 
 
 def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
-    """Return the distance from the instrument's tip to its depth stop, which rests on the guide, in mm."""
+    """Return the distance in mm from the instrument's tip to its depth stop, which rests on the guide."""
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
 def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """Yield trajectories whose depth stop would be beyond the instrument's end, with its position in mm."""
+    """Yield trajectories whose depth stop would be past the instrument's end, with its position in mm."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:
@@ -55,7 +55,7 @@ def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[Planned
 def instrument_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, with_rest: Array
 ) -> Array:
-    """Return the covariance (3, 3) at the target from play and depth setting; guide orientation (3, 3)."""
+    """Return the target covariance (3, 3) due to play and depth setting, for a guide orientation (3, 3)."""
     share = (plan.standoff_mm + planned.depth_mm) / bore.length_mm  # in bore lengths beyond its lower end
     across_mm2 = (bore.play_mm / 4.0) ** 2 * ((1.0 + share) ** 2 + share**2)
     return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ with_rest.T)
@@ -64,7 +64,7 @@ def instrument_covariance_mm2(
 def direction_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, bore_error_rad: float, with_rest: Array
 ) -> Array:
-    """Return the covariance (3, 3) at the target from the bore's direction error (standard deviation)."""
+    """Return the target covariance (3, 3) due to the bore's direction error (1 sigma)."""
     lever_mm = place_guide(plan, planned, bore).beyond_mm
     across_mm2 = (bore_error_rad * lever_mm) ** 2 / 2.0
     return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, 0.0]) @ with_rest.T)

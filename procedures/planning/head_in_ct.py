@@ -1,4 +1,4 @@
-"""The head in the CT: its shape as an obstacle, trajectories into it, and their angles to the skull.
+"""The head in the CT: its shape as an obstacle, entry path checks, and trajectory angles to the skull.
 
 The shape is one ellipsoid around everything denser than air and thick enough. Thin objects (posts and cables,
 the shell of a headrest, the tips of ears) are removed first, so that they do not inflate it.
@@ -50,13 +50,13 @@ SAME_BONE_MM = 15.0  # along the trajectory, from where the central ray meets bo
 
 
 class HeadEllipsoid(Strict):
-    """Ellipsoid around the head in CT coordinates."""
+    """Ellipsoid enclosing the head, in CT coordinates."""
 
     centre_mm: Numbers3 = Field(description="Its centre, LPS.")
     semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
 
     def side_of(self, entry_mm: Numbers3, target_mm: Numbers3) -> str:
-        """Return the patient's side of a trajectory: `right`, or `left to right` if it crosses over."""
+        """Return the side of a trajectory: `left`, `middle` or `right`, or such as `left to right`."""
         return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
 
     def _side(self, x_mm: float) -> str:
@@ -67,7 +67,7 @@ class HeadEllipsoid(Strict):
 
 
 def fit_head(volume: Volume) -> HeadEllipsoid:
-    """Fit the smallest axis-aligned ellipsoid around the whole head. Raises PLAN-014.
+    """Fit the smallest axis-aligned ellipsoid enclosing the whole head. Raises PLAN-014.
 
     A head cut off by the CT is used as far as the CT shows it.
     """
@@ -97,7 +97,7 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
-    """Return centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid around points (n, 3).
+    """Return centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid enclosing points (n, 3).
 
     Convex in reciprocal axes and scaled centre: min -sum(log b) under |b p - d| <= 1 (Boyd & Vandenberghe,
     Convex Optimization, 8.4.1). Not simply the bounding box: half a head is not a small whole one.
@@ -136,7 +136,7 @@ def _to_numbers3(values: Any) -> Numbers3:
 
 
 def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
-    """Check whether a trajectory leads into the head; return a finding or None, and a warning or ''.
+    """Check whether a trajectory leads into the head. Return any finding, and a warning or ''.
 
     Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
     is a warning, as is an entry out in the air.
@@ -152,7 +152,7 @@ def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[Not
 
 
 def _find_entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
-    """List the problems of a trajectory; also return whether the line before its entry is outside the CT."""
+    """List problems of a trajectory, and return whether the path before its entry is outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
     problems = []
@@ -173,7 +173,7 @@ def _find_entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[l
 
 
 def _warn_far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
-    """Return a warning if the entry is more than `OFF_SKIN_MM` in front of the skin; else ''."""
+    """Return a warning if the entry is more than `OFF_SKIN_MM` in front of the skin, otherwise ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
     off_mm = _first_run_mm(steps, sample_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
@@ -188,7 +188,7 @@ def _warn_far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
 def check_standoff(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
-    """Return a finding if the guide at this stand-off would end inside the skin; else None.
+    """Return a finding if this stand-off would place the guide's end inside the skin, otherwise None.
 
     Unknown if the CT ends before the skin does.
     """
@@ -207,7 +207,7 @@ def check_standoff(
 
 
 def sample_hu(volume: Volume, points_mm: ArrayLike) -> Array:
-    """Return the HU at points (n, 3), LPS mm, by nearest voxel. Points outside the CT are dropped."""
+    """Sample HU at points (n, 3) in LPS mm by nearest voxel, dropping points outside the CT."""
     index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
     mask = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
     return np.asarray(volume.voxels[tuple(index[mask].T)], dtype=float)
@@ -218,7 +218,7 @@ def _steps(first_mm: float, last_mm: float) -> Array:
 
 
 def _first_run_mm(steps_mm: Array, mask: NDArray[np.bool_], length_mm: float) -> float | None:
-    """Return the start of the first run of at least this length in mm, or None."""
+    """Return the start in mm of the first run of at least this length, or None."""
     run = round(length_mm / SAMPLING_MM)
     return next((float(steps_mm[k]) for k in range(len(mask) - run + 1) if mask[k : k + run].all()), None)
 
@@ -230,7 +230,7 @@ def _ball_offsets() -> Array:
 
 
 def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
-    """Return the angle of a trajectory to the skull's surface, pi/2 if perpendicular; None without bone."""
+    """Return a trajectory's angle to the skull surface, pi/2 if perpendicular, or None without bone."""
     axis = np.asarray(trajectory.axis_ct, dtype=float)
     side = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     side /= np.linalg.norm(side)
@@ -253,7 +253,7 @@ def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
 
 
 def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
-    """Return the distance along a ray to the first bone, mm; NaN without bone or beyond the CT."""
+    """Return the distance along a ray to the first bone in mm, or NaN without bone or outside the CT."""
     last = np.array(volume.geometry.shape) - 0.5
     index = volume.geometry.to_index(places_mm)
     mask = np.all((index > -0.5) & (index < last), axis=1)

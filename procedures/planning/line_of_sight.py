@@ -38,18 +38,18 @@ FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its ori
 
 @dataclass(frozen=True)
 class StereoSight:
-    """Positions of the two cameras in the tool frame, mm."""
+    """Camera positions in the tool frame, mm."""
 
     left_mm: Array
     right_mm: Array
 
     @classmethod
     def of(cls, calibration: StereoHeadCalibration) -> Self:
-        """Read the camera positions from the calibration record of the stereo head."""
+        """Derive the camera positions from the stereo head's calibration record."""
         return cls(_projection_centre(calibration.left), _projection_centre(calibration.right))
 
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
-        """List localizations at which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
+        """List localizations with a neighbour touching the sphere's outline. Spheres (n, 3) are in robot mm.
 
         Row k of the spheres is the one measured by a visit with `fiducial` k.
         """
@@ -67,7 +67,7 @@ class StereoSight:
 
 
 def _projection_centre(camera: CameraCalibration) -> Array:
-    """Return the projection centre in the tool frame, for either camera."""
+    """Return the projection centre of either camera in the tool frame."""
     return camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse().translation_mm
 
 
@@ -84,13 +84,13 @@ def _find_touching(camera_mm: Array, spheres_mm: Array, index: int) -> int | Non
 
 @dataclass(frozen=True)
 class TrackerSight:
-    """Tracker at the pose found by global localization; `spheres_mm` (n, 3) in the tracker frame."""
+    """Tracker pose from global localization, and `spheres_mm` (n, 3) in the tracker frame."""
 
     robot_from_tracker: Transform
     spheres_mm: Array
 
     def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> NDArray[np.bool_]:
-        """Flag the spheres (n,) that both sensors see past the arm and its tool. Static bodies are ignored.
+        """Flag the spheres (n,) visible to both sensors past the arm and its tool, ignoring static bodies.
 
         The head hid none of them when they were localized, nor do clamp and table.
         """
@@ -109,7 +109,7 @@ class TrackerSight:
 def explain_hidden_frame(
     robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
 ) -> str:
-    """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if visible."""
+    """Explain why the tracker cannot see the frame on the arm, which faces along its z axis, or return ''."""
     marker = robot_from_tracker.inverse() @ robot_from_marker
     x_mm, y_mm, z_mm = marker.translation_mm.tolist()
     depths_mm, *halves_mm = np.transpose(VOLUME_MM)

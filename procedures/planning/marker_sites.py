@@ -1,4 +1,4 @@
-"""Marker positions on a head, for the smallest error at the planned targets or for distinct distances.
+"""Marker placement on a head for the smallest error at the targets, or for distinct distances.
 
 Markers serve a target best if their centroid is near it and they are far from the principal axes through it:
 eq. 39. For comparison, freehand choices are drawn at random over the same skin. The arm's own errors, which
@@ -84,7 +84,7 @@ class ProposedMarkers(Strict):
 
 @dataclass(frozen=True)
 class FurtherMarker:
-    """Best position for one more marker, with the rms error at each target before and after, in mm."""
+    """Best position for one additional marker, with the rms error at each target before and after, in mm."""
 
     centre_mm: Numbers3
     targets: tuple[tuple[str, float, float], ...]
@@ -99,7 +99,7 @@ def propose_markers(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> ProposedMarkers:
-    """Propose positions for `count` spheres with the smallest mean square error over the targets.
+    """Propose positions for `count` spheres that minimize the mean square error over the targets.
 
     On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
@@ -146,7 +146,7 @@ def propose_further(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> FurtherMarker:
-    """Find the best position for one marker besides those at `present_mm` (n, 3). Raises PLAN-021."""
+    """Find the best position for one marker in addition to `present_mm` (n, 3). Raises PLAN-021."""
     centres, _ = _find_free_sites(head, trajectories, volume, np.random.default_rng(seed))
     is_apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
     if not is_apart.any():
@@ -174,7 +174,7 @@ def propose_template(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> MarkerTemplate:
-    """Propose positions for `markers` spheres (3 or 4) whose distances differ by at least `margin_mm`.
+    """Propose positions for 3 or 4 spheres whose mutual distances differ by at least `margin_mm`.
 
     On the skin shown by the CT, or on the ellipsoid without one. Raises PLAN-015 with the
     largest margin found.
@@ -212,14 +212,14 @@ def _find_free_sites(
     volume: Volume | None,
     random: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Find positions on the skin clear of the trajectories, with the directions of their posts."""
+    """Find skin positions clear of the trajectories, and the directions of their posts."""
     centres, posts = list_sites(head, volume, random)
     free = np.array([is_clear_of(trajectories, one) for one in centres], dtype=bool)
     return centres[free], posts[free]
 
 
 def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Move single markers to other positions until the error no longer decreases."""
+    """Relocate one marker at a time until the error no longer decreases."""
 
     def cost(points: Array) -> Array:
         return np.asarray(np.square(tre_principal_axes_mm(targets, points, 1.0)).sum(axis=-1))
@@ -241,7 +241,7 @@ def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64])
 
 
 def mark_allowed(points: Array) -> NDArray[np.bool_]:
-    """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
+    """Flag marker sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
     good = distances[:, 0] >= APART_MM
@@ -251,7 +251,7 @@ def mark_allowed(points: Array) -> NDArray[np.bool_]:
 
 
 def is_clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
-    """Whether a position is clear of every trajectory's line."""
+    """Return whether a position is clear of every trajectory's axis."""
     offsets = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
     return all(
         np.linalg.norm(offset - (offset @ axis) * axis) >= CLEAR_OF_PATH_MM for offset, axis in offsets
@@ -261,7 +261,7 @@ def is_clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
 def list_sites(
     head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator
 ) -> tuple[Array, Array]:
-    """List possible sphere centres (s, 3) and the directions of their posts (s, 3)."""
+    """List possible sphere centres (s, 3) and their post directions (s, 3)."""
     axes, middle = np.array(head.semi_axes_mm), np.array(head.centre_mm)
     directions = _cap_directions(random)
     skin = directions / np.linalg.norm(directions / axes, axis=1, keepdims=True)
@@ -276,7 +276,7 @@ def list_sites(
 
 
 def _cap_directions(random: np.random.Generator) -> Array:
-    """Draw directions (s, 3), uniform over the cap."""
+    """Draw directions (s, 3) uniformly over the cap."""
     cosine = random.uniform(np.cos(CAP_HALF_ANGLE_RAD), 1.0, SITES)
     turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
     axis = np.array(CAP_AXIS) / np.linalg.norm(CAP_AXIS)
@@ -289,7 +289,7 @@ def _cap_directions(random: np.random.Generator) -> Array:
 
 
 def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
-    """Return the distance outwards from a point to the skin, mm; NaN without skin or if it is covered."""
+    """Return the outward distance from a point to the skin in mm, or NaN if it is missing or covered."""
     side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
     side /= np.linalg.norm(side)
     turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
@@ -300,7 +300,7 @@ def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
 
 
 def _first_solid_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
-    """Return the distance outwards from a point to the first object thicker than a sheet, mm; or NaN."""
+    """Return the outward distance in mm from a point to the first object thicker than a sheet, or NaN."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
     hu = sample_hu(volume, start_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):
@@ -317,7 +317,7 @@ class _Target(Strict):
 
 
 class _Head(Strict):
-    """Head table of a simulator scene file; other keys are ignored."""
+    """`[head]` table of a simulator scene file. Other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -327,7 +327,7 @@ class _Head(Strict):
 
 
 def read_scene_head(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
-    """Read the head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 without a planned target."""
+    """Read the head ellipsoid from a scene file. Raises PLAN-016, or PLAN-003 if it has no planned target."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Motions of the procedure with the mounted tool, previewed and checked for clearance.
+"""Motions of the procedure with the mounted tool, previewed and checked for collisions.
 
 A move between two approach points that is not clear goes via home if that is clear.
 """
@@ -28,7 +28,7 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 
 @dataclass(frozen=True)
 class Motion:
-    """One motion of the procedure: a joint move between named places, or a straight line at one of them.
+    """A motion of the procedure: a joint move between named positions, or a straight line at one of them.
 
     `plan` is at working speed; the arm drives it at `speed_fraction` of that. `is_cleared` says that another
     sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`).
@@ -44,7 +44,7 @@ class Motion:
 
     @property
     def kind(self) -> str:
-        """Kind of the motion: `move` (joints), `line`, or `back` (a line retraced)."""
+        """Motion type: `move` (joints), `line`, or `back` (a retraced line)."""
         if self.is_retrace:
             return BACK
         return MOVE if self.plan.target is None else LINE
@@ -52,7 +52,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class PreviewedMotion:
-    """A motion with its preview."""
+    """A motion and its preview."""
 
     motion: Motion
     preview: PathPreview
@@ -71,7 +71,7 @@ def find_unclear(
     *,
     first_only: bool = False,
 ) -> tuple[Unmet, ...]:
-    """Find the motions of a procedure that are not clear, once all poses are reached.
+    """Find motions with insufficient clearance, once all poses are reached.
 
     With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
@@ -95,7 +95,7 @@ def find_unclear(
 
 
 def check_fixed_places(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """List why home or gauge cannot be reached whatever the trajectories' angles; empty if they can."""
+    """Return why home or gauge is unreachable at any free angle, or () if both can be reached."""
     for name, joints_rad in _list_fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
@@ -119,7 +119,7 @@ def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]
 
 
 def _plan_gauge_motions(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
-    """Plan the motions of the tool check, from home to the gauge and back."""
+    """Plan the tool check motions, from home to the gauge and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
@@ -145,7 +145,7 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
 def plan_motions(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
-    """Plan the motions from home through all visits and back home."""
+    """Plan the motions from home through all visits and back."""
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
@@ -197,7 +197,7 @@ def _plan_visit(
 
 
 def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """Return the reversed line, with the same poses and speed limits."""
+    """Reverse a line, keeping its poses and speed limits."""
     start_pose = setting.kinematics.forward(line.start_rad)
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=start_pose)
 
@@ -213,7 +213,7 @@ def _plan_homing(
 
 
 def _describe_collision(motion: Motion, breach: ClosestPair, standoff_mm: float | None = None) -> str:
-    """Describe a collision; `standoff_mm` is the planned stand-off of the target at the motion's end."""
+    """Describe a collision. `standoff_mm` is the planned stand-off at the target where the motion ends."""
     lead_in = (
         "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )

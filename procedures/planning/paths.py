@@ -1,4 +1,4 @@
-"""Check that the arm can execute the whole procedure: every pose, approach and line in a single branch.
+"""Check that the arm can execute the whole procedure in a single branch, with every pose and line.
 
 Poses are checked in the order of the procedure: all localizations, then every target.
 """
@@ -47,7 +47,7 @@ def check_paths(
 
 
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """Check axes that have already been turned; otherwise like `check_paths`."""
+    """Check already turned axes; otherwise like `check_paths`."""
     best: PathCheck | None = None
     for branch in order_branches(setting, axes, fiducials_mm):
         checked = check_branch(setting, axes, fiducials_mm, branch)
@@ -59,7 +59,7 @@ def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> Path
 
 
 def order_branches(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
-    """Return the branches in order of promise for these axes."""
+    """Return the branches for these axes, most promising first."""
     own = setting.kinematics.branch_of(setting.start_rad)
     try:
         visits = list_visits(setting, axes, fiducials_mm, own)
@@ -77,7 +77,7 @@ def check_branch(
     *,
     first_only: bool = False,
 ) -> PathCheck:
-    """Solve for the joints at every pose, in order and in this branch, and list the failures.
+    """Solve for the joints at every pose in this branch, in order, and list the failures.
 
     Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
     stops at the first failure.
@@ -109,7 +109,7 @@ def check_branch(
 def _iterate_visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, unmet: list[Unmet]
 ) -> Iterator[Visit]:
-    """Yield visits in order; append to `unmet` the axes without localization poses in this branch."""
+    """Yield visits in order. Axes without localization poses in this branch are added to `unmet`."""
     for axis in axes.localized:
         try:
             yield from list_localizations(setting, axis, fiducials_mm, branch)
@@ -128,7 +128,7 @@ def _select_tool(setting: ArmSetting, visit: Visit) -> Transform:
 def rank_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
-    """Sort the branches by the number of flange poses they reach; the branch of the start wins ties.
+    """Sort the branches by the number of flange poses they reach, preferring the start's branch in a tie.
 
     Among others that reach equally many, the one whose joints stay closest to the start comes first.
     """
@@ -154,7 +154,7 @@ def solve_visit(
     near_rad: JointVector,
     limits: MotionLimits,
 ) -> Reached:
-    """Solve for the joints in `branch` at both ends of the approach line, nearest to `near_rad`.
+    """Solve for the joints nearest `near_rad` in `branch` at both ends of the approach line.
 
     Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
     within the arm's limits, or leaves no room for the joints to stand back before they settle there.

@@ -1,4 +1,4 @@
-"""Check of a plan against its CT series, the fiducials found in it, and the reach of the arm."""
+"""Check of a plan against its CT series, the fiducials found in it, and the arm's reach."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """Result of a plan check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+    """Result of a plan check. Any of the `findings` rejects the plan; `warnings` are left to the surgeon.
 
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
     each trajectory's turn about its axis, and `paths` the joints. `distances` are from every trajectory to
@@ -82,11 +82,11 @@ class PlanCheck:
         return not self.findings
 
     def require(self) -> None:
-        """Raise the only finding, or one error that lists all; nothing if there are none."""
+        """Raise the finding, or one error that lists several. Do nothing if there are none."""
         raise_together(self.findings, "the plan")
 
     def as_payload(self) -> dict[str, Any]:
-        """Return plain values for a record or a script."""
+        """Return plain values for a record or script."""
         return {
             "passed": self.passed,
             "series_instance_uid": self.plan.series_instance_uid,
@@ -171,7 +171,7 @@ def check_plan(
 
 
 def _check_series(plan: Plan, volume: Volume) -> CheckResult:
-    """Check that the plan belongs to this series and that every trajectory leads into the head."""
+    """Check that the plan belongs to this series and that every trajectory enters the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",
@@ -191,7 +191,7 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
 
 
 def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
-    """Check the patient position, and that there are enough fiducials to detect a displaced one."""
+    """Check the patient position, and warn if there are too few fiducials to detect a displaced one."""
     findings: list[RonnaError] = []
     warnings: list[str] = []
     if not volume.patient_position:
@@ -210,7 +210,7 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
 
 
 def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
-    """Check that the fiducials (n, 3) in the CT have the planned number and a distinguishable layout.
+    """Check the number and layout of the fiducials (n, 3) in the CT against the plan.
 
     The x-shaped frame must be found; further spheres are reported.
     """
@@ -247,7 +247,7 @@ def _check_arm(
     arm: ArmSetting,
     sight: StereoSight | None,
 ) -> PlanCheck:
-    """Add the check of the arm's paths: findings, or turns and, with a scene, motions."""
+    """Add the path check of the arm: findings, or turns and, with a scene, motions."""
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
@@ -287,7 +287,7 @@ def _check_arm(
 
 
 def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
-    """Warn of bodies closer than the margin at the start of a motion; they must not come closer."""
+    """Warn of bodies closer than the margin at the start of a motion."""
     warnings_by_pair: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
@@ -320,7 +320,7 @@ def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
 
 
 def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
-    """Find entries and targets beyond the outer faces of the CT's outermost voxels."""
+    """Find entries and targets outside the CT, up to the outer voxel faces."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5
     for one in plan.trajectories:
@@ -342,7 +342,7 @@ def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
 
 
 def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
-    """Return whether CT fiducials (n, 3) contain a template (k, 3) in exactly one way; both in mm."""
+    """Return whether fiducials (n, 3) contain a template (k, 3) in exactly one way, both in mm."""
     found = match(
         template_mm,
         fiducials_mm,

@@ -1,4 +1,4 @@
-"""The plan file `plan.toml`: create, read, write and seal. All mistakes in a file are reported together.
+"""The plan file `plan.toml`: create, read, write and seal. Mistakes in a file are reported all at once.
 
 Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
 must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
@@ -81,7 +81,7 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
 
 
 def parse_plan_bytes(content: bytes, name: str) -> Plan:
-    """Parse the content of a plan file with this name. Raises like `read_plan`."""
+    """Parse the content of a plan file named `name`. Raises like `read_plan`."""
     return parse_plan(parse_toml_bytes(content, name, PlanUnreadable), name)
 
 
@@ -120,7 +120,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
 
 
 def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
-    """Write a plan atomically, with `notes` as comments above it. Raises PLAN-025."""
+    """Write a plan atomically, preceded by `notes` as comments. Raises PLAN-025."""
     import tomli_w
 
     head = "".join(f"# {printable(line)}\n" for line in notes)
@@ -132,7 +132,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
 
 
 def _name_item(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
-    """Replace the index of a trajectory or structure in the line by its name, or by its number."""
+    """Replace the index of a trajectory or structure in a line with its name or number."""
     match place:
         case ("trajectories" | "structures" as table, int(index), *_):
             kind, key = NAMED[table]
@@ -149,7 +149,7 @@ def _advise_missing_key(mistake: Mapping[str, Any]) -> str:
 
 
 def _count_ids(content: dict[str, Any]) -> Counter[str]:
-    """Count the trajectory ids in the raw content, since other mistakes may prevent parsing the model."""
+    """Count the trajectory ids in the raw content, since other mistakes may prevent validation."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
         return Counter()
@@ -157,7 +157,7 @@ def _count_ids(content: dict[str, Any]) -> Counter[str]:
 
 
 def find_unit_mistakes(plan: Plan) -> list[PlanMistakes]:
-    """List plan values that suggest another unit."""
+    """List plan values that suggest a unit error."""
     found = [
         PlanMistakes(
             f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
@@ -185,7 +185,7 @@ def find_unit_mistakes(plan: Plan) -> list[PlanMistakes]:
 
 
 def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
-    """List structure values that suggest another unit."""
+    """List structure values that suggest a unit error."""
     found = []
     if structure.margin_mm < LEAST_MARGIN_MM:
         found.append(
@@ -205,7 +205,7 @@ def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
 
 
 def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
-    """Return the plan with a seal. Raises pydantic's ValidationError for an invalid author."""
+    """Return the sealed plan. Raises pydantic's ValidationError for an invalid author."""
     open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
     unsealed = plan.model_copy(update={"seal": open_seal})
     return unsealed.model_copy(
@@ -214,13 +214,13 @@ def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
 
 
 def require_unaltered(plan: Plan, name: str) -> None:
-    """Raise PLAN-023 if a plan does not match its seal."""
+    """Raise PLAN-023 unless a sealed plan matches its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
         raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
 
 
 def check_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
-    """Return a finding if a sealed plan was made on different voxels; else None."""
+    """Return a finding if a sealed plan was made on different voxels, otherwise None."""
     if plan.seal is None:
         return None
     digest = ct_digest(volume)
@@ -261,7 +261,7 @@ def _plan_digest(plan: Plan) -> str:
 def compose_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """Compose the text of a new plan for the series `source`, with its spheres (n, 3) LPS mm as comments."""
+    """Compose a new plan file for the series `source`, with its spheres (n, 3) LPS mm as comments."""
     return "\n".join(_compose_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

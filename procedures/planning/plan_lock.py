@@ -1,4 +1,4 @@
-"""Locks on a plan: a running case prevents overwriting, and a planner excludes other planners."""
+"""Plan locks: a running case prevents overwriting, and a planner excludes other planners."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 @dataclass(frozen=True)
 class LockedPlan:
-    """Content of a plan file at the time a case locked it."""
+    """Content of a plan file when a case locked it."""
 
     content: bytes
 
@@ -28,7 +28,7 @@ class LockedPlan:
 
 @contextmanager
 def lock_plan(path: Path) -> Iterator[LockedPlan]:
-    """Hold a plan file for a case, shared with other cases; released however the program ends.
+    """Lock a plan file for a case, shared with other cases, until the case or its process ends.
 
     Raises PLAN-001.
     """
@@ -64,7 +64,7 @@ def plan_replacement(path: Path) -> Iterator[None]:
 
 
 def is_plan_in_use(path: Path) -> bool:
-    """Whether a running case holds this plan file."""
+    """Return whether a running case has locked this plan file."""
     try:
         file = _lock(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -76,7 +76,7 @@ def is_plan_in_use(path: Path) -> bool:
 
 
 class PlannerLock:
-    """Lock for one planner to change a plan, from the first successful `take` until `leave`."""
+    """Exclusive lock for changing a plan, from the first successful `take` until `leave`."""
 
     def __init__(self, plan: Path) -> None:
         self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
@@ -84,7 +84,7 @@ class PlannerLock:
         self._is_released = False
 
     def take(self) -> bool:
-        """Take the lock; return False if another planner holds it, True where files cannot be locked."""
+        """Acquire the lock. Return False if another planner has it, True where locking is unsupported."""
         if self._is_released:
             return False
         if self._file is None:
@@ -111,7 +111,7 @@ class PlannerLock:
 
 
 def _lock(path: Path, kind: int) -> int:
-    """Open and lock the file at this path; repeat if the file was replaced meanwhile."""
+    """Open and lock the file at this path, retrying if it was replaced meanwhile."""
     while True:
         file = _open(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -125,7 +125,7 @@ def _lock(path: Path, kind: int) -> int:
 
 
 def _open(path: Path) -> int:
-    """Open a file for writing if possible, since exclusive locks on network file systems require it."""
+    """Open a file, for writing if possible, as exclusive locks on network file systems require."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Data model of a plan: trajectories on a CT, for a patient position and a tool.
+"""Data model of a plan: trajectories on a CT, patient position, and tool.
 
 Strict: unknown keys are errors, and nothing that decides side or patient has a default.
 """
@@ -43,7 +43,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PatientPosition(StrEnum):
-    """Patient position in DICOM terms: head or feet first; supine, prone or on a side."""
+    """Patient position as a DICOM term: head or feet first; supine, prone or on a side."""
 
     HFS = "HFS"
     HFP = "HFP"
@@ -63,7 +63,7 @@ class FiducialKind(StrEnum):
 
 
 class PlannedTrajectory(Strict):
-    """Planned trajectory: entry and target in CT coordinates (LPS, mm), angle about the axis, margin.
+    """Planned trajectory: entry and target in CT coordinates (LPS, mm), free angle, and margin.
 
     `margin_mm` is the target error that the surgeon accepts; with a larger predicted error the
     trajectory is refused.
@@ -102,12 +102,12 @@ class PlannedTrajectory(Strict):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The trajectory as strategies use it, with the angle in radians."""
+        """The trajectory in the form used by strategies, with the angle in radians."""
         return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
 
 
 class Structure(Strict):
-    """Drawn or imported structure: points in CT coordinates (LPS, mm) and the margin to keep."""
+    """Drawn or imported structure: points in CT coordinates (LPS, mm) and the margin to observe."""
 
     name: str = Field(min_length=1, max_length=32, pattern=STRUCTURE_NAME_PATTERN, description="Its name.")
     margin_mm: float = Field(
@@ -137,7 +137,7 @@ def _check_count(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTr
 
 
 class Seal(Strict):
-    """Seal of a plan: author and digests of CT and plan. A plan altered after sealing is refused."""
+    """Seal of a plan: author, and digests of CT and plan. An altered plan is rejected."""
 
     author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
     ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
@@ -243,12 +243,12 @@ class Plan(Strict):
 
 
 def span(points: ArrayLike) -> float:
-    """Return the diagonal of the box around points (n, 3), in their unit."""
+    """Return the bounding-box diagonal of points (n, 3), in their unit."""
     return float(np.linalg.norm(np.ptp(np.asarray(points, dtype=float), axis=0)))
 
 
 def is_in_metres(points: ArrayLike) -> bool:
-    """Return whether points (n, 3), given as millimetres, span so little that they must be in metres.
+    """Return whether points (n, 3) given as millimetres span so little that they must be in metres.
 
     One point alone, as drawn first, says nothing about its unit.
     """

@@ -1,4 +1,4 @@
-"""The proposed cart position as used by a case, and the cart's deviation from it."""
+"""Use of a proposed cart position in a case, and the cart's deviation from it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ProposalDeviation:
 
 
 class ProposedPlace(Strict):
-    """The part of `place.json` that a case needs; the map is ignored."""
+    """Fields of `place.json` used by a case. The map is ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -65,7 +65,7 @@ class ProposedPlace(Strict):
     turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
     def drift(self, robot_from_ct: Transform) -> ProposalDeviation:
-        """Return the deviation of a cart from which the CT has this pose ROBOT <- CT."""
+        """Return the cart's deviation, given the pose ROBOT <- CT at its actual position."""
         assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
         assumed_ct = Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
@@ -83,7 +83,7 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, drift: ProposalDeviation) -> bool:
-        """Return whether a deviation is within the position tolerance and the examined rotations."""
+        """Return whether a deviation is within the position tolerance and the examined range of rotations."""
         most_negative_deg, most_positive_deg = self.turns_deg
         turned = abs(drift.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
@@ -94,14 +94,14 @@ class ProposedPlace(Strict):
 
 @dataclass(frozen=True)
 class PlaceFile:
-    """A proposal with the SHA-256 of its file."""
+    """A cart position proposal and the SHA-256 of its file."""
 
     place: ProposedPlace
     sha256: str
 
 
 def read_place(path: Path) -> PlaceFile | None:
-    """Read a proposal; return None if there is no file. Raises PLAN-022."""
+    """Read a proposal, or return None if the file does not exist. Raises PLAN-022."""
     try:
         content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
         return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())

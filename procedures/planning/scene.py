@@ -1,4 +1,4 @@
-"""Surroundings of the arm for motion planning: head and spheres in the CT, x-shaped frame, room."""
+"""Obstacles around the arm for motion planning: head and spheres from the CT, x-shaped frame, room."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COARSE_MM = 1.25  # around them: error of the coarse localization
 
 @dataclass(frozen=True)
 class PlanningScene:
-    """The head found in the CT, and the bodies of the theatre file around it."""
+    """Head found in the CT, and the surrounding bodies from the theatre file."""
 
     surroundings: CollisionConfig
     head: HeadEllipsoid
@@ -31,20 +31,20 @@ class PlanningScene:
     head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """Return the scene with additional clearance while the stereo head is mounted."""
+        """Return the scene with extra clearance while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:
-        """Return the surroundings while spheres, or a ball at a trajectory's target, are localized."""
+        """Return the surroundings for localizing the spheres, or a ball at a trajectory's target."""
         around = self._around(self.surroundings.stereo_head, robot_from_ct, flange_from_tool, trajectory)
         return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
-        """Return the surroundings while the guide is mounted, with this trajectory's corridor left open."""
+        """Return the surroundings with the guide mounted, leaving this trajectory's corridor open."""
         return self._around(self.surroundings.guide, robot_from_ct, flange_from_tool, trajectory)
 
     def _around(
@@ -72,7 +72,7 @@ class PlanningScene:
 
 
 def build_frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """Place the rods of the x-shaped frame in the CT; none for free spheres. Raises REG-012."""
+    """Place the rods of the x-shaped frame in the CT, or none for free spheres. Raises REG-012."""
     if fiducials is not FiducialKind.XFRAME:
         return ()
     place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout

@@ -1,4 +1,4 @@
-"""Structures that trajectories must avoid, above all vessels: distances, gaps and errors."""
+"""Distances from trajectories to structures to avoid, mainly vessels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its 
 
 @dataclass(frozen=True)
 class StructureDistance:
-    """Smallest distance of a trajectory's axis from a structure, and the nearest point of the structure.
+    """Smallest distance from a trajectory's axis to a structure, and the structure's nearest point.
 
     Half the widest gap between points, and the effect of thinning, are subtracted.
     """
@@ -52,7 +52,7 @@ class StructureDistance:
 
     @property
     def is_kept(self) -> bool:
-        """Whether the margin is kept."""
+        """Whether the distance respects the margin."""
         return self.distance_mm >= self.margin_mm
 
 
@@ -82,7 +82,7 @@ def _measure_distance(
 
 @lru_cache(maxsize=4 * MOST_STRUCTURES)
 def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
-    """Return the widest gap to bridge so that all points are connected, in mm; 0 for one point.
+    """Return the widest gap to bridge to connect all points, in mm, or 0 for a single point.
 
     The longest edge of the minimum spanning tree: also between slices whose own points lie close together.
     """
@@ -92,7 +92,7 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
 
 
 def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
-    """Build a structure from any number of points (n, 3), thinned to the number that a plan can store.
+    """Build a structure from points (n, 3), thinned to the number that a plan can store.
 
     All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
     that a plan does not accept.
@@ -108,7 +108,7 @@ def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm
 
 
 def _thinning_gap_mm(points: Array, kept: Array) -> float:
-    """Return the largest distance from a dropped point to the nearest kept one in mm, rounded up."""
+    """Return the largest distance from a dropped point to its nearest kept one, rounded up, in mm."""
     from scipy.spatial import cKDTree
 
     if len(points) == len(kept):
@@ -140,7 +140,7 @@ def read_structure(
 def check_structures(
     plan: Plan, distances: Sequence[StructureDistance], volume: Volume
 ) -> tuple[list[RonnaError], list[str]]:
-    """Return findings that refuse the plan, and warnings for the surgeon."""
+    """Return findings that reject the plan, and warnings for the surgeon."""
     findings: list[RonnaError] = [
         NearStructure(
             f"trajectory {one.trajectory} comes too close to {one.structure}",
@@ -166,6 +166,6 @@ def check_structures(
 
 
 def _share_outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
-    """Return the fraction of points (n, 3) beyond the outer faces of the CT's outermost voxels."""
+    """Return the fraction of points (n, 3) outside the CT, up to the outer voxel faces."""
     index = geometry.to_index(points_mm)
     return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())

@@ -1,4 +1,4 @@
-"""Target error expected during planning, and the strategy that minimizes it.
+"""Prediction of the target error during planning, and selection of the strategy that minimizes it.
 
 The case predicts from its measurements of the spheres; here only the markers in the CT are known and, with an
 arm, the poses found by a path check. The stereo measurement itself is not known yet.
@@ -46,7 +46,7 @@ USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 def predict_by_markers(
     markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
 ) -> TargetPrediction:
-    """Predict the target error from CT and seating of markers (n, 3), covariances (n, 3, 3); CT frame."""
+    """Predict the target error from CT and seating errors of markers (n, 3), covariances (n, 3, 3)."""
     return predict_target_error(
         markers_mm,
         target_mm,
@@ -57,7 +57,7 @@ def predict_by_markers(
 def predict_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
-    """Predict the target error with arm, tool frame, calibrations and instrument, from a passed check."""
+    """Predict the target error from a passed check, with arm, tool frame, calibrations and instrument."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     sphere_visits, target = select_poses(setting, check, identifier)
@@ -77,7 +77,7 @@ def predict_with_arm(
 
 
 def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
-    """Select the target and the localizations used for it from a passed check."""
+    """Select a target and its localizations from a passed check."""
     target = next(
         one
         for one in check.reached
@@ -91,7 +91,7 @@ def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tupl
 def arm_error_sources(
     setting: ArmSetting, sphere_visits: Sequence[Reached], target: Reached, tip_mm: Array
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
-    """Return the error sources of arm and tool frame between localizations and a tip (3,) mm, robot frame.
+    """Return the arm and tool frame errors between localizations and a tip (3,) mm, robot frame.
 
     If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
     """
@@ -128,7 +128,7 @@ def _guide_errors(
 def choose_best_strategies(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> ArmSetting:
-    """Resolve the strategy `best` for each trajectory; other strategies are unchanged.
+    """Resolve the strategy `best` for each trajectory, leaving other strategies unchanged.
 
     Trajectories and fiducials (n, 3) are in CT mm. Candidates must be visible, reachable and clear.
     """
@@ -148,7 +148,7 @@ def choose_best_strategies(
 
 
 def predict_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
-    """Predict the rms error of the arm at a target, from a check of that trajectory alone, in mm.
+    """Predict the rms arm error at a target in mm, from a check of its trajectory alone.
 
     Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
     not depend on the orientation.

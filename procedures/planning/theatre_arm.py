@@ -1,4 +1,4 @@
-"""The arm of a theatre file for planning, without opening any device."""
+"""Arm of a theatre file for planning, without opening any device."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class TheatreArm:
-    """The arm of a theatre file, its surroundings, and the errors stated in the file."""
+    """Arm, surroundings and stated errors from a theatre file."""
 
     arm: ArmSetting
     surroundings: CollisionConfig
@@ -48,7 +48,7 @@ class TheatreArm:
     at_target_mm: tuple[tuple[str, float], ...]  # stated by calibrations, 3-D rms, by source
 
     def with_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
-        """Return the arm with the surroundings, and with head and markers of this CT. Raises PLAN-014."""
+        """Return the arm with the theatre's obstacles and this CT's head and markers. Raises PLAN-014."""
         try:
             frame = build_frame_bodies(fiducials, markers_mm)
         except LayoutNotFound:  # refused by the check itself
@@ -60,7 +60,7 @@ class TheatreArm:
 def theatre_arm(
     config: Path, robot_from_ct: SixNumbers, home_deg: SixNumbers | None, strategy: Strategy
 ) -> TheatreArm:
-    """Read the arm of a theatre file; CT pose in $ROBROOT (mm, deg), arm starting at `home_deg`."""
+    """Read the arm from a theatre file, with the CT pose in $ROBROOT (mm, deg) and start at `home_deg`."""
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")

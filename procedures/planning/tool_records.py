@@ -1,4 +1,4 @@
-"""Records of mountable tools in the theatre file, and their consistency."""
+"""Tool records in the theatre file, and checks of their consistency."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 @dataclass(frozen=True)
 class GuideRecord:
-    """Record of the guide, with bore and gauge."""
+    """Record of the guide with its bore and gauge."""
 
     record: ToolRecord
     bore: GuideBore
@@ -31,7 +31,7 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """Tool records by name, and the flange on which the tools must have been measured.
+    """Tool records by name, and the flange on which they must have been measured.
 
     While `calibrating` the tip, its record may refer to a former one.
     """
@@ -42,7 +42,7 @@ class ToolRecords:
 
     @classmethod
     def of(cls, file: TheatreFile, *, calibrating: bool = False) -> ToolRecords:
-        """Read the records of a theatre file."""
+        """Read the tool records from a theatre file."""
         return cls(file.tools, file.flange, calibrating)
 
     @property
@@ -60,7 +60,7 @@ class ToolRecords:
         return GuideRecord(found, found.bore, found.gauge)
 
     def check(self, calibrations: Calibrations, moment: datetime) -> None:
-        """Check all records. Raises CAL-001 if one is not valid at this moment, TOOL-002, TOOL-003."""
+        """Check all records. Raises CAL-001 if any is not valid at this moment, TOOL-002, TOOL-003."""
         for name, record in self.records.items():
             record.check_valid_at(moment)
             check_flange(record, self.flange)
@@ -76,7 +76,7 @@ class ToolRecords:
             check_tip(guide, calibrations)
 
     def check_frames(self, calibrations: Calibrations, tracked: Sequence[str]) -> None:
-        """Raise DEV-003 if a record names a frame that is not among the tracker's tools."""
+        """Raise DEV-003 if a record refers to a frame that is not among the tracker's tools."""
         named = {"calibration.tracker_frame": calibrations.tracker_frame.tool} | {
             f"tools.{name}.frame": record.frame.tool
             for name, record in self.records.items()
@@ -101,7 +101,7 @@ def check_flange(record: ToolRecord, flange: str) -> None:
 
 
 def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
-    """Raise TOOL-003 unless a tool's record refers to this tip calibration, with the same numbers."""
+    """Raise TOOL-003 unless a tool's record refers to this tip calibration and has the same values."""
     tip = calibrations.tool_tip
     if record.tip != tip.identifier:
         raise ForeignTool(

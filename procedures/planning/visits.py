@@ -1,4 +1,4 @@
-"""The poses that the arm visits in a procedure, and the results of their check.
+"""Poses visited by the arm during a procedure, and the results of checking them.
 
 Each pose is approached and left along the tool axis, from a point outside.
 """
@@ -37,7 +37,7 @@ class VisitKind(StrEnum):
 
 @dataclass(frozen=True)
 class Visit:
-    """Pose ROBOT <- TOOL of the procedure, with an approach point back along the tool axis.
+    """Pose ROBOT <- TOOL to be visited, with an approach point back along the tool axis.
 
     `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
     distance of the approach point from the pose; the retreat is the same line reversed.
@@ -58,7 +58,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Reached:
-    """A visit with the joint angles at its approach point, and the line to its pose."""
+    """A visit with the joint angles at its approach point and the line to its pose."""
 
     visit: Visit
     approach_rad: JointVector
@@ -72,7 +72,7 @@ class Reached:
 
 @dataclass(frozen=True)
 class Unmet:
-    """Unmet precondition: the pose and the reason.
+    """A pose that fails, and the reason.
 
     `short_mm` is how much clearance a motion to the pose lacks; None if that is not what fails.
     """
@@ -83,13 +83,13 @@ class Unmet:
 
     @classmethod
     def from_error(cls, pose: str, error: LimitError) -> Self:
-        """Build the failure from an error of the arm's kinematics or planner."""
+        """Build the failure from an error raised by the arm's kinematics or planner."""
         return cls(pose, f"{error.summary} [{error.code}]")
 
 
 @dataclass(frozen=True)
 class PathCheck:
-    """Result of a path check: all visits with joints in one branch, or the failures in the best branch.
+    """Result of a path check: all visits with joints in one branch, or the failures in the best one.
 
     `largest_turn_rad` is the largest turn of any axis between two approach points, or from the start.
     """
@@ -106,7 +106,7 @@ class PathCheck:
 
     @property
     def joint_ranges_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each axis over all poses; empty if no pose is reached."""
+        """Minimum and maximum angle of each axis over all poses; empty if no pose is reached."""
         angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
@@ -118,7 +118,7 @@ class PathCheck:
         raise KeyError(identifier)
 
     def require(self, advice: str | None = None) -> None:
-        """Raise PLAN-007 with every unmet precondition; `advice` replaces the usual action."""
+        """Raise PLAN-007 with all failures, if any. `advice` replaces the usual action."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
             raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
@@ -126,7 +126,7 @@ class PathCheck:
 
 @dataclass(frozen=True)
 class ArmSetting:
-    """Arm setting for the check: assumed CT pose, mounted tools, start.
+    """Arm setting for path checks: assumed CT pose, mounted tools, start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
@@ -148,14 +148,14 @@ class ArmSetting:
     gauge_rad: JointVector | None = None
 
     def __post_init__(self) -> None:
-        """Raise FRM-001 if a transform maps between other frames."""
+        """Raise FRM-001 if a transform has the wrong frames."""
         require_frames(self.robot_from_ct, Frame.ROBOT, Frame.CT)
         require_frames(self.flange_from_tool, Frame.FLANGE, Frame.TOOL)
         if self.flange_from_stereo is not None:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def in_branch(self, branch: Branch) -> ArmInBranch:
-        """Return the arm in this branch for use by strategies."""
+        """Return the arm in this branch, as used by strategies."""
         return ArmInBranch(
             self.kinematics,
             flange_from_guide=self.flange_from_tool,
@@ -168,7 +168,7 @@ class ArmSetting:
 
 @dataclass(frozen=True)
 class Axes:
-    """Axes of a procedure: those along which spheres are localized, and those of the targets.
+    """Axes of a procedure, for localizing the spheres and for reaching the targets.
 
     They are the same if the strategy localizes for every trajectory.
     """
@@ -178,24 +178,24 @@ class Axes:
 
     @classmethod
     def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
-        """Take the axes chosen by the strategy, at the planned free angles."""
+        """Return the axes chosen by the strategy, at the planned free angles."""
         along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
         return cls(along, tuple(trajectories))
 
     @property
     def distinct(self) -> tuple[Trajectory, ...]:
-        """Axes without repetition."""
+        """All axes without duplicates."""
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
-        """Return only the axes of one trajectory."""
+        """Return the axes of one trajectory only."""
         return Axes(
             tuple(one for one in self.localized if one.identifier == identifier),
             tuple(one for one in self.targeted if one.identifier == identifier),
         )
 
     def turned(self, turns_rad: Mapping[str, float]) -> Axes:
-        """Return the axes, each turned about itself by the angle stored under its identifier."""
+        """Return the axes, each rotated about itself by the angle for its identifier."""
 
         def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
             return tuple(
@@ -208,7 +208,7 @@ class Axes:
 def list_visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """List the poses in the order of the procedure: localizations, then, after the tool change, targets.
+    """List the poses in procedure order: localizations, then, after the tool change, targets.
 
     Raises the strategy's errors when it finds no poses in this branch.
     """
@@ -221,7 +221,7 @@ def list_visits(
 def list_localizations(
     setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """List the poses of all fiducials (n, 3) in CT mm along one axis. Raises like `list_visits`."""
+    """List the localization poses of fiducials (n, 3) in CT mm along one axis. Raises like `list_visits`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
@@ -239,7 +239,7 @@ def list_localizations(
 
 
 def build_target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
-    """Build the visit to a target, with the guide held outside the skin."""
+    """Build the visit to a target, with the guide outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
     name = trajectory.identifier
     return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)
