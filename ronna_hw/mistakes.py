@@ -44,7 +44,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
 def count_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Describe the mistakes in one line with their count: `2 mistakes: a: is missing; b: unknown key`."""
     mistakes = describe_mistakes(error, model)
-    return f"{format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
+    return f"{format_count(len(mistakes_in(error)), 'mistake')}: {'; '.join(mistakes)}"
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:

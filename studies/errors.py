@@ -95,7 +95,7 @@ class MethodFailed(DataError):
     """A user method raised an error, or ended its process."""
 
     code = "STU-013"
-    action = "Correct the method and start again with another --out: a changed file makes another study."
+    action = "Correct the method and start again; a study that was begun with it needs another --out."
 
 
 class MethodAnswerWrong(DataError):

@@ -33,6 +33,10 @@ NO_PERSON = (
     "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
     "run at a terminal or with --console"
 )
+NOBODY_ACCEPTS = (
+    "warning: standard input is not a terminal, so nobody can accept what was found: run at a terminal, "
+    "with --accept, or with --answers FILE"
+)
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
@@ -99,6 +103,8 @@ def operator_selection(
         and (resumption is None or resumption.asks)
     ):
         tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
+    elif resumption is not None and not (accepted or answers or at_terminal or observers.executor or prompt):
+        tell(NOBODY_ACCEPTS)
     script = ScriptedOperator()
     without_file = _apply_rules(
         (

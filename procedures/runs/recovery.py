@@ -178,9 +178,11 @@ def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, or
     question = Question(Topic.RESUME, subject, comparison.format_lines(order))
     if engine.ask(question) != YES:
         late_s = engine.questions.unanswered_s
+        found = "; ".join([*comparison.warnings, *comparison.notes])
         raise RecoveryRefused(
             "the operator did not accept the findings" if late_s is None else "the time to answer ran out",
             expected=None if late_s is None else "that the findings are accepted",
+            got=found or None,
             limit=None if late_s is None else f"{late_s:g} s",
             action="Nothing was moved. Repeat the command when the case may continue.",
         )

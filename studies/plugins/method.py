@@ -26,6 +26,7 @@ from studies.plugins.contracts import CONTRACTS, MethodKind
 OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 INSTALLED = ("site-packages", "dist-packages")
 SHOWN_DIGITS = 12  # of a hash
+FILE_ENDING = ".py"
 _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this process
 
 
@@ -146,6 +147,10 @@ def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any]
     module_name, _, name = reference.partition(":")
     if not (name.isidentifier() and all(part.isidentifier() for part in module_name.split("."))):
         raise MethodRefused(f"{reference!r} does not name a {kind}", expected="module:function")
+    if module_name.endswith(FILE_ENDING):
+        raise MethodRefused(
+            f"{module_name} is a file", expected=f"its module: {module_name.removesuffix(FILE_ENDING)}:{name}"
+        )
     try:
         module = importlib.import_module(module_name)
         if (

@@ -213,6 +213,7 @@ def _exclude_beyond_margin(
             f"the predicted error at {trajectory.id} exceeds the plan's margin (margin_mm in plan.toml)",
             limit=f"{trajectory.margin_mm:g} mm",
             got=f"{format_against_limit(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
+            action="Localize the spheres again. A plan with another margin needs a new run.",
         )
         others = [name for name in context.remaining if name not in (trajectory.id, *left_out)]
         if not others:

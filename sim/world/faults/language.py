@@ -208,11 +208,16 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
     elif isinstance(error, UnexpectedToken):
         names, ended = set(error.accepts or error.expected), error.token.type == END
     column = len(line) + 1 if ended else error.column
-    got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
+    word_began = column - 1  # a unit that is spelt out begins like a unit: "sec"
+    while not ended and word_began > 0 and line[word_began - 1 : column].isalpha():
+        word_began -= 1
+    got = "the end of the line" if ended else repr(line[word_began:].split()[0])
     names -= {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}
     words = sorted(
         {READABLE.get(name) or repr(_build_grammar().get_terminal(name).pattern.value) for name in names}
     )
+    if not ended and word_began < column - 1:
+        words = [repr(line[word_began : column - 1])]
     words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
