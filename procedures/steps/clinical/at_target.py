@@ -1,4 +1,4 @@
-"""Work at the target, stage by stage, through a guide that is held outside the skin.
+"""Work at the target, stage by stage, through a guide held outside the skin.
 
 Nothing moves from before the first stage until the instrument is confirmed to be out. The instrument's tip is
 at the target when its depth stop rests on the guide.
@@ -43,7 +43,7 @@ DWELL_S = 0.5  # of theatre time, before the reading
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
-    """Pose of the held guide and depth of the instrument.
+    """Result at the target: pose of the held guide and depth of the instrument.
 
     During work finished on an earlier visit, the guide was not watched.
     """
@@ -69,7 +69,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Check the arm's position, then have the depth stop set, the stages done and the instrument removed."""
+    """Check the arm's position, then guide depth stop setting, work stages and instrument removal."""
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
@@ -122,7 +122,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
 
 
 def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
-    """Return the outcome for work finished on an earlier visit, when nothing watched the guide."""
+    """Return the outcome of work finished on an earlier visit, during which the guide was not watched."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
@@ -166,7 +166,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
 def _look_at_guide(
     context: StepContext, stage: WorkStage, rest: GuideAtRest, work_so_far: WorkProgress
 ) -> None:
-    """Measure the guide after a stage. If it is displaced, a guard suspends the case."""
+    """Measure the guide after a stage; if it is displaced, a guard suspends the case."""
     rest.look(context.workcell, context.setting.clock)
     work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
     if rest.unseen:
@@ -176,7 +176,7 @@ def _look_at_guide(
 
 
 def _check_room_again(context: StepContext) -> None:
-    """Check the room after a return to the step or if nothing watches the head. Raises PRO-019, PRO-020."""
+    """Check the room on a return to the step or if the head is not watched. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.was_worked_through):
@@ -185,7 +185,7 @@ def _check_room_again(context: StepContext) -> None:
 
 @contextmanager
 def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
-    """Within the block, compare the guide with its untouched rest position.
+    """Measure the guide against its rest position during the block.
 
     Raises PRO-019 or PRO-020 if a push that ends the step is a move of cart or head.
     """

@@ -1,4 +1,4 @@
-"""Small move of the head, measured by the tracker. The registration follows it if the operator agrees.
+"""Small head moves, measured by the tracker and followed by the registration if the operator agrees.
 
 The arm is home, where the localization was made. There nothing hides the head, and the frame on the arm shows
 a move of cart or tracker. Only a single rigid, small and completed move is followed.
@@ -41,13 +41,13 @@ STEADY_MM = 0.03  # per axis: drift of the tracker between two readings of one p
 
 @dataclass(frozen=True)
 class MeasuredMove:
-    """A measured move and its fit, in the robot frame."""
+    """A measured head move and its rigid fit, robot frame."""
 
     fit: RigidMove
     record: FollowedMove
 
     def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
-        """Return the errors by source that following adds at a place (3,) mm, robot frame before the move."""
+        """Return the errors by source that following adds at a point (3,) mm, robot frame before the move."""
         return {
             "measured head movement": self.fit.error_mm(place_mm),
             "cart and tracker stability": self.record.base_mm,
@@ -55,7 +55,7 @@ class MeasuredMove:
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
-    """Measure the head's move and ask for consent to follow it; return None if the head has not moved.
+    """Measure the head's move and ask permission to follow it; return None if the head has not moved.
 
     `places_mm` (n, 3) are the targets served, robot frame, before the move. Raises PRO-001 unless the arm is
     home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.

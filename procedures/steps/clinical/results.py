@@ -1,4 +1,4 @@
-"""Results used to compare the room: localized spheres, registration, look after a target.
+"""Step results used in room comparisons: localized spheres, registration, and check after a target.
 
 They are apart from their steps, which themselves compare the room.
 """
@@ -38,7 +38,7 @@ class LeftOutSphere(Values):
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
-    """Fine positions of the spheres in the room, by the stereo head. Each field has one entry per sphere."""
+    """Fine sphere positions in the room from the stereo head. Each field has one entry per sphere."""
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
@@ -74,7 +74,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
 
 class ErrorShare(Values):
-    """Share of one source in a predicted error. The squares of all shares add up to that of the error."""
+    """Share of one error source in a predicted error; the shares add up in squares."""
 
     source: str = Field(description="Such as `CT` or `guide tip`.")
     rms_mm: float = Field(description="Root mean square at the target.")
@@ -137,11 +137,11 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def trajectories(self) -> frozenset[str]:
-        """Trajectories that the registration serves."""
+        """Trajectories that use the registration."""
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
-        """Return the prediction for a target. Raises KeyError."""
+        """Return the predicted error for a target. Raises KeyError."""
         for one in self.predictions:
             if one.target == target:
                 return one
@@ -176,14 +176,14 @@ class LinkHealth(Values):
 
 
 def link_health(context: StepContext) -> LinkHealth:
-    """Return the health of the robot link. Call it right before the stream is ended."""
+    """Return the health of the robot link; call this just before the stream ends."""
     statistics = asdict(context.workcell.link_statistics())
     fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)
 
 
 class ConfirmedTarget(StepResult, kind="confirmation"):
-    """Result of the look after a target."""
+    """Result of the check after a target."""
 
     seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
     in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")

@@ -1,4 +1,4 @@
-"""Application error on a phantom with a ball at each target, measured by the stereo head.
+"""Application error on a phantom: a ball at each target, measured by the stereo head.
 
 The arm goes to the target as with the guide, by the same registration and along the same axis. The centre of
 the stereo head takes the place of the tip. The distance of the ball is the application error as the
@@ -29,7 +29,7 @@ from ronna_hw.calibration import Numbers3
 
 
 class MeasuredTarget(StepResult, kind="target_measurement"):
-    """Distance of a ball at the target from the centre of the stereo head, as positioned by the arm."""
+    """Distance of the ball at a target from the stereo head's centre after positioning by the arm."""
 
     tool_pose: FramedPose = Field(
         description="Pose robot <- tool with its centre on the target, as commanded."
@@ -42,7 +42,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
-    """Bring the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
+    """Move the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
     workcell.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)

@@ -19,7 +19,7 @@ from procedures.workcell import MountedTool
 
 
 class MountedGuide(StepResult, kind="tool_change"):
-    """The guide found on the mount."""
+    """The guide identified on the mount."""
 
     tool_number: int = Field(description="As the controller's inputs report it.")
     calibration: str = Field(description="Name of the tip calibration in use.")
@@ -27,7 +27,7 @@ class MountedGuide(StepResult, kind="tool_change"):
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
-    """Park, end the stream, have the tool changed, and read the mounted tool from the controller's inputs."""
+    """Park, end the stream, ask for the tool change, and identify the tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (
