@@ -143,7 +143,7 @@ class CaseProgress:
         self.case.void(key, self._lasting_trajectories(key))
 
     def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
-        """Return the finished trajectories, whose results outlast any change except a new CT or plan.
+        """Return the finished trajectories; only a new CT or plan invalidates their results.
 
         Another CT or plan does.
         """

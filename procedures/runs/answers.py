@@ -1,4 +1,4 @@
-"""Non-interactive operators, which answer from a file, with the first answer, or not at all.
+"""Non-interactive operators: answers from a file, always the first answer, or silence.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 

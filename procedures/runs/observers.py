@@ -49,7 +49,7 @@ class HeldPrompt(Protocol):
 
 
 class UnattendedRoom:
-    """Room without staff, in which tasks yield no readings."""
+    """Room without staff; tasks yield no readings."""
 
     def announce(self, step: str) -> None:
         """Do nothing, because nobody listens."""

@@ -119,7 +119,7 @@ class Measurement:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
-    """A procedure and its theatre, which is simulated unless `config` is a theatre file."""
+    """A procedure and its theatre: the one configured by the theatre file `config`, or a simulated one."""
 
     procedure: CaseProcedure | CalibrationProcedure | Measurement | None = None  # None: not yet chosen
     config: Path | None = None

@@ -77,7 +77,7 @@ class _PlannedArm:
 
 
 def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """Preview the gauge motions from home, which the path check does not record."""
+    """Preview the gauge motions from home; the path check does not record them."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result

@@ -122,7 +122,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
 
 
 def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
-    """Return the outcome of work finished on an earlier visit, during which the guide was not watched."""
+    """Return the outcome of work finished on an earlier, unwatched visit."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
