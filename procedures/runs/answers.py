@@ -123,7 +123,7 @@ class SilentOperator:
 
 
 class OperatorByTopic:
-    """Operator that delegates each topic to another operator."""
+    """Operator that delegates each topic to its own operator."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators

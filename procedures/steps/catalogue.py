@@ -92,7 +92,7 @@ class PlannedQuestion:
 
 
 def list_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
-    """List a step's questions: first those of its normal course in order, then those of its branches."""
+    """Return a step's own questions: those of its normal course in order, then those of its branches."""
     course = [PlannedQuestion(topic) for topic in spec.asks]
     if spec.moves:
         course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))

@@ -20,7 +20,7 @@ class CartMisplaced(RefusedError):
 
 
 class DepthStopWrong(LimitError):
-    """The instrument's depth stop is not at the setting computed for the trajectory."""
+    """The depth stop of the instrument is not at the setting computed for the trajectory."""
 
     code = "TOOL-004"
     action = (
@@ -50,7 +50,7 @@ class ToolBesideGauge(LimitError):
 
 
 class ToolSeenElsewhere(LimitError):
-    """The tracker sees the mounted tool's frame away from its recorded position, or not at all."""
+    """The tracker sees the frame of the mounted tool off its recorded position, or not at all."""
 
     code = "TOOL-006"
     action = (

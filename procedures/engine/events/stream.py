@@ -89,7 +89,7 @@ class CurrentState:
 
 @dataclass(frozen=True)
 class Batch:
-    """Events since the last read, in order; `lost` counts signals replaced before they were read."""
+    """Events since the last read, in order; `lost` counts signals replaced meanwhile."""
 
     events: tuple[Event, ...]
     lost: int

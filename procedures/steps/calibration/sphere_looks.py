@@ -189,7 +189,7 @@ def _look_at_sphere(
 
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
-    """Build the step with `count` looks for the fit and `validation` looks for validation."""
+    """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
     return StepSpec(
         ObservedSpheres,
         "Measure the spheres",
@@ -212,7 +212,7 @@ def flanks_of(number: int) -> Flanks:
 def _select_places(
     points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]
 ) -> tuple[BallPlace, ...]:
-    """Return the reachable isolated spheres, nearest to the stereo head first. Raises CAL-009."""
+    """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     isolated_spheres = find_isolated(points_mm)
     if not isolated_spheres:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")

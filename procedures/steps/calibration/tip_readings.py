@@ -212,7 +212,7 @@ class _Reading:
     observed: TipLooks
 
     def take(self, look: int) -> None:
-        """Take the reading at one orientation, repeating it if the tip was far from the divot."""
+        """Take the reading of one orientation; repeat it if the tip was far from the divot."""
         for _ in range(MOST_TRIES):
             reading = self._read(look)
             others = tuple(one for one in self.observed.readings if one.look != look)

@@ -43,7 +43,7 @@ DWELL_S = 0.5  # of theatre time, before the reading
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
-    """Result at the target: pose of the held guide and depth of the instrument.
+    """Pose of the held guide and depth of the instrument.
 
     During work finished on an earlier visit, the guide was not watched.
     """
@@ -166,7 +166,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
 def _look_at_guide(
     context: StepContext, stage: WorkStage, rest: GuideAtRest, work_so_far: WorkProgress
 ) -> None:
-    """Measure the guide after a stage; if it is displaced, a guard suspends the case."""
+    """Measure the guide after a stage. If it is displaced, a guard suspends the case."""
     rest.look(context.workcell, context.setting.clock)
     work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
     if rest.unseen:
@@ -176,7 +176,7 @@ def _look_at_guide(
 
 
 def _check_room_again(context: StepContext) -> None:
-    """Check the room on a return to the step or if the head is not watched. Raises PRO-019, PRO-020."""
+    """Check the room after a return to the step or if nothing watches the head. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.was_worked_through):

@@ -51,7 +51,7 @@ class Proposal(Values):
 
 
 class LockedCart(StepResult, kind="cart_lock", version=2):
-    """The locked cart: its position, and its motion when someone leaned on it."""
+    """The locked cart: its position, and how far it moved when somebody leaned on it."""
 
     placings: int = Field(description="How many times it was placed.")
     moved_mm: Numbers3 = Field(

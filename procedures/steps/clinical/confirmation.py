@@ -1,4 +1,4 @@
-"""Check after a target: have head, base or guide moved since the guide was positioned?
+"""Look after a target: have head, base or guide moved since the guide went to it?
 
 This look finds a move since the one before. Nobody knows when it happened, so every target worked at since is
 in doubt. Results that no longer hold are not used for another target.
@@ -28,7 +28,7 @@ from procedures.workcell import MountedTool
 
 
 def run(context: StepContext) -> Outcome[ConfirmedTarget]:
-    """Check the guide on its gauge, then head and base with the arm at home.
+    """Check the guide on its gauge, then head and base from home.
 
     Raises PRO-019 or PRO-020 if something has moved and remaining targets cannot follow it.
     """
@@ -52,7 +52,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
 
 
 def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
-    """Check the guide on its gauge; a changed guide must be rechecked before any remaining target."""
+    """Check the guide on its gauge. A changed guide must be checked again before remaining targets."""
     try:
         found = read_on_gauge(context)
     except REFUSALS as problem:
@@ -70,7 +70,7 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
 
 
 def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
-    """Check head and base by tracker; if targets remain, a move voids the results that depend on it."""
+    """Check head and base by the tracker. If targets remain, a move voids the results that depend on it."""
     setting, occasion = context.setting, f"after {context.trajectory}"
     watch = room_watch(context)
     reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)

@@ -58,7 +58,7 @@ class Correspondence(StepResult, kind="correspondence"):
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
-    """Match the spheres, by the plan's template if it has one. Raises if the match is not unique.
+    """Match the spheres, by the plan's template if it has one. Raises unless the match is unique.
 
     If a sphere is out of place, the others serve if the operator agrees.
     """

@@ -33,7 +33,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 
     @classmethod
     def from_volume(cls, volume: Volume) -> ImportedCt:
-        """Extract identity and geometry from a CT volume."""
+        """Return the identity and geometry of a CT volume."""
         geometry = volume.geometry
         slices, rows, columns = geometry.shape
         return cls(

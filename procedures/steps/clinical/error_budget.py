@@ -1,4 +1,4 @@
-"""Error budget of a registration, from residual gate to held guide, with tables for the operator.
+"""Error budget of a registration: residual gate, arm, tool frame, held guide, tables for the operator.
 
 The arm's own errors are propagated joint by joint between spheres and target, so that what they share
 cancels. They are those of the arm's record, limited to those of an uncalibrated arm in proportion. If a
@@ -136,7 +136,7 @@ class HeldGuide:
     head_rotation: Array
 
     def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
-        """Rotate the errors at the target back to the head's orientation during localization."""
+        """Rotate a source's errors at the target back into the head's orientation at the localization."""
         back = self.head_rotation.T
         if isinstance(source, SharedErrors):
             return replace(source, at_target_mm=back @ source.at_target_mm)

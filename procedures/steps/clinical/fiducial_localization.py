@@ -18,7 +18,7 @@ from ronna_hw.calibration import Numbers3
 
 
 class DoubtfulSphere(Values):
-    """Object of the right size that was rejected as a sphere."""
+    """Object of the right size that was not accepted as a sphere."""
 
     centre_mm: Numbers3 = Field(description="Centre, LPS.")
     reason: str = Field(description="Why it is doubtful.")
@@ -26,7 +26,7 @@ class DoubtfulSphere(Values):
 
 
 class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
-    """Spheres found in the CT, ordered from superior to inferior."""
+    """Spheres found in the CT, from superior to inferior."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
     diameter_mm: float = Field(description="Nominal diameter searched for.")

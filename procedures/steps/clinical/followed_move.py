@@ -41,7 +41,7 @@ STEADY_MM = 0.03  # per axis: drift of the tracker between two readings of one p
 
 @dataclass(frozen=True)
 class MeasuredMove:
-    """A measured head move and its rigid fit, robot frame."""
+    """A measured move and its fit, in the robot frame."""
 
     fit: RigidMove
     record: FollowedMove
@@ -55,7 +55,7 @@ class MeasuredMove:
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
-    """Measure the head's move and ask permission to follow it; return None if the head has not moved.
+    """Measure the head's move and ask for consent to follow it; return None if the head has not moved.
 
     `places_mm` (n, 3) are the targets served, robot frame, before the move. Raises PRO-001 unless the arm is
     home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.

@@ -1,4 +1,4 @@
-"""Global localization: the tracker measures the reference frame on the tool and all stray spheres.
+"""Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
 The arm rests with its correction stream off. Exactly FRAMES measurements are averaged; frames that the
 tracker repeats because it is polled faster than it measures do not count.

@@ -34,7 +34,7 @@ class UnchangedInputs:
     name = "CT, plan and cart position"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
-        """Record the current state of the files. Raises OSError."""
+        """Record the present state of the files. Raises OSError."""
         self._engine = engine
         self._inputs: dict[Path, type[StepResult]] = {
             clinical.series: ImportedCt,

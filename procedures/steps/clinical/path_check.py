@@ -127,7 +127,7 @@ class LocalizationPose(Values):
 
 
 class TargetPose(Values):
-    """Pose of the guide at one target, with its approach, from the coarse registration."""
+    """Pose for holding the guide at one target, with its approach, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
@@ -136,7 +136,7 @@ class TargetPose(Values):
 
 
 class CheckedPaths(StepResult, kind="path_check"):
-    """Joints for every localization and target, and every motion between them."""
+    """Joints for every localization and target, and every motion between these poses."""
 
     strategy: str = Field(description="Name of the localization strategy.")
     replaced: dict[str, str] = Field(

@@ -34,7 +34,7 @@ SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
-    """The checked plan, with the head ellipsoid in its CT."""
+    """The checked plan, with the head in its CT."""
 
     plan: Plan = Field(description="The plan file's content.")
     implanted: int = Field(description="Number of spheres to match, from the plan or as the operator agreed.")
@@ -42,7 +42,7 @@ class CheckedPlan(StepResult, kind="plan_check"):
     warnings: tuple[str, ...] = Field(description="Warnings of the check.")
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
-        """Return the planned trajectory with this identifier. Raises KeyError."""
+        """Return the planned trajectory of this name. Raises KeyError."""
         return self.plan.trajectory(identifier)
 
 

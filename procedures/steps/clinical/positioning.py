@@ -119,7 +119,7 @@ def _require_guide_in_seat(context: StepContext) -> None:
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
-    """Compute the guide's insertion for this step's trajectory from its registration."""
+    """Return the guide's insertion for this step's trajectory, by its registration."""
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
     checked = context.result(CheckedPlan)

@@ -293,7 +293,7 @@ def _advise_on_moved(moved: list[int], spheres: int) -> str:
 
 
 def _compare_both_ways(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
-    """Compare every CT sphere with the tracker and stereo head measurements, and vice versa."""
+    """Compare every CT sphere with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
     return verify_two_way(

@@ -38,7 +38,7 @@ class LeftOutSphere(Values):
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
-    """Fine sphere positions in the room from the stereo head. Each field has one entry per sphere."""
+    """Fine positions of the spheres in the room, by the stereo head. Each field has one entry per sphere."""
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
@@ -141,7 +141,7 @@ class RegisteredRobot(StepResult, kind="registration"):
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
-        """Return the predicted error for a target. Raises KeyError."""
+        """Return the prediction for a target. Raises KeyError."""
         for one in self.predictions:
             if one.target == target:
                 return one
@@ -183,7 +183,7 @@ def link_health(context: StepContext) -> LinkHealth:
 
 
 class ConfirmedTarget(StepResult, kind="confirmation"):
-    """Result of the check after a target."""
+    """Result of the look after a target."""
 
     seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
     in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")

@@ -1,4 +1,4 @@
-"""Retreat along the axis after the instrument is out, then parking."""
+"""Retreat along the axis once the instrument is out, then parking."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from procedures.steps.conditions import needs_insertion_or_withdrawal
 
 
 class Retreated(StepResult, kind="retreat", version=2):
-    """State after the retreat, with the guide clear of the head and the arm at home."""
+    """State after the retreat: the guide is away from the head and the arm is home."""
 
     joints_rad: Numbers6 = Field(description="Measured joints at home.")
     link: LinkHealth = Field(description="Health of the robot link when it was closed.")

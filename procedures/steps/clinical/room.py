@@ -1,4 +1,4 @@
-"""Comparison of the room with the global localization, before and after a step's motions.
+"""Comparison of the room with its localization, before and after a step's motions.
 
 Have head, cart and tracker stayed in place? If not, the results that depend on what moved are voided, and the
 targets that nobody has confirmed since are in doubt.
@@ -50,7 +50,7 @@ def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> Roo
 
 
 def require_unmoved(context: StepContext, occasion: str) -> None:
-    """Require that head and base are unmoved, by a careful look before a guide goes to the head.
+    """Require head and base unmoved, by a careful look with the arm home, before a guide goes to the head.
 
     Raises PRO-022 if head or base cannot be compared, and as `check_room`.
     """

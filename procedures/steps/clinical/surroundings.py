@@ -1,4 +1,4 @@
-"""Surroundings for the arm's clearance check: the room, and the head at its located position."""
+"""Surroundings for the arm's clearance check: the room, and the head where the case has located it."""
 
 from __future__ import annotations
 

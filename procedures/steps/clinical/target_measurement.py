@@ -1,4 +1,4 @@
-"""Application error on a phantom: a ball at each target, measured by the stereo head.
+"""Application error on a phantom with a ball at each target, measured by the stereo head.
 
 The arm goes to the target as with the guide, by the same registration and along the same axis. The centre of
 the stereo head takes the place of the tip. The distance of the ball is the application error as the
@@ -42,7 +42,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
-    """Move the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
+    """Bring the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
     workcell.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)

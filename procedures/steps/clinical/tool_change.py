@@ -19,7 +19,7 @@ from procedures.workcell import MountedTool
 
 
 class MountedGuide(StepResult, kind="tool_change"):
-    """The guide identified on the mount."""
+    """The guide found on the mount."""
 
     tool_number: int = Field(description="As the controller's inputs report it.")
     calibration: str = Field(description="Name of the tip calibration in use.")

@@ -1,4 +1,4 @@
-"""Progress of the work through the guide: stages, depth stop, and where to continue."""
+"""Progress of the work through the guide: its stages, the depth stop, and the stage to continue from."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 @dataclass(frozen=True)
 class WorkStage:
-    """Stage of the work through the guide: a manual task, and the statement that confirms it."""
+    """Stage of the work through the guide: a task done by hand, and the statement that confirms it."""
 
     task: str
     topic: Topic
@@ -111,7 +111,7 @@ def work_progress(context: StepContext) -> WorkProgress:
 
 
 def describe_work(known: Mapping[str, bool], *, doubted: bool = False) -> str:
-    """Describe the work done at a target; `doubted` if there may have been more than is recorded."""
+    """Describe the work done at a target; `doubted` if more may have been done than is known."""
     done = [
         stage.done_statement if known[stage.task] else f"begun and not confirmed: {stage.instruction}"
         for stage in STAGES
