@@ -95,7 +95,7 @@ class CaseProgress:
         return f"{key.trajectory} is finished" if self.is_settled(key) else ""
 
     def status(self, key: StepKey) -> str:
-        """Return a step's status: `done`, `left out`, `finished`, `next`, `superseded` or empty."""
+        """Return a step's status: `done`, `left out`, `finished` (target), `next`, `superseded` or empty."""
         if self.case.stands(key):
             return "done"
         if self.left_out(key) is not None:
@@ -143,7 +143,7 @@ class CaseProgress:
         self.case.void(key, self._lasting_trajectories(key))
 
     def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
-        """Return the finished trajectories, whose results outlast any change except a new CT or plan.
+        """Return the finished trajectories; only a new CT or plan invalidates their results.
 
         Another CT or plan does.
         """

@@ -82,7 +82,7 @@ class StepContext:
 
     @property
     def done_before(self) -> bool:
-        """Whether this step already has a valid result."""
+        """Whether this step has a valid result."""
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
@@ -124,7 +124,7 @@ class StepContext:
         return self.setting.clinical
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Return the device from table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
+        """Return a device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
         return self.workcell.device(name, interface)
 
     def keep_picture(self, name: str, png: bytes) -> None:

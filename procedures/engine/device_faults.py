@@ -100,7 +100,7 @@ class DeviceFaults:
         clock: Clock,
         on_doubt: Callable[[], None] = lambda: None,
     ) -> None:
-        """Set up fault handling; `on_doubt` is called whenever a result becomes doubtful."""
+        """Set up fault handling; `on_doubt` is called when a result is put in doubt."""
         self._on_doubt = on_doubt
         self._course = course
         self._workcell = workcell

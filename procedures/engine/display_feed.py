@@ -200,7 +200,7 @@ def _round_points(*points: tuple[float, float, float]) -> tuple[float, ...]:
 
 
 class DeviceWatch:
-    """Background publisher of device states and faults on change, reading ages, and arm poses.
+    """Publisher of device states and faults on change, reading ages, and arm poses.
 
     It looks in a thread of its own while the `with` block runs, and once more at its end.
     """

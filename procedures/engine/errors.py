@@ -14,7 +14,7 @@ from ronna_hw.host.process import describe_exit
 
 
 class UnknownStep(RonnaError):
-    """The procedure has no step of the requested name."""
+    """This procedure has no step of that name."""
 
     code = "PRO-005"
     action = "List the steps and use one of their names."

@@ -1,4 +1,4 @@
-"""Questions to the operator and tasks for the room staff, recorded in journal and event stream."""
+"""Questions to the operator and tasks of the room's staff, recorded in journal and events."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def as_shown(question: Question, number: int) -> Questioned:
 
 
 class Questions:
-    """Asks the questions and assigns the tasks of a case, recording answers and readings."""
+    """Questions and tasks of a case, with recording of answers and readings."""
 
     def __init__(self, setting: CaseSetting, journal: Journal, events: EventStream) -> None:
         self._setting = setting
@@ -45,7 +45,7 @@ class Questions:
         self.unanswered_s: float | None = None  # the time limit that the last question exceeded
 
     def ask(self, question: Question) -> Answer:
-        """Ask the operator and return the answer. An invalid answer is treated as silence."""
+        """Ask the operator and return the answer. An invalid word counts as silence."""
         self._count += 1
         asked_s, began_s = self._setting.clock.now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))

@@ -27,7 +27,7 @@ class CaseMemory:
         self._kept: dict[type[object], object] = {}
 
     def keep(self, value: object) -> None:
-        """Store an object, replacing any earlier one of its type."""
+        """Keep an object, replacing any other of its type."""
         self._kept[type(value)] = value
 
     def find(self, kind: type[T]) -> T | None:

@@ -1,4 +1,4 @@
-"""Non-interactive operators, which answer from a file, with the first answer, or not at all.
+"""Non-interactive operators: answers from a file, always the first answer, or silence.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 
@@ -123,7 +123,7 @@ class SilentOperator:
 
 
 class OperatorByTopic:
-    """Operator that delegates each topic to another operator."""
+    """Operator that delegates each topic to its own operator."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators

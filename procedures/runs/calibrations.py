@@ -106,7 +106,7 @@ class CalibrationKind(Generic[Looks, Result]):
         }
 
     def read_looks(self, path: Path) -> Looks:
-        """Read stored looks from a file or folder. Raises CAL-005, or PRO-033 if their run was changed."""
+        """Read stored looks from a file or its folder. Raises CAL-005; PRO-033 if their run was changed."""
         file = path / self.looks_file if path.is_dir() else path
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():

@@ -1,4 +1,4 @@
-"""CT, plan and step order of a clinical case, new or interrupted."""
+"""The CT, plan and steps of a clinical case, new or interrupted."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
 
 
 def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = None) -> CaseOrder:
-    """Derive the step order of a case from its strategy and the locked plan, or else the plan file.
+    """Return the step order of a case from its strategy and its plan: the locked one, or else the file.
 
     Raises the errors of reading the plan.
     """

@@ -71,7 +71,7 @@ class Comparison:
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
-        """Add a warning, which is displayed before all other findings."""
+        """Add a warning, displayed before all other findings."""
         self.warnings.append(text)
 
     def add_difference(self, what: str, recorded: object, found: object) -> None:

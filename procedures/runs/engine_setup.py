@@ -1,4 +1,4 @@
-"""Setup of a run's engine from a theatre file, with journal, recorders and guards."""
+"""Construction of a run's engine on a theatre file, with its journal, recorders and guards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run folders: creation, search, and a lock for one program at a time."""
+"""Run folders: creation, search, and a lock that admits one program at a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, 
 
 
 def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
-    """Create the run folder `OUT/<id>`, including the request if the run can be resumed.
+    """Create the folder `OUT/<id>`, with the request in it if the run can be resumed.
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
@@ -108,7 +108,7 @@ def find_folders_of_runs(folder: Path) -> list[Path]:
 
 
 def require_run(folder: Path) -> None:
-    """Raise CLI-005 if a folder is not a run; the message lists any runs inside it."""
+    """Raise CLI-005 if a folder is not a run, naming the runs in it."""
     if is_run(folder):
         return
     if folder.is_dir() and (held := [run.name for run in find_runs(folder)]):

@@ -112,7 +112,7 @@ def open_engine(
     resumption: Resumption | None = None,
     phantom: Path | None = None,
 ) -> Iterator[Engine]:
-    """Open a theatre and an engine for the input that `prepare` returns; see `open_run`.
+    """Open a theatre, and an engine for the steps that `prepare` returns; see `open_run`.
 
     A simulated patient is made in the folder `phantom`.
     """

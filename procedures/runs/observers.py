@@ -1,4 +1,4 @@
-"""People and displays attached to a run, and selection of the operator for each topic."""
+"""People and displays that follow a run, and the choice of the operator for each topic."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and
 
 
 class HeldPrompt(Protocol):
-    """Prompt where a person decides how a held case continues."""
+    """A prompt at which a person decides how a held case continues."""
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
         """Show why the case is held and how it can continue."""
@@ -53,7 +53,7 @@ class HeldPrompt(Protocol):
 
 
 class UnattendedRoom:
-    """Room without staff, in which tasks yield no readings."""
+    """Room without staff; tasks yield no readings."""
 
     def announce(self, step: str) -> None:
         """Do nothing, because nobody listens."""
@@ -71,7 +71,7 @@ class UnattendedRoom:
 
 @dataclass(frozen=True)
 class RunObservers:
-    """People and displays attached to a run."""
+    """People and displays that follow a run."""
 
     status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
     announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant

@@ -120,7 +120,7 @@ def _check_writable(folder: Path) -> None:
 
 
 def _remove_half_written(folder: Path) -> None:
-    """Remove partial files of a killed program, which never became part of the run."""
+    """Remove partial files of a killed program; they never became part of the run."""
     for path, is_folder, _ in list(walk(folder)):
         if not (path.name.startswith(".") and path.name.endswith(PARTIAL)):
             continue

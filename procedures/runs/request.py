@@ -40,7 +40,11 @@ class SceneChoice:
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
 
     def check(self) -> None:
+<<<<<<< ours
         """Raise CLI-001 unless the scene is a known name or an existing file; its contents are not read."""
+=======
+        """Raise CLI-001 unless the scene is a known name or an existing file (contents unchecked)."""
+>>>>>>> theirs
         if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
             close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
             raise UsageMistake(
@@ -119,7 +123,7 @@ class Measurement:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
-    """A procedure and its theatre, which is simulated unless `config` is a theatre file."""
+    """A procedure and its theatre: the one configured by the theatre file `config`, or a simulated one."""
 
     procedure: CaseProcedure | CalibrationProcedure | Measurement | None = None  # None: not yet chosen
     config: Path | None = None

@@ -139,7 +139,7 @@ class SimulatedRoom:
     """
 
     def __init__(self, control: str) -> None:
-        """Set the control port's endpoint, which includes its token."""
+        """`control` is the control port's endpoint, including its token."""
         self._control = control
 
     def announce(self, step: str) -> None:

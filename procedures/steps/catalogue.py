@@ -1,4 +1,4 @@
-"""Clinical steps in the order of a case, and the questions that each may ask.
+"""Clinical steps in case order, with the questions that each may ask.
 
 A new step is a new module and an entry here.
 """
@@ -75,7 +75,7 @@ def clinical_steps(*, measure_targets: bool = False) -> Steps:
 
 @dataclass(frozen=True)
 class PlannedQuestion:
-    """Topic of a question and the condition under which it is asked; empty if it always is."""
+    """Topic of a question, and the condition under which it is asked (empty if always)."""
 
     topic: Topic
     condition: str = ""

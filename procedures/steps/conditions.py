@@ -1,4 +1,4 @@
-"""Preconditions shared by several steps."""
+"""Preconditions shared by several steps, and a limit on the age of readings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, sk
 
 
 def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
-    """Require this tool on the arm and the arm on no axis. An unchecked tool is identified first.
+    """Require a given tool on an arm that is on no axis, identifying an unknown tool first.
 
     `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
     """
@@ -32,7 +32,7 @@ def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], t
 
 
 def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
-    """Require the stereo head, or after a started exchange an arm that is parked and cannot move."""
+    """Require the stereo head or, during an exchange, a parked arm that cannot move."""
     workcell = context.workcell
     unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
     if not unmet or context.done_before:
@@ -51,7 +51,7 @@ def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
 
 
 def needs_arm_home(context: StepContext) -> tuple[str, ...]:
-    """Require the arm at home: nobody works at the cart or clamp while it reaches over the head."""
+    """Require the arm at home, so that it is not over the head while staff work at cart or clamp."""
     place = context.workcell.place
     if place.is_home:
         return ()

@@ -1,4 +1,4 @@
-"""Dry run of a step: its motions, from the previews of the path check, and its motions over the gauge.
+"""Dry run of a step: its motions as previewed by the path check, and its gauge motions.
 
 Nothing is asked or moved.
 """
@@ -38,7 +38,7 @@ OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less 
 
 
 def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
-    """Describe each motion of a step from the arm's present position; None before the path check."""
+    """Describe a step's motions from the arm's current position, or return None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
         return None
@@ -66,7 +66,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
 
 @dataclass(frozen=True)
 class _PlannedArm:
-    """The planned arm with the guide mounted, for previews."""
+    """Planned arm carrying the guide, for previews."""
 
     kinematics: Kinematics
     limits: MotionLimits
@@ -77,7 +77,7 @@ class _PlannedArm:
 
 
 def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """Preview the motions over the gauge from home. The path check records none of them."""
+    """Preview the gauge motions from home; the path check does not record them."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
@@ -96,7 +96,7 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
-    """Return the index of the sphere below the stereo head after an interrupted localization, or None."""
+    """Return the index of the sphere below the stereo head, or None unless a localization was interrupted."""
     if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.tool_pose().translation_mm
@@ -133,6 +133,6 @@ def _describe_motion(motion: MotionPreview) -> str:
 
 
 def _number_spheres(name: str) -> str:
-    """Return a pose's name with its spheres counted from 1."""
+    """Return a pose name with one-based sphere numbers."""
     before, sphere, number = name.partition(SPHERE)
     return f"{before}/sphere {int(number) + 1}" if sphere else name

@@ -6,7 +6,7 @@ from ronna_hw.errors import LimitError, RefusedError
 
 
 class CartNotLocked(RefusedError):
-    """Nobody confirmed that the cart is locked, or it rolls when leaned on."""
+    """The cart's lock was not confirmed, or the cart rolled when leaned on."""
 
     code = "PRO-041"
     action = "Lock the brakes of every wheel, or lower the cart onto its feet, then repeat the step."

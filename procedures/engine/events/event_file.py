@@ -209,7 +209,7 @@ class FollowedRun:
                 yield events
 
     def _read(self) -> list[Event]:
-        """Return the events from complete lines added since the last call."""
+        """Return events from whole lines written since the last call."""
         with self._path.open("rb") as file:
             if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
                 raise EventsUnreadable(

@@ -152,7 +152,7 @@ class DeviceState(_EventBase):
 
 
 class MeasuringVolume(_EventBase):
-    """A tracker's measuring volume as rectangular cross-sections from near to far, in its own frame."""
+    """A tracker's measuring volume: rectangles across its axis, from near to far, in its own frame."""
 
     kind: Literal["volume"] = "volume"
     device: str
@@ -221,7 +221,7 @@ class CameraView(_Plain):
 
 
 class Bodies(_EventBase):
-    """Bodies checked for collision before and during arm motion."""
+    """Bodies in the collision check before and during arm motion."""
 
     kind: Literal["bodies"] = "bodies"
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")

@@ -1,4 +1,4 @@
-"""Numbered event stream for any number of readers, which never block the engine.
+"""Numbered event stream for any number of readers; slow readers never block the engine.
 
 A reader begins with a snapshot (the latest of everything that has a present value) and then gets changes.
 Facts wait for it without limit: a case has some thousands. Of a signal only the latest waits, so that a slow
@@ -89,7 +89,7 @@ class CurrentState:
 
 @dataclass(frozen=True)
 class Batch:
-    """Events since the last read, in order; `lost` counts signals replaced before they were read."""
+    """Events since the last read, in order; `lost` counts signals replaced meanwhile."""
 
     events: tuple[Event, ...]
     lost: int

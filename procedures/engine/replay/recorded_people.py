@@ -24,7 +24,7 @@ READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear
 
 
 class RecordedOperator:
-    """Operator stand-in that repeats the answers recorded in the journal."""
+    """Operator of a replay, who repeats the answers recorded in the journal."""
 
     def __init__(self) -> None:
         self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section

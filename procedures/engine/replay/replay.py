@@ -253,7 +253,7 @@ class _Replay:
         self._engine.setting.workcell.stop()
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
-        """Yield the number, first line and remaining lines of each section."""
+        """Yield number, first line and subsequent lines of each section."""
         lines = self._run.journal
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):

@@ -1,4 +1,4 @@
-"""Looks at every isolated sphere, for the arm's calibration, from the most informative poses."""
+"""Looks at all isolated spheres from the most informative poses, for the arm calibration."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look
 
 
 class ObservedSpheres(StepResult, kind="sphere_looks"):
-    """Looks at the spheres from which a calibration or check of the arm is computed."""
+    """Looks at the spheres used to calibrate or check the arm."""
 
     observed: ArmLooks = Field(description="Contents of `looks.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -63,7 +63,7 @@ class ObservedSpheres(StepResult, kind="sphere_looks"):
 
 @dataclass(frozen=True)
 class _PlannedSphereLook:
-    """A planned look within reach. `look` is its expected content."""
+    """A reachable planned look; `look` is the expected measurement."""
 
     pose: PlannedLook
     look: SphereLook
@@ -115,7 +115,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
 def _plan_looks(
     model: ArmModel, places: Sequence[BallPlace], workcell: Workcell, count: int, validation: int
 ) -> tuple[_PlannedSphereLook, ...]:
-    """Choose the most informative looks, and evenly spread looks for validation."""
+    """Choose the most informative looks for the fit and evenly spread looks for validation."""
     informative_count, validation_count = round(SPARE * count), math.ceil(SPARE * validation)
     wanted = informative_count + validation_count
     each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
@@ -202,7 +202,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
 
 
 def flanks_of(number: int) -> Flanks:
-    """Return the side from which each joint arrives at look `number`. All patterns are equally frequent."""
+    """Return each joint's approach side for look `number`; all side patterns occur equally often."""
     pattern = int(GOLDEN * number % 1.0 * 64)
     sides: list[Side] = [1 if pattern >> axis & 1 else -1 for axis in range(6)]
     a, b, c, d, e, f = sides

@@ -1,4 +1,4 @@
-"""Steps of the guide tip's calibration: the stereo head measures the stand's ball, then dials read a divot.
+"""Steps of the guide tip calibration: stereo measurement of the stand's ball, then dial readings of a divot.
 
 Head and tip visit the same orientations.
 """
@@ -57,7 +57,7 @@ MOST_TRIES = 3  # at one orientation: the second is near, unless something gives
 
 
 class ObservedStand(StepResult, kind="stand_ball"):
-    """Looks of the stereo head at the stand's ball."""
+    """Stereo head looks at the stand's ball."""
 
     looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -157,13 +157,13 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
 
 
 class TipReadings(StepResult, kind="tip_readings"):
-    """Readings from which the tip's calibration is computed."""
+    """Readings used to calibrate the guide tip."""
 
     observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
-    """Have the divot read on dials. Raises PRO-002, PRO-009 for another tool, CAL-018 for absurd readings."""
+    """Collect dial readings at the divot. Raises PRO-002, PRO-009 (wrong tool), CAL-018 (implausible)."""
     context.result(CheckedSetUp)
     context.request_instrument_removal()  # of an earlier attempt
     place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
@@ -206,7 +206,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
 
 @dataclass
 class _Reading:
-    """Readings of the divot. Earlier readings help to bring the tip to it."""
+    """Divot readings so far; they improve the aim at the next orientation."""
 
     context: StepContext
     observed: TipLooks
@@ -262,14 +262,14 @@ class _Reading:
         return Transform(Frame.ROBOT, Frame.FLANGE, wanted) @ guide
 
     def _tip_mm(self, guide: Transform, head: Transform) -> Array:
-        """Return the tip in the head's tool frame, by the readings so far or, without any, by the record."""
+        """Return the tip in the head's tool frame, from the readings so far or else from the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
         return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
 
 
 def readings_step(validation: int) -> StepSpec[TipReadings]:
-    """Build the step that reads the divot, with a number of readings for validation."""
+    """Build the step that reads the divot, reserving `validation` readings for validation."""
     return StepSpec(
         TipReadings,
         "Read the divot at the tip of the guide",

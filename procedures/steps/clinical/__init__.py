@@ -1,1 +1,1 @@
-"""The steps of a case, one module each."""
+"""Clinical steps, one module each."""

@@ -1,4 +1,4 @@
-"""Work at the target, stage by stage, through a guide that is held outside the skin.
+"""Work at the target, stage by stage, through a guide held outside the skin.
 
 Nothing moves from before the first stage until the instrument is confirmed to be out. The instrument's tip is
 at the target when its depth stop rests on the guide.
@@ -69,7 +69,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Check the arm's position, then have the depth stop set, the stages done and the instrument removed."""
+    """Check the arm's position, then guide depth stop setting, work stages and instrument removal."""
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
@@ -122,7 +122,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
 
 
 def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
-    """Return the outcome for work finished on an earlier visit, when nothing watched the guide."""
+    """Return the outcome of work finished on an earlier, unwatched visit."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
@@ -185,7 +185,7 @@ def _check_room_again(context: StepContext) -> None:
 
 @contextmanager
 def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
-    """Within the block, compare the guide with its untouched rest position.
+    """Measure the guide against its rest position during the block.
 
     Raises PRO-019 or PRO-020 if a push that ends the step is a move of cart or head.
     """

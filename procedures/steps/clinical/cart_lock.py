@@ -1,4 +1,4 @@
-"""Placing and locking of the arm's cart. The tracker checks its position and its lock.
+"""Placing and locking of the arm's cart, verified by the tracker.
 
 The frame on the arm moves with the cart, the spheres move with the head. After somebody leans on the cart,
 neither may have moved against the other.
@@ -66,7 +66,7 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
     proposal: Proposal | None = Field(description="None if nothing was proposed.")
 
     def differences(self, path: Path) -> str:
-        """Describe how the file's proposal differs from the one compared; empty if equal. Raises PLAN-022."""
+        """Describe how a file's proposal differs from the recorded one; empty if equal. Raises PLAN-022."""
         found = read_place(path)
         if self.proposal is None or (found is not None and found.place == self.proposal.place):
             return ""
@@ -75,7 +75,7 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:
-    """Have the cart placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
+    """Guide the cart's placing and locking. Raises PRO-007, PRO-020, PRO-041, PRO-042, PLAN-022."""
     for before in context.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
@@ -144,7 +144,7 @@ def _take_first_look(context: StepContext) -> tuple[Transform, RoomReading]:
 def _offset_from_proposal(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> ProposalDeviation | None:
-    """Return the cart's position relative to the proposal; None, with a finding, without a unique match."""
+    """Return the cart's deviation from the proposal, or record a finding and return None without a match."""
     image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
     prior = room_prior(plan, context.setting.settings, robot_from_tracker)
     found = coarse_match(plan, image, robot_from_tracker.apply(look.spheres_mm), prior)
@@ -163,7 +163,7 @@ def _offset_from_proposal(
 def _accept_position(
     context: StepContext, proposal: ProposedPlace, drift: ProposalDeviation, placing: int
 ) -> bool:
-    """Return whether the cart may stay in its position; False to place it again. Raises PRO-042."""
+    """Return whether the cart may stay where it is or must be placed again. Raises PRO-042."""
     if proposal.allows(drift):
         return True
     problem = CartMisplaced(
@@ -181,7 +181,7 @@ def _accept_position(
 
 
 def _confirm(context: StepContext, subject: str, value: str) -> None:
-    """Ask before the tracker measures, so that hands have all the time they need. Raises PRO-041."""
+    """Ask for confirmation before the tracker measures, so that nobody is rushed. Raises PRO-041."""
     if context.choose(Question(Topic.CART_LOCKED, subject, value)) != YES:
         raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
@@ -189,7 +189,7 @@ def _confirm(context: StepContext, subject: str, value: str) -> None:
 def displacement_against_head(
     robot_from_tracker: Transform, first: RoomReading, second: RoomReading
 ) -> tuple[Array, int]:
-    """Return the displacement (3,) mm of the arm's frame against the head, and the number of spheres used.
+    """Return the arm frame's displacement (3,) mm relative to the head and the number of spheres used.
 
     Raises PRO-041, or PRO-020 if it was the head that moved.
     """

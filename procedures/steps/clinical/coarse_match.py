@@ -1,4 +1,4 @@
-"""Matching of the spheres in CT and room, with the plan's layout and the patient's position as priors."""
+"""Matching of spheres in CT and room, using plan template and patient position as priors."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracke
 
 
 def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
-    """Return the poses in view of the tracker by which the mirrored spheres (n, 3) fit as well."""
+    """Return the poses, visible to the tracker, at which the mirrored spheres (n, 3) would fit too."""
     found = match_by_distances(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
     if found.transform is None:
         return []
@@ -50,7 +50,7 @@ def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[Rigid
 
 
 def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
-    """Match spheres in CT (n, 3) and room (m, 3), mm, by the template if there is one, or by distances."""
+    """Match spheres in CT (n, 3) and room (m, 3), mm, by the plan's template or else by distances."""
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
@@ -68,7 +68,7 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
 
 
 def match_by_distances(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
-    """Match by distances and prior only."""
+    """Match by distances and prior alone, without a template."""
     return match(
         image,
         physical,

@@ -41,7 +41,7 @@ class TouchedLandmark(Values):
 
 
 class Correspondence(StepResult, kind="correspondence"):
-    """Pairs of spheres, and the coarse registration that they imply."""
+    """Sphere pairs, and the coarse registration derived from them."""
 
     status: MatchStatus = Field(description="UNIQUE: no other status permits motion.")
     pairs: tuple[tuple[int, int], ...] = Field(description="Index in the CT, index in the room.")
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
 def _touch_if_mirrored(
     context: StepContext, robot_from_ct: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
 ) -> TouchedLandmark | None:
-    """Have a landmark on the head touched if a mirrored CT would fit as well. Raises REG-013."""
+    """Ask for a landmark on the head to be touched if a mirrored CT would fit too. Raises REG-013."""
     landmark = choose_landmark(robot_from_ct, mirrored, prior)
     if landmark is None:
         return None
@@ -140,7 +140,7 @@ def _format_point(point_mm: ArrayLike) -> str:
 def _match_fewer_if_agreed(
     context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
-    """Return the match or, if the operator agrees, a unique match of fewer spheres than were implanted."""
+    """If matching fails and the operator agrees, match fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
     rest = match_by_distances(image, physical, prior)

@@ -53,7 +53,7 @@ class ImportedCt(StepResult, kind="ct_import"):
         return self.series_instance_uid
 
     def differences(self, volume: Volume) -> str:
-        """Return the names of the fields in which a series differs, such as `voxels_sha256`, or nothing."""
+        """List the fields in which a series differs, such as `voxels_sha256`; empty if none."""
         now = ImportedCt.from_volume(volume)
         return ", ".join(
             name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)

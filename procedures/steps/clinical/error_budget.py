@@ -60,7 +60,7 @@ NOTHING = "-"
 def residual_gate(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> FreGate:
-    """Judge the residual of paired points (n, 3) mm, allowing for the arm's shared error.
+    """Gate the residual of paired points (n, 3) mm, allowing for errors shared by all points.
 
     `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head, `arm_mm` the arm's sigma per
     axis. `shared_mm` (n, 3, k) is the displacement by one standard deviation of each shared error. Raises
@@ -79,7 +79,7 @@ def residual_gate(
 def find_moved_spheres(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> tuple[int, ...]:
-    """Return the pairs whose omission lets the others pass the gate, likeliest first; see `residual_gate`."""
+    """Return the pairs whose removal makes the gate pass, most likely first; see `residual_gate`."""
     found: list[tuple[float, int]] = []
     for index in range(len(image_mm) if len(image_mm) > FEWEST_PAIRS else 0):
         keep = np.arange(len(image_mm)) != index
@@ -102,7 +102,7 @@ def find_undetected_sphere(
     arm_mm: float,
     shared_mm: Array,
 ) -> UnnoticedPoint:
-    """Find the sphere whose move since the CT displaces a target furthest while the `gate` still passes.
+    """Find the sphere whose displacement could move the target furthest while still passing the `gate`.
 
     `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
     """
@@ -128,7 +128,7 @@ def arm_covariance_mm2(arm_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide held at a target after `head_rotation` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
+    """Guide held at a target (rotation robot <- tool, joints, tip (3,) mm) after `head_rotation` (3, 3)."""
 
     rotation: Array
     joints_rad: Numbers6
@@ -146,7 +146,7 @@ class HeldGuide:
 def predict_held_guide(
     context: StepContext, planned: PlannedTrajectory, robot_from_ct: Transform, moved: Transform | None
 ) -> HeldGuide:
-    """Predict how the guide is held if the head `moved` after the registration. Raises ARM-001 to ARM-003."""
+    """Predict the guide's pose at a target, following any head move. Raises ARM-001 to ARM-003."""
     path, tip_mm = context.result(CheckedPaths).targets[planned.id], robot_from_ct.apply(planned.target_mm)
     pose = path.tool_pose.transform
     if moved is None:
@@ -161,7 +161,7 @@ def predict_held_guide(
 def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
-    """Return the arm's errors at planned localizations of spheres (n, 3) mm, robot frame, and at a target."""
+    """Return the arm's errors at the planned sphere localizations (n, 3) mm, robot frame, and at a target."""
     paths = context.result(CheckedPaths)
     joints_rad = _planned_joints_rad(context, fiducials)
     signs = arriving(context, paths)
@@ -180,7 +180,7 @@ def arm_errors(
 
 
 def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:
-    """Return covariances (n, 3, 3) mm2 of the spheres from backlash on unknown sides, for a calibrated arm.
+    """Return the sphere covariances (n, 3, 3) mm2 due to a calibrated arm's backlash on unknown sides.
 
     The stated error of an uncalibrated arm includes it.
     """
@@ -208,7 +208,7 @@ def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> A
 
 
 def budget_table(predicted: Prediction) -> Evidence:
-    """Return a table of the shares of a predicted error, largest first, and of what it leaves out."""
+    """Tabulate the shares of a predicted error, largest first, and what it does not include."""
     shares = sorted(predicted.budget, key=lambda share: -share.rms_mm)
     return Evidence(
         title=f"Predicted error at {predicted.target}",
@@ -222,7 +222,7 @@ def budget_table(predicted: Prediction) -> Evidence:
 
 
 def two_way_table(table: TwoWayTable) -> Evidence:
-    """Return a table that compares every CT sphere with the room, distances in mm."""
+    """Tabulate every CT sphere against the measurements in the room, distances in mm."""
     return Evidence(
         title="CT to room and room to CT"
         + ("" if table.agrees_both_ways else ": the two directions do NOT agree")

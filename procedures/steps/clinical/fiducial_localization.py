@@ -1,4 +1,4 @@
-"""Localization of the spheres in the CT."""
+"""Sphere localization in the CT."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
 
     @property
     def disagreement_mm(self) -> dict[int, float]:
-        """Distance between the two estimates of each centre, by index."""
+        """Distance (mm) between the two estimates of each centre, by index."""
         return {index: marker.agreement_mm for index, marker in enumerate(self.markers)}
 
 

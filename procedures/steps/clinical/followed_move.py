@@ -1,4 +1,4 @@
-"""Small move of the head, measured by the tracker. The registration follows it if the operator agrees.
+"""Small head moves, measured by the tracker and followed by the registration if the operator agrees.
 
 The arm is home, where the localization was made. There nothing hides the head, and the frame on the arm shows
 a move of cart or tracker. Only a single rigid, small and completed move is followed.
@@ -47,7 +47,7 @@ class MeasuredMove:
     record: FollowedMove
 
     def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
-        """Return the errors by source that following adds at a place (3,) mm, robot frame before the move."""
+        """Return the errors by source that following adds at a point (3,) mm, robot frame before the move."""
         return {
             "measured head movement": self.fit.error_mm(place_mm),
             "cart and tracker stability": self.record.base_mm,

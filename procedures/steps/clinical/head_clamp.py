@@ -1,4 +1,4 @@
-"""Clamping of the head, confirmed by the operator and by the tracker's view of its spheres."""
+"""Head clamping, confirmed by the operator and by the tracker's view of the spheres."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Have the head clamped and confirmed, then measure it. Raises PRO-002, or PRO-007 for an unseen head."""
+    """Ask to clamp the head, then measure it. Raises PRO-002, or PRO-007 if the head is not visible."""
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile

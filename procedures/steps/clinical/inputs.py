@@ -1,4 +1,4 @@
-"""Guard of the inputs: CT, plan and proposed position must not change while results depend on them.
+"""Guard of the inputs: CT, plan and proposed cart position must not change while results depend on them.
 
 Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
 """
@@ -29,7 +29,7 @@ Stamps = tuple[Stamp, ...]
 
 
 class UnchangedInputs:
-    """Guard of CT, plan and cart position. A change ends the step and voids all results based on it."""
+    """Guard of CT, plan and cart position. Any change ends the step and voids all dependent results."""
 
     name = "CT, plan and cart position"
 
@@ -69,7 +69,7 @@ class UnchangedInputs:
         return None
 
     def close(self) -> None:
-        """At the end of the run, note inputs that were rewritten with the same content."""
+        """Record inputs that were rewritten with the same content by the end of the run."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
@@ -80,7 +80,7 @@ class UnchangedInputs:
 
 
 def note_same_content(engine: Engine, path: Path, record: Record) -> None:
-    """Note that a plan or position was rewritten with the same content, so the existing result remains valid.
+    """Record that a plan or position was rewritten unchanged, so that the existing result stays valid.
 
     Raises PRO-003.
     """

@@ -1,4 +1,4 @@
-"""Check of all paths before anything moves: line of sight, reach, clearance, a single branch of the arm.
+"""Check of all paths before any motion: line of sight, reach, clearance, and one branch of the arm.
 
 A trajectory that cannot be served is put to the operator: nothing is replaced or left out without consent.
 """
@@ -101,7 +101,7 @@ class MotionPreview(Values):
 
 
 def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
-    """Return the motions of one localization, including via home: of a trajectory, or of the only one."""
+    """Return the motions of one localization, home moves included, for a trajectory or for the whole case."""
     own = f"{trajectory}/" if trajectory else ""
     over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
     return list(motions[over[0] : over[-1] + 1]) if over else []
@@ -167,7 +167,7 @@ class CheckedPaths(StepResult, kind="path_check"):
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """Return the localizations for a trajectory; for None, the only set if the strategy localizes once.
+        """Return the localizations for a trajectory, or the only set for None if the strategy localizes once.
 
         Raises KeyError if there are none for this trajectory, or several sets.
         """
@@ -282,7 +282,7 @@ def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPos
 
 @dataclass
 class PathSearch:
-    """Search for paths that asks the operator about unreachable trajectories.
+    """Path search that consults the operator about unreachable trajectories.
 
     `centres_mm` (n, 3) are the fiducials in the CT. By trajectory, `left_out` has the reason and `replaced`
     the strategy that serves it instead.
@@ -297,7 +297,7 @@ class PathSearch:
     _tried: dict[str, set[str]] = field(default_factory=dict)
 
     def find_paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
-        """Find paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
+        """Find paths of all trajectories not left out. Raises PLAN-007 for one that stays out of reach."""
         self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
             remain = [one for one in trajectories if one.identifier not in self.left_out]
@@ -328,7 +328,7 @@ class PathSearch:
         reaching_strategies: dict[str, tuple[Strategy, ...]],
         others: Sequence[str],
     ) -> None:
-        """Offer another strategy, or to leave a trajectory out. Raises PLAN-007 if neither is agreed."""
+        """Offer to change a trajectory's strategy or leave it out. Raises PLAN-007 if neither is accepted."""
         # One registration for all cannot be made by two strategies.
         offered = reaching_strategies[name] if self.setting.strategy.localizes_per_trajectory else ()
         answers = (*(strategy_answer(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)

@@ -1,4 +1,4 @@
-"""Check of the plan against the CT and its spheres. The operator confirms the patient."""
+"""Check of the plan against the CT and its spheres, and confirmation of the patient."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 
 
 def _as_held(context: StepContext) -> Plan:
-    """Read the plan, locked while it is read. Raises PRO-007 if it has changed since the case was opened."""
+    """Lock and read the plan. Raises PRO-007 if it has changed since the case was opened."""
     path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
     with lock_plan(path) as held:
         if held_sha256 not in (None, held.sha256):
@@ -97,7 +97,7 @@ def _as_held(context: StepContext) -> Plan:
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
-    """Store pictures of the planned trajectories in the CT, for the operator and the report."""
+    """Save CT cuts along the planned trajectories for the operator and the report."""
     from procedures.imaging.trajectory_cuts import trajectory_cuts
 
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
@@ -106,7 +106,7 @@ def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
 
 
 def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> None:
-    """Have patient and plan confirmed by reading back the patient's identifier. Raises PRO-002.
+    """Ask to confirm patient and plan by reading back the patient's identifier. Raises PRO-002.
 
     The identifier is in the CT and on the wristband, but neither in the question nor in any record.
     """
@@ -125,7 +125,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
 
 
 def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
-    """Describe the plan without the patient's name; a hash of its UID identifies the series."""
+    """Describe the plan anonymously, identifying the series by a hash of its UID."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = "; ".join(
         f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
@@ -138,7 +138,7 @@ def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
 def _accept_count(
     context: StepContext, check: PlanCheck, localized: LocalizedFiducials
 ) -> tuple[PlanCheck, int]:
-    """Remove a wrong sphere count from the check if agreed; also return the number to match.
+    """If the operator accepts a wrong sphere count, drop it from the check; also return the number to match.
 
     If there are too many, tracker and matching show which are on the head; if too few, the case continues
     without the missing ones.

@@ -1,4 +1,4 @@
-"""Positioning of the guide before an entry: a joint move to its axis, then a line along it."""
+"""Positioning of the guide at an entry: a joint move to the axis, then a linear move along it."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
 
 
 def _require_guide_in_seat(context: StepContext) -> None:
-    """Raise TOOL-006 for a moved guide, PRO-019 for a moved frame on the mount or a moved cart."""
+    """Raise TOOL-006 if the guide has moved on its mount, PRO-019 if the mount's frame or the cart has."""
     frame = context.workcell.tools.guide.record.frame
     if frame is None:
         return
@@ -131,7 +131,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 
 @contextmanager
 def name_refusals(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
-    """Raise refusals as PLAN-007 with the trajectory's name, and state if the arm of `moving` has moved."""
+    """Convert refusals to PLAN-007 with the trajectory's name, stating whether the arm has moved."""
     start_rad = None if moving is None else moving.joints_rad()
     try:
         yield
@@ -150,7 +150,7 @@ def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
 
 
 def _require_registration(context: StepContext) -> RegisteredRobot:
-    """Return the registration. Raises PRO-007 if it is older than an arm fault and not kept."""
+    """Return the registration. Raises PRO-007 if it predates an arm fault and the operator rejects it."""
     registered = context.result(RegisteredRobot)
     fault = context.doubt(RegisteredRobot)
     if fault is not None:

@@ -1,4 +1,4 @@
-"""Registration of the CT to the robot, with a prediction of the error at every target it serves.
+"""Registration of CT to robot, with a predicted error for every target it applies to.
 
 The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
 """
@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Sphere pairs to fit: index and position in the CT, position in the room, covariances."""
+    """Sphere pairs for the fit: CT index and position, room position, and covariances."""
 
     fiducials: tuple[int, ...]
     image_mm: Array
@@ -113,7 +113,7 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with all known covariances, gate the residual, and have the predicted error accepted.
+    """Fit with all known covariances, gate the residual, and require acceptance of the predicted error.
 
     A repeat with the guide mounted means that the head has moved: the tracker measures the move.
     """
@@ -170,7 +170,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
 def _select_agreeing_pairs(
     context: StepContext, pairs: _Pairs, arm_mm: float
 ) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
-    """Return the pairs; if agreed, without the one sphere that alone explains a disagreement.
+    """Return the pairs, without a single disagreeing sphere if the operator agrees to leave it out.
 
     Raises PRO-007 if no sphere explains it, or more than one would.
     """
@@ -284,7 +284,7 @@ def predict_tip_error(
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:
-    """Return advice about spheres, by CT index, each of which alone would explain the disagreement."""
+    """Return advice on the spheres (CT indices) that could each explain the disagreement alone."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:

@@ -128,7 +128,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
 
 
 def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Return the direction in which each joint arrives at the spheres; None if the strategy leaves it open.
+    """Return each joint's approach direction at the spheres, or None if the strategy leaves it open.
 
     It is that in which the joint will arrive at the target. If one registration serves all targets, a
     calibrated arm arrives from one side: its known backlash helps only if the side is known as well.
@@ -144,7 +144,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
 
 
 def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
-    """Have the operator agree to leave out a sphere. Raises `problem` if not, or if too few would remain."""
+    """Ask to leave out a sphere. Raises `problem` if the operator declines or too few would remain."""
     if remain < FEWEST_SPHERES:
         raise problem
     question = SPHERE_FAILED.question(
@@ -158,7 +158,7 @@ def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, re
 
 
 def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:
-    """Raise PRO-007 if the last sphere's offset is unlike the others: a wrong sphere, or the patient moved.
+    """Raise PRO-007 if the last sphere's offset is inconsistent: wrong sphere, or the patient has moved.
 
     The spheres share the error of tool frame and tracker frame, which alone bounds the first offset.
     """
@@ -181,7 +181,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
 
 
 def _shared_error_mm(context: StepContext) -> float:
-    """Return a bound (mm) on the error of coarse positions from tool frame and tracker frame.
+    """Return a bound (mm) on coarse position errors due to tool frame and tracker frame.
 
     Tracker and stereo head look in different orientations, so the error counts at most twice.
     """

@@ -1,4 +1,4 @@
-"""Results used to compare the room: localized spheres, registration, look after a target.
+"""Step results used in room comparisons: localized spheres, registration, and check after a target.
 
 They are apart from their steps, which themselves compare the room.
 """
@@ -74,7 +74,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
 
 class ErrorShare(Values):
-    """Share of one source in a predicted error. The squares of all shares add up to that of the error."""
+    """Share of one error source in a predicted error; the shares add up in squares."""
 
     source: str = Field(description="Such as `CT` or `guide tip`.")
     rms_mm: float = Field(description="Root mean square at the target.")
@@ -137,7 +137,7 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def trajectories(self) -> frozenset[str]:
-        """Trajectories that the registration serves."""
+        """Trajectories that use the registration."""
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
@@ -176,7 +176,7 @@ class LinkHealth(Values):
 
 
 def link_health(context: StepContext) -> LinkHealth:
-    """Return the health of the robot link. Call it right before the stream is ended."""
+    """Return the health of the robot link; call this just before the stream ends."""
     statistics = asdict(context.workcell.link_statistics())
     fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)

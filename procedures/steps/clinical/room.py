@@ -69,7 +69,7 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
 
 @dataclass(frozen=True)
 class ExpectedSight:
-    """Expected view of the tracker past the guide, from the bodies used for clearance."""
+    """Expected view of the tracker past the guide, based on the collision bodies."""
 
     context: StepContext
     sight: TrackerSight
@@ -81,7 +81,7 @@ class ExpectedSight:
         return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
 
     def hidden_now(self) -> bool:
-        """Whether too few spheres are visible with the arm in its present pose."""
+        """Whether too few spheres are visible with the arm in its current pose."""
         return self.hidden_at(self.context.workcell.joints_rad())
 
 
@@ -95,7 +95,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
 
 @contextmanager
 def require_head_in_view(context: StepContext) -> Iterator[None]:
-    """Within the block, limit how long the head may be unseen before the case is suspended."""
+    """During the block, limit how long the head may be out of view before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
     if approach is None:
@@ -109,7 +109,7 @@ def require_head_in_view(context: StepContext) -> Iterator[None]:
 
 
 def room_watch(context: StepContext) -> RoomWatch:
-    """Return the watch over the current localization, building one if the localization is new.
+    """Return the watch over the current localization, creating it for a new one.
 
     After a followed move of the head, the spheres are expected at their new places.
     """
@@ -140,19 +140,19 @@ def build_watch(
 def find_followed_registration(
     registrations: Sequence[RegisteredRobot], trajectory: str | None
 ) -> RegisteredRobot | None:
-    """Return the trajectory's registration, or else the last one; None unless it followed a head move."""
+    """Return the trajectory's registration, or else the last one, if it followed a head move."""
     own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
     return own[-1] if own and own[-1].followed is not None else None
 
 
 def find_followed_spheres(registration: RegisteredRobot | None) -> Array | None:
-    """Return the spheres (n, 3) mm, tracker frame, that a registration followed; None if it followed none."""
+    """Return the sphere positions (n, 3) mm, tracker frame, that a registration followed, or None."""
     move = None if registration is None else registration.followed
     return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
 
 
 def find_frame_at_home(context: StepContext) -> Array | None:
-    """Return the frame on the arm at home (3,) mm, from before the relocalization; None if not recorded."""
+    """Return the arm frame's position (3,) mm at home before the relocalization, or None if not recorded."""
 
     def first(made: Sequence[Relocalization]) -> Relocalization | None:
         return next((one for one in made if one.frame_at_home_mm is not None), None)
@@ -162,7 +162,7 @@ def find_frame_at_home(context: StepContext) -> Array | None:
 
 
 def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
-    """Return the targets with work begun or done since the last look that showed no change."""
+    """Return the targets where work may have begun and no check has confirmed that nothing moved."""
     confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
     return tuple(
@@ -171,14 +171,14 @@ def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
-    """Record a finding on the unconfirmed targets. Unless `again`, only targets without any look count."""
+    """Record a finding about unconfirmed targets; unless `again`, skip those already checked."""
     looked = () if again else context.trajectories_done(ConfirmedTarget)
     if targets := tuple(name for name in list_unconfirmed_targets(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 
 
 def void_moved(context: StepContext, moved: RonnaError) -> None:
-    """Void the registrations that may follow a small move with the guide mounted, otherwise the localization.
+    """After a move, void the registrations if they can follow it, or else the localization.
 
     A moved cart voids its lock as well. Unconfirmed targets are in doubt, as nobody knows when it moved.
     """

@@ -19,7 +19,7 @@ from ronna_hw.tool_record import ToolRecord
 
 
 class DeviceIdentity(Values):
-    """Identity that a device reports."""
+    """Identity reported by a device."""
 
     vendor: str = Field(description="Maker.")
     model: str = Field(description="Model.")
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
 
 def _needs_disconnection(context: StepContext) -> tuple[str, ...]:
-    """Require that no device is connected yet, because a second connection would conflict with the first."""
+    """Require all devices disconnected, since a second connection would conflict with the first."""
     connected = [
         role
         for role, device in context.workcell.devices.items()

@@ -29,7 +29,7 @@ from ronna_hw.calibration import Numbers3
 
 
 class MeasuredTarget(StepResult, kind="target_measurement"):
-    """Distance of a ball at the target from the centre of the stereo head, as positioned by the arm."""
+    """Distance of the ball at a target from the stereo head's centre after positioning by the arm."""
 
     tool_pose: FramedPose = Field(
         description="Pose robot <- tool with its centre on the target, as commanded."

@@ -27,7 +27,7 @@ class MountedGuide(StepResult, kind="tool_change"):
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
-    """Park, end the stream, have the tool changed, and read the mounted tool from the controller's inputs."""
+    """Park, end the stream, ask for the tool change, and identify the tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (

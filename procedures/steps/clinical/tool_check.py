@@ -1,4 +1,4 @@
-"""Check of the mounted guide on a gauge: does it still match the calibration of its tip?
+"""Gauge check of the mounted guide: does it still match its tip calibration?
 
 The gauge is at the former place of the mandrel's end, with the arm in the recorded joints, reached from the
 same side. So the arm's repeatability counts, not its accuracy. Hands insert the mandrel and read the dials.
@@ -61,7 +61,7 @@ class CheckedTool(StepResult, kind="tool_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedTool]:
-    """Check the guide. If it differs, it is remounted and checked once more with the operator's agreement.
+    """Check the guide. If it differs and the operator agrees, check it once more after remounting.
 
     Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
     """
@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
 
 
 def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
-    """Check head, base and the guide's own frame, if any, by the tracker; then check the guide on the gauge.
+    """Check head, base and any frame on the guide by tracker, then the guide on the gauge.
 
     Raises TOOL-005 to TOOL-007, PRO-002.
     """
@@ -121,7 +121,7 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
 
 @dataclass(frozen=True)
 class GuideOnGauge:
-    """Reading of the guide on its gauge, compared with its record."""
+    """Gauge reading of the guide, compared with its record."""
 
     readings_mm: tuple[tuple[float, ...], ...]
     offset_mm: Numbers3
@@ -130,7 +130,7 @@ class GuideOnGauge:
 
     @property
     def off_mm(self) -> float:
-        """Length of the offset."""
+        """Magnitude of the offset (mm)."""
         return math.hypot(*self.offset_mm)
 
     @property
@@ -140,7 +140,7 @@ class GuideOnGauge:
 
 
 def read_on_gauge(context: StepContext) -> GuideOnGauge:
-    """Have the mandrel inserted in the gauge, read and removed, three times, then go home.
+    """Read the mandrel in the gauge three times, then go home.
 
     If the mean differs from the record, three more readings are taken and the mean of six decides. Raises
     PRO-002, TOOL-007 and the errors of the motions.
@@ -181,7 +181,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
 
 
 def compare_with_record(gauge: Gauge, readings_mm: Sequence[Sequence[float]]) -> tuple[Numbers3, float]:
-    """Return the offset of the mandrel's end (mm) and its tilt (deg) from the record, by the mean reading."""
+    """Return the mandrel end's offset (mm) and tilt (deg) from the record for the mean reading."""
     recorded_mm = (*gauge.reading_mm, *gauge.upper_reading_mm)
     read_mm = np.mean(readings_mm, axis=0)
     x, y, z, upper_x, upper_y = np.subtract(read_mm, recorded_mm).tolist()

@@ -1,4 +1,4 @@
-"""The mounted tool: exchange by hand on the parked arm, and position as seen by the tracker.
+"""Mounted tool: manual exchange on the parked arm, and position check by tracker.
 
 The controller's inputs show whether the right tool is mounted. The tracker compares the frame on the tool
 with frame M on the mount in the same readings. So arm, tracker position and calibrations do not matter. This
@@ -26,7 +26,7 @@ FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show b
 
 
 def exchange_tool(context: StepContext, tool: MountedTool) -> int:
-    """End the stream, have a tool mounted unless it already is, and return its number.
+    """End the stream, request a tool unless it is already mounted, and return its number.
 
     Raises PRO-002, or PRO-009 if it is not mounted in the end.
     """
@@ -57,7 +57,7 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
 
 
 def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:
-    """Return the largest distance (mm) of a sphere on the tool from its recorded position. Raises TOOL-006.
+    """Return the largest deviation (mm) of the tool's spheres from their recorded positions. Raises TOOL-006.
 
     None if a frame is hidden and `must_see` is not set.
     """

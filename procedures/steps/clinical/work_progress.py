@@ -51,7 +51,7 @@ STAGES = (
 
 @dataclass
 class WorkProgress:
-    """Progress of work through the guide, from which an interrupted step continues.
+    """Progress of the work through the guide, which an interrupted step resumes.
 
     `before` are the tasks of stages done on an earlier visit, which are not repeated. `watched` says that the
     tracker saw the guide after each stage since, `pushed_mm` is its largest displacement after one.
@@ -72,7 +72,7 @@ class WorkProgress:
         return len(self.before) == len(STAGES)
 
     def rely_on_stop(self, context: StepContext) -> None:
-        """Rely on the depth stop for the insertion. Raises TOOL-007 if its reading is too old."""
+        """Require a recent depth stop reading before the insertion. Raises TOOL-007 if it is too old."""
         if self.stop_read_s is None:
             return
         try:
@@ -84,7 +84,7 @@ class WorkProgress:
 
 
 def work_progress(context: StepContext) -> WorkProgress:
-    """Return interrupted work whose instrument is still inside, or else new work with the depth stop set.
+    """Resume interrupted work if its instrument is still inside, or else start with the depth stop set.
 
     If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
@@ -121,7 +121,7 @@ def describe_work(known: Mapping[str, bool], *, doubted: bool = False) -> str:
 
 
 def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
-    """Describe the work begun at each unfinished target."""
+    """Describe the work that has or may have begun at each unfinished target."""
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     return tuple(
@@ -133,7 +133,7 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
 
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
-    """Return the tasks that the operator chooses not to repeat; all tasks if the work was finished."""
+    """Ask where to continue earlier work and return the tasks that are not repeated."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
     trajectory = context.trajectory
     if not stages.may_have_begun(trajectory):
@@ -164,7 +164,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
 
 
 class DepthStop(Values):
-    """Computed setting of the depth stop, and its reading."""
+    """Computed setting and reading of the depth stop."""
 
     bore_mm: float = Field(description="Length of the guide's bore.")
     standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
@@ -174,12 +174,12 @@ class DepthStop(Values):
 
     @property
     def too_deep_mm(self) -> float:
-        """Depth beyond the target that the reading allows, mm; negative if it falls short."""
+        """How far (mm) beyond the target the depth stop reading reaches; negative if it falls short."""
         return self.read_mm - self.computed_mm
 
 
 def set_depth_stop(context: StepContext) -> DepthStop:
-    """Have the depth stop set, read and confirmed. Raises TOOL-004 if it stays wrong, PRO-002."""
+    """Request, read and confirm the depth stop setting. Raises PRO-002, or TOOL-004 if it stays wrong."""
     checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
     plan, planned = checked.plan, checked.trajectory(context.trajectory)
     computed_mm = depth_stop_mm(plan, planned, bore)
