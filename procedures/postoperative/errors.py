@@ -1,4 +1,4 @@
-"""Errors of the postoperative check, POST-001 to POST-009."""
+"""Errors in the postoperative check, POST-001 to POST-009."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import EXIT_REFUSED, DataError
 
 
 class NoBone(DataError):
-    """A CT shows no skull to register on."""
+    """A CT shows no skull for registration."""
 
     code = "POST-001"
     action = "Give CTs of the whole head, in Hounsfield units."
@@ -21,14 +21,14 @@ class HeadsDiffer(DataError):
 
 
 class SeriesSwapped(DataError):
-    """The plan belongs to the CT that was given as postoperative."""
+    """The CT given as postoperative is the one that the plan belongs to."""
 
     code = "POST-003"
     action = "Give the planning CT first, then the postoperative one."
 
 
 class OneSeriesTwice(DataError):
-    """Both folders hold the same series."""
+    """Both folders contain the same series."""
 
     code = "POST-004"
     action = "Give the planning CT, then the postoperative one."
@@ -51,7 +51,7 @@ class InstrumentMissing(DataError):
 
 
 class InstrumentAmbiguous(DataError):
-    """The same instrument or hole was found along more than one trajectory."""
+    """The same instrument or hole was found along several trajectories."""
 
     code = "POST-007"
     action = "Check the CT to see which trajectory it was; name the ones that were carried out with --only."
@@ -59,14 +59,14 @@ class InstrumentAmbiguous(DataError):
 
 
 class RunOfAnotherPlan(DataError):
-    """The run for the report followed another plan, or a plan on another CT."""
+    """The run to be reported on used another plan, or a plan on another CT."""
 
     code = "POST-008"
     action = "Give the run of this operation, or omit --run."
 
 
 class FitFailed(DataError):
-    """The object along a trajectory does not fit a rod or a round hole, so its axis is unknown."""
+    """The object along a trajectory fits neither a rod nor a round hole, so its axis is unknown."""
 
     code = "POST-009"
     action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."

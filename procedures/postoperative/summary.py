@@ -1,4 +1,4 @@
-"""Result of a postoperative check for storage, output and report, and a picture of each trajectory."""
+"""Postoperative check result for storage, output and report, with an image of each trajectory."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLANNED_COLOUR, FOUND_COLOUR = "#58c4dd", "#ff9d5c"
 
 
 class PostoperativeCheck(Strict):
-    """Postoperative CT compared with the plan."""
+    """Comparison of the postoperative CT with the plan."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this format.")
     pre_series_instance_uid: str = Field(description="The planning CT.")
@@ -46,7 +46,7 @@ class PostoperativeCheck(Strict):
 def summarize_comparison(
     proof: PostoperativeComparison, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
-    """Convert a comparison to plain values."""
+    """Convert a comparison to a serializable result with warnings."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
     doubts = (f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
@@ -73,7 +73,7 @@ def _list_margin_violations(proof: PostoperativeComparison, plan: Plan) -> tuple
 
 
 def draw_trajectory(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
-    """Draw a PNG with the planned trajectory down the middle and the found object over it."""
+    """Draw a PNG with the planned trajectory down the middle and the found object overlaid."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -110,7 +110,7 @@ def draw_trajectory(post: Volume, found: FoundTrajectory, post_from_pre: RigidTr
 
 
 def _largest_offset(local: Array) -> Array:
-    """Return the direction (3,) across the trajectory in which the found object deviates most."""
+    """Return the direction (3,) across the trajectory of the found object's largest deviation."""
     off = local[int(np.argmax(np.hypot(local[:, 1], local[:, 2])))] * np.array([0.0, 1.0, 1.0])
     length = float(np.linalg.norm(off))
     return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.asarray(off / length)

@@ -1,4 +1,4 @@
-"""Initial guess of a sphere's outline: circles through edge points of a reduced image.
+"""Initial estimate of a sphere's outline from circles through edge points of a reduced image.
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
@@ -50,7 +50,7 @@ SCORE_SHARE = 0.3  # ... this share of the best
 
 @dataclass(frozen=True)
 class Circle:
-    """Circle with centre and radius in pixels, and the share of its rim that has edges."""
+    """Circle with centre and radius in pixels, and the fraction of its rim covered by edges."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -84,14 +84,14 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2), towards bright."""
+    """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2) towards bright."""
 
     position_px: NDArray[np.float64]
     direction: NDArray[np.float64]
 
 
 def halve_image(image: GreyImage, times: int) -> GreyImage:
-    """Average 2 x 2 pixels, `times` times; drop rows and columns that do not fill a block.
+    """Average 2 x 2 pixels, `times` times, dropping rows and columns that do not fill a block.
 
     With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
     repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
@@ -107,7 +107,7 @@ def halve_image(image: GreyImage, times: int) -> GreyImage:
 
 
 def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
-    """Find thin edges after stretching the grey values from dark..bright to 0..255."""
+    """Find thin edges after stretching the grey levels dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
     with _single_threaded():
@@ -126,7 +126,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Limit OpenCV to one thread: on small images its busy-waiting workers cost more than they save."""
+    """Limit OpenCV to one thread, as its busy-waiting workers cost more than they save on small images."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -173,7 +173,7 @@ def _fit_circles(
 
 
 def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
-    """Count the edge points on each circle that face its centre."""
+    """Count the edge points on each circle with gradients towards its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
     direction = edges.direction[::step].astype(np.float32)
@@ -186,7 +186,7 @@ def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Fit a least-squares circle to its edge points; return None if too little rim remains."""
+    """Fit a least-squares circle to its edge points, or return None if too little of the rim is left."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
@@ -207,7 +207,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _mark_same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Mark the circles (k,) that coincide with `circle`."""
+    """Flag the circles (k,) that coincide with `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

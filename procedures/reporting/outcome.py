@@ -1,4 +1,4 @@
-"""Outcome of a run. The JSON of these models is the output of `ronna-procedure run --json`: a contract."""
+"""Outcome of a run. As JSON, these models form the stable output of `ronna-procedure run --json`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class CtOutcome(Values):
 
 
 class TargetTruth(BaseModel):
-    """True position of the tip at one target, according to the theatre's verifier."""
+    """True tip position at one target, according to the theatre's verifier."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -30,7 +30,7 @@ class TargetTruth(BaseModel):
 
 
 class Truth(BaseModel):
-    """Result of the simulated theatre's verifier for a run; empty with real devices."""
+    """Result of the simulated theatre's verifier for a run. Empty with real devices."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -66,7 +66,7 @@ class TargetOutcome(Values):
 
 
 class RunOutcome(Values):
-    """Outcome values that every run can report."""
+    """Outcome values available for every run."""
 
     run: str
     outcome: str

@@ -1,4 +1,4 @@
-"""Events of a run outside the normal course of its steps, and the questions to the operator."""
+"""Notable events of a run besides its normal steps, and the questions asked of the operator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
 
 @dataclass(frozen=True)
 class RunEvent:
-    """Event with wall-clock and theatre time, kind, step and text."""
+    """Event with wall-clock time, theatre time, kind, step and text."""
 
     clock_time: str
     theatre_time_s: float
@@ -33,7 +33,7 @@ class RunEvent:
 
 @dataclass(frozen=True)
 class AskedQuestion:
-    """Question as shown to the operator, with the answer."""
+    """Question as shown to the operator, and the answer."""
 
     clock_time: str
     theatre_time_s: float
@@ -44,7 +44,7 @@ class AskedQuestion:
 
 
 def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
-    """Return every question with its answer, in order."""
+    """Return all questions and their answers, in order."""
     return tuple(
         AskedQuestion(
             clock_time(line),
@@ -69,7 +69,7 @@ def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 
 def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
-    """Return findings and seat changes that did not stop the run; identical texts only once."""
+    """Return findings and seat changes that did not stop the run, without duplicates."""
     first: dict[str, RunEvent] = {}
     for one in _events_of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
@@ -77,7 +77,7 @@ def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 
 def clock_time(line: Line) -> str:
-    """Return the wall-clock time of a line, or a dash if unknown."""
+    """Return the wall-clock time of a line, or a placeholder if unknown."""
     try:
         return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
     except ValueError:
@@ -110,7 +110,7 @@ def _acknowledgement_text(line: Line) -> str:
 
 
 def _restart_text(line: Line) -> str:
-    """Describe what a resuming program found of the previous one."""
+    """Describe the state in which a resuming program found the run."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
     first = f"The program ended before {begun} was complete" if begun else ""
     return f"{first}; the last line of its journal was truncated and set aside" if torn else first

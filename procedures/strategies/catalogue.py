@@ -1,4 +1,4 @@
-"""All strategies by name, and their combinations: one per trajectory, or the best for each."""
+"""All strategies by name, and combinations of them: one per trajectory, or the best for each."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class StrategyByTrajectory:
 
     @property
     def controls_approach(self) -> bool:
-        """Whether the usual strategy controls the approach; see `strategy_for` for one trajectory."""
+        """Whether the usual strategy controls the approach. For a single trajectory, see `strategy_for`."""
         return self.usual.controls_approach
 
     def strategy_for(self, trajectory: str) -> Strategy:
@@ -76,7 +76,7 @@ class StrategyByTrajectory:
 
 @dataclass(frozen=True)
 class BestOfEach(StrategyByTrajectory):
-    """The strategy `best`, which uses for each target the strategy with the smallest predicted error.
+    """The strategy `best`, which uses the strategy with the smallest predicted error for each target.
 
     That is known only once the poses the arm can reach are, so path planning chooses. Until then, and if no
     strategy reaches a target, it is the improved JDMS. `others` is the choice, by trajectory.
@@ -102,7 +102,7 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def find_strategy(name: str) -> Strategy:
-    """Return the strategy with this name. Raises STR-002 for an unknown one."""
+    """Return the strategy with this name. Raises STR-002 if it is unknown."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy

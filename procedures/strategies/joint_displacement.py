@@ -1,4 +1,4 @@
-"""Strategies that keep the joints at a fiducial near those at the target: JDMS, and an improved JDMS.
+"""Strategies that keep the joints at fiducials near those at the target: JDMS, and an improved version.
 
 JDMS (joint displacement minimization): at each fiducial, the orientation whose joints differ least from those
 at the target. Joint and link errors are then nearly equal at both and cancel. The cost: the orientations
@@ -50,7 +50,7 @@ MOST_TURNS = 8  # four or five is usual
 def least_displacement(
     kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
 ) -> Joints:
-    """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
+    """Find the joints nearest `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
 
     `tool_origin_mm` (3,) is in the flange. Minimises |q - q0| subject to p(q) = point, by sequential
     linearization: with the Jacobian J of the tool origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a
@@ -107,7 +107,7 @@ class JointDisplacementMinimization:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with the joints nearest the target's.
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with joints nearest the target's.
 
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.
@@ -118,7 +118,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Rank turns by joint displacement, smallest first. Turns with a pose out of reach are left out."""
+        """Rank turns by joint displacement, smallest first, omitting turns with unreachable poses."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -133,7 +133,7 @@ class JointDisplacementMinimization:
 def solve_joints(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
-    """Return the joints at the target and at each fiducial, rad."""
+    """Solve for the joints at the target and at each fiducial, rad."""
     at_target = arm.guide_joints(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
     return at_target, tuple(
@@ -144,7 +144,7 @@ def solve_joints(
 
 @dataclass(frozen=True)
 class ImprovedDisplacementMinimization(JointDisplacementMinimization):
-    """The strategy `improved`. Turns about the axis are ranked as in JDMS."""
+    """The strategy `improved`, which ranks turns about the axis like JDMS."""
 
     name: str = "improved"
 
@@ -158,7 +158,7 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
 
 
 def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
-    """Find joints with the tool origin of `start_rad` and error displacements nearest to `wanted`."""
+    """Find joints with the tool origin of `start_rad` and error displacements closest to `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:
@@ -189,7 +189,7 @@ def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> 
 
 
 def _error_displacements(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
-    """Return displacements (p, 3 k) mm of a point (3,) mm at the tool by one sigma of each error."""
+    """Return displacements (p, 3 k) mm of a tool point (3,) mm due to one sigma of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)
