@@ -134,7 +134,7 @@ class _Search:
     def _rank_turns(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
-        """Yield the suitable turns in this branch: those with a good wrist in order, then the best others.
+        """Yield the suitable turns in this branch: good wrists in order, then the others, best first.
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """

@@ -76,7 +76,7 @@ class StrategyByTrajectory:
 
 @dataclass(frozen=True)
 class BestOfEach(StrategyByTrajectory):
-    """The strategy `best`, which uses the strategy with the smallest predicted error for each target.
+    """The strategy `best`, which uses for each target the strategy with the smallest predicted error.
 
     That is known only once the poses the arm can reach are, so path planning chooses. Until then, and if no
     strategy reaches a target, it is the improved JDMS. `others` is the choice, by trajectory.
