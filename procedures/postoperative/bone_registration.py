@@ -51,7 +51,7 @@ class BoneRegistration:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """Scan at one resolution, clipped to bone, blurred and subsampled."""
+    """Scan at one resolution, blurred and subsampled, with values clipped to bone."""
 
     values: NDArray[np.float32]  # (slices, rows, columns)
     geometry: VoxelGeometry
@@ -106,7 +106,7 @@ def sample_bone(volume: Volume, places_mm: Array) -> Array:
 
 
 def sample_bone_spline(volume: Volume, places_mm: Array) -> Array:
-    """Sample HU by cubic splines, clipped to bone, at a few adjacent positions (n, 3) inside the scan."""
+    """Sample HU, clipped to bone, by cubic splines at a few adjacent positions (n, 3) within the scan."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)
     high = np.ceil(index.max(axis=0)).astype(int) + SPLINE_REACH + 1
@@ -151,7 +151,7 @@ def _list_starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
 
 
 def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
-    """Refine the pose (rotation about the points' centroid, and translation) by Gauss-Newton."""
+    """Refine the pose by Gauss-Newton: rotation about the points' centroid, and translation."""
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
     arms = points - middle
@@ -173,7 +173,7 @@ def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTrans
 
 
 def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Sample gradients (n, 3) in HU per mm and values (n,), and flag positions inside the scan."""
+    """Sample gradients (n, 3) in HU per mm and values (n,), and mark the positions inside the scan."""
     there, inside = target.interpolate(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
     gradient = np.column_stack(

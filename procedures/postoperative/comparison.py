@@ -1,4 +1,4 @@
-"""Trajectory-by-trajectory comparison of the plan with the postoperative CT.
+"""Comparison of the plan with the postoperative CT, trajectory by trajectory.
 
 Instruments and holes found near the trajectories are assigned to them, at most one each.
 """
@@ -74,7 +74,7 @@ class FoundTrajectory(Strict):
 
 @dataclass(frozen=True, eq=False)
 class PostoperativeComparison:
-    """Registration of the two scans, and findings for all requested trajectories."""
+    """Registration of both scans, and the findings for all requested trajectories."""
 
     registration: BoneRegistration
     trajectories: tuple[FoundTrajectory, ...]
@@ -94,7 +94,7 @@ def compare_with_plan(
 def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> PostoperativeComparison:
-    """Find the objects along the trajectories of registered scans. Raises POST-006, POST-007, POST-009."""
+    """Find the objects along the trajectories after registration. Raises POST-006, POST-007, POST-009."""
     chosen = [one for one in plan.trajectories if not only or one.id in only]
     lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in chosen}
     candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}
@@ -207,7 +207,7 @@ class Candidate:
     doubts: tuple[str, ...] = ()
 
     def axis_distance_mm(self, point_mm: Array) -> float:
-        """Return the axis's distance from a point (3,), in mm."""
+        """Return the distance of the axis from a point (3,), in mm."""
         return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
 
     def is_same_object(self, other: Candidate) -> bool:

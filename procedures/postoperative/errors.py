@@ -21,7 +21,7 @@ class HeadsDiffer(DataError):
 
 
 class SeriesSwapped(DataError):
-    """The CT given as postoperative is the one that the plan belongs to."""
+    """The plan belongs to the CT that was given as postoperative."""
 
     code = "POST-003"
     action = "Give the planning CT first, then the postoperative one."
@@ -51,7 +51,7 @@ class InstrumentMissing(DataError):
 
 
 class InstrumentAmbiguous(DataError):
-    """The same instrument or hole was found along several trajectories."""
+    """The same instrument or hole was found along more than one trajectory."""
 
     code = "POST-007"
     action = "Check the CT to see which trajectory it was; name the ones that were carried out with --only."
@@ -66,7 +66,7 @@ class RunOfAnotherPlan(DataError):
 
 
 class FitFailed(DataError):
-    """The object along a trajectory fits neither a rod nor a round hole, so its axis is unknown."""
+    """The object along a trajectory does not fit a rod or a round hole, so its axis is unknown."""
 
     code = "POST-009"
     action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."

@@ -159,7 +159,7 @@ class _VoxelModel:
     streaks: Streaks
 
     def without_streaks(self, unknown: Array) -> Array:
-        """Return the unclipped HU of tissue and rod."""
+        """Return the HU of tissue and rod, without clipping."""
         shape = _rod_share(self.samples, unknown[:ROD], self.length_mm).mean(axis=0)
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
@@ -177,7 +177,7 @@ class _VoxelModel:
 
 
 def _rod_axis(unknown: Array, length_mm: float) -> RodAxis:
-    """Build the rod axis, measured outwards from the coarse tip."""
+    """Return the axis of the rod, measured outwards from the coarse tip."""
     tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
     outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
     return RodAxis(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
@@ -205,7 +205,7 @@ def _voxel_offsets(volume: Volume, line: PlannedLine) -> Array:
 
 
 def _estimate_background(local: Array, values: Array) -> Array:
-    """Estimate each voxel's background HU from slab-by-slab medians over a ring around the rod."""
+    """Estimate the background HU of each voxel from medians over a ring around the rod, slab by slab."""
     radius = np.hypot(local[:, 1], local[:, 2])
     ring = (radius > RING_MM[0]) & (radius < RING_MM[1])
     slab = np.floor((local[:, 0] - local[:, 0].min()) / SLAB_MM).astype(int)
@@ -272,7 +272,7 @@ class Streaks:
 
 
 def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
-    """Build streaks that are zero everywhere."""
+    """Return streaks that are zero everywhere."""
     empty = np.zeros(0)
     return Streaks(np.zeros(len(slices.voxels)), empty, rod, slices, (), empty, empty, empty)
 

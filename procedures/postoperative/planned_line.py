@@ -124,7 +124,7 @@ class FitQuality:
 
 @dataclass(frozen=True, eq=False)
 class FittedAxis:
-    """Axis of a fitted object: tip or point in the bone, (3,) mm, and unit vector out of the head."""
+    """Axis of an object: tip or point in the bone, (3,) mm, and the unit vector out of the head."""
 
     point_mm: Array
     outwards: Array
@@ -133,7 +133,7 @@ class FittedAxis:
 
 @dataclass(frozen=True)
 class ExpectedFit:
-    """Limits for plausible fits: largest residual in HU, and range of radii in mm."""
+    """Limits of plausible fits: the largest residual in HU, and the range of radii in mm."""
 
     residual_hu: float
     radius_mm: tuple[float, float]

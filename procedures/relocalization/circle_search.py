@@ -84,7 +84,7 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2) towards bright."""
+    """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2), towards bright."""
 
     position_px: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -107,7 +107,7 @@ def halve_image(image: GreyImage, times: int) -> GreyImage:
 
 
 def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
-    """Find thin edges after stretching the grey levels dark..bright to 0..255."""
+    """Find thin edges after stretching the grey values from dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
     with _single_threaded():
@@ -126,7 +126,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Limit OpenCV to one thread, as its busy-waiting workers cost more than they save on small images."""
+    """Limit OpenCV to one thread: on small images its busy-waiting workers cost more than they save."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -207,7 +207,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _mark_same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Flag the circles (k,) that coincide with `circle`."""
+    """Mark the circles (k,) that coincide with `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

@@ -13,7 +13,7 @@ class BadImage(DataError):
 
 
 class NoContrast(DataError):
-    """The image is dark or uniform, without any structure."""
+    """The image is dark or uniform and shows no structure."""
 
     code = "STE-002"
     action = "Bring a lit sphere into view; check lens caps and lights, then lengthen the exposure."
@@ -27,7 +27,7 @@ class NoSphere(DataError):
 
 
 class BadMeasurement(DataError):
-    """Input numbers are non-finite or have the wrong shape."""
+    """Input numbers are not finite or have the wrong shape."""
 
     code = "STE-004"
     action = "Measure again; do not edit the numbers."
@@ -41,7 +41,7 @@ class RaysDoNotMeet(DataError):
 
 
 class WrongSize(DataError):
-    """The object seen by both cameras is too large or too small for a sphere at its distance."""
+    """The object seen by both cameras is too large or too small to be the sphere at its distance."""
 
     code = "STE-006"
     action = "Check what is in view: glare, another sphere, or a marker of a different diameter."
@@ -62,7 +62,7 @@ class ServoExhausted(DataError):
 
 
 class SphereNotInView(DataError):
-    """The search pattern was completed without finding the sphere."""
+    """The whole search pattern was covered without finding the sphere."""
 
     code = "STE-009"
     action = "Put the ball there, in view of both cameras, or give its position with --ball X Y Z."
@@ -77,21 +77,21 @@ class WrongCamera(DataError):
 
 
 class Saturated(DataError):
-    """The whole image is saturated, so searching elsewhere would not help."""
+    """The whole image is saturated, so a search elsewhere would not help."""
 
     code = "STE-011"
     action = "Shorten the exposure or lower the gain; look for a lamp or window shining into the lens."
 
 
 class PairNotUsable(DataError):
-    """Images are repeatedly incomplete, missing or outdated, or the pair has different triggers."""
+    """Images are repeatedly incomplete, missing or outdated, or left and right have different triggers."""
 
     code = "STE-012"
     action = "Check both cameras with ronna-procedure doctor; check cables, trigger and network load."
 
 
 class NotTrusted(DataError):
-    """A sphere is in view, but not fully or clearly enough for a reliable centre."""
+    """A sphere is in view, but not completely or clearly enough for a reliable centre."""
 
     code = "STE-013"
     action = (

@@ -71,7 +71,7 @@ OFF_RIM_LIMIT_PX = 1.5
 
 
 class SphereStatus(StrEnum):
-    """Whether a sphere's centre is reliable enough for measurement."""
+    """Whether a sphere's centre may be used for a measurement."""
 
     OK = "OK"
     UNRELIABLE = "UNRELIABLE"
@@ -182,7 +182,7 @@ def judge_outline(
 def _mark_dimmed(
     image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
 ) -> NDArray[np.bool_]:
-    """Flag the rays (n,) with an edge on the ellipse itself, even where the reflective film is dim."""
+    """Mark the rays (n,) with an edge on the ellipse itself, even where the reflective film is dim."""
     span_px = DIM_SPAN_BLURS * blur_px + DIM_SPAN_PX
     falls = steepest_falls(sample_profiles(image, ellipse, rays, span_px))
     on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX

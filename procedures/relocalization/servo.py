@@ -57,11 +57,11 @@ class ServoState:
 
     @property
     def step_count(self) -> int:
-        """Number of motions between the measurements made so far."""
+        """Number of motions made between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
 
     def with_measurement(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
-        """Return the state with another residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
+        """Return the state with one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
@@ -83,7 +83,7 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """Return the next pose ROBOT <- TOOL, with the tool centre at the mean of all measurements.
+        """Return the next pose ROBOT <- TOOL: same orientation, tool centre on the mean of all measurements.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.

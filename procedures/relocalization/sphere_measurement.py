@@ -146,7 +146,7 @@ class AreaImage:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Outlines in both images, in full-sensor pixels, and the triangulated point if both are reliable."""
+    """Outlines in both images, in full-sensor pixels, and the point if both are reliable."""
 
     left: SphereImage
     right: SphereImage

@@ -105,7 +105,7 @@ class Camera:
         raise BadMeasurement("the distortion cannot be removed here", got=str(tuple(observed)))
 
     def direction(self, normalised: Array) -> Array:
-        """Return the unit direction (3,) of a line of sight in tool coordinates."""
+        """Return the unit direction (3,) of the line of sight, in tool coordinates."""
         ray = self.rotation.T @ np.array([normalised[0], normalised[1], 1.0])
         return np.asarray(ray / np.linalg.norm(ray))
 
@@ -152,7 +152,7 @@ def triangulate(
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
     ray_gap_limit_mm: float = RAY_GAP_LIMIT_MM,
 ) -> StereoPoint:
-    """Triangulate the sphere's centre in the tool frame from two outlines in full-sensor pixels.
+    """Find the sphere's centre in the tool frame from both outlines in full-sensor pixels.
 
     Removes distortion and perspective bias, then finds the point with the least weighted distance to both
     pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006 when the
@@ -198,7 +198,7 @@ def triangulate(
 
 
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
-    """Raise STE-010 unless the calibration belongs to the camera with this serial number."""
+    """Raise STE-010 unless the calibration is for the camera with this serial number."""
     if calibration.serial != serial:
         raise WrongCamera(
             "the calibration belongs to a different camera", expected=calibration.serial, got=serial
@@ -255,7 +255,7 @@ def check_head(
     stated_error_mm: float,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> None:
-    """Raise STE-014 if the spheres of a relocalization show that a camera has moved.
+    """Raise STE-014 if the spheres of one re-localization show that a camera has moved.
 
     `radii_mm` are the radii from the left and the right outline at the measured position, per sphere;
     `stated_error_mm` is from the head's calibration record, `sphere_diameter_mm` as its cameras see them.

@@ -64,7 +64,7 @@ class RecordFigures(Figures):
 
     @abstractmethod
     def quality(self) -> Iterator[Figure]:
-        """Yield the measurements and accuracy figures of the record."""
+        """Yield the measurements and the accuracy of the record."""
 
     def table(self) -> Iterator[Figure]:
         """Yield the quality figures and the validity period of the record."""
@@ -73,12 +73,12 @@ class RecordFigures(Figures):
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 
     def warnings(self) -> Iterator[str]:
-        """Yield warnings for the operator to read before using the record."""
+        """Yield warnings for the operator, to be read before the record is used."""
         yield from ()
 
 
 def expected_mm(value_mm: float, predicted_mm: float) -> str:
-    """Format an rms error with its expected value, in millimetres."""
+    """Format an rms error with its predicted value, in millimetres."""
     return f"{millimetres(value_mm)}, expected {millimetres(predicted_mm)}"
 
 
@@ -108,7 +108,7 @@ class HeadFigures(RecordFigures):
 
     @property
     def looks_px(self) -> tuple[tuple[float, bool], ...]:
-        """Rms residual of each view in px, and whether it was used."""
+        """Rms residual of each view in px, and whether the view was used."""
         return tuple(
             (math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
             for number, one in enumerate(self.residuals_px)
@@ -169,7 +169,7 @@ class SignFigures(Numbers):
 
 
 class HeadCheckFigures(Figures):
-    """Figures of a head check against the calibration's baseline."""
+    """Figures of a head check against the baseline of its calibration."""
 
     calibration: str
     baseline_created: str
@@ -195,7 +195,7 @@ class HeadCheckFigures(Figures):
 
 
 class ParameterFigures(Numbers):
-    """Arm model parameter, in units of its spread among uncalibrated arms."""
+    """Parameter of the arm model, in units of its spread among uncalibrated arms."""
 
     value: float
     standard_error: float
@@ -324,7 +324,7 @@ class TipFigures(RecordFigures):
 
 
 class OutlineFigures(Numbers):
-    """Outline of the ball in one image, in full-sensor pixels, major semi-axis first."""
+    """Outline of the ball in one image, full-sensor pixels, major semi-axis first."""
 
     centre_px: Numbers2
     axes_px: Numbers2

@@ -1,4 +1,4 @@
-"""Measurements made so far in a run, in the robot frame, for drawing.
+"""Measurements of a run so far, in the robot frame, for drawing.
 
 Read from the folder of a run, running or finished; what does not exist yet, or cannot be read, is missing.
 """
@@ -77,7 +77,7 @@ class CaseFigures:
 
 
 def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
-    """Read the figures of a run, tolerating damaged files.
+    """Read the figures of a run. Damaged files never raise errors.
 
     Without `every_file` only journal and records are compared: the others change while it runs.
     """
@@ -113,7 +113,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 
 def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
-    """Return the valid results, except for those of targets finished before something moved."""
+    """Return the valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

@@ -1,4 +1,4 @@
-"""Outcome of a run according to its journal."""
+"""How a run ended, according to its journal."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _describe_incidents(journal: Sequence[Line]) -> str:
 
 
 def resumes(journal: Sequence[Line]) -> int:
-    """Count how often the run was resumed by another program."""
+    """Count how often another program resumed the run."""
     count, leaving = 0, False
     for line in journal:
         if line["entry"] == Entry.RESTARTED:

@@ -41,7 +41,7 @@ def store_truth(run: Path, truth: Truth) -> Path:
 
 
 def drop_unconfirmed_truth(run: Path) -> bool:
-    """Delete the stored truth if the seal does not confirm it, since the next seal would cover it."""
+    """Remove the stored truth unless the seal confirms it, since the next seal would cover it."""
     found = inspect_run(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
     if changed:
@@ -144,7 +144,7 @@ def data_url(picture: bytes) -> str:
 
 @dataclass(frozen=True)
 class PostoperativeResult:
-    """Findings of a postoperative check, and one PNG per trajectory."""
+    """Findings of a postoperative check, and one PNG for each trajectory name."""
 
     found: PostoperativeCheck
     pictures: Mapping[str, bytes] = field(default_factory=dict)

@@ -19,7 +19,7 @@ class CtOutcome(Values):
 
 
 class TargetTruth(BaseModel):
-    """True tip position at one target, according to the theatre's verifier."""
+    """True position of the tip at one target, according to the theatre's verifier."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -30,7 +30,7 @@ class TargetTruth(BaseModel):
 
 
 class Truth(BaseModel):
-    """Result of the simulated theatre's verifier for a run. Empty with real devices."""
+    """Result of the simulated theatre's verifier for a run; empty with real devices."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -66,7 +66,7 @@ class TargetOutcome(Values):
 
 
 class RunOutcome(Values):
-    """Outcome values available for every run."""
+    """Outcome values that every run can report."""
 
     run: str
     outcome: str

@@ -122,7 +122,7 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
-    """Draw the clearances of each motion in mm as two bars."""
+    """Draw the clearances of each motion as two bars, in mm."""
     canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
@@ -152,7 +152,7 @@ def _place_name(name: str) -> str:
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
-    """Draw the timeline, with steps light, motions dark, pauses amber and abnormal ends red."""
+    """Draw the timeline: steps light, motions dark, pauses amber, abnormal ends red."""
     rows = list(dict.fromkeys(span.row for span in spans))
     begin_s = min(span.begin_s for span in spans)
     length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
@@ -192,14 +192,14 @@ def _colour(span: Span) -> str:
 
 
 def _ticks(length_s: float) -> list[float]:
-    """Return round tick times from zero, at most `MOST_TICKS`."""
+    """Return round times from zero, at most `MOST_TICKS`."""
     magnitude = 10.0 ** math.floor(math.log10(length_s / MOST_TICKS))
     step = next(f * magnitude for f in (1, 2, 5, 10, 20) if length_s / (f * magnitude) <= MOST_TICKS - 1)
     return [number * step for number in range(int(length_s / step) + 1)]
 
 
 def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Sum the histograms of all streams as rows (from us, to us, turnaround, jitter), without empty ends."""
+    """Sum the histograms of all streams to rows (from us, to us, turnaround, jitter), without empty ends."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []

@@ -22,7 +22,7 @@ _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
 
 @dataclass(frozen=True)
 class RunEvent:
-    """Event with wall-clock time, theatre time, kind, step and text."""
+    """Event with wall-clock and theatre time, kind, step and text."""
 
     clock_time: str
     theatre_time_s: float
@@ -33,7 +33,7 @@ class RunEvent:
 
 @dataclass(frozen=True)
 class AskedQuestion:
-    """Question as shown to the operator, and the answer."""
+    """Question as shown to the operator, with the answer."""
 
     clock_time: str
     theatre_time_s: float
@@ -44,7 +44,7 @@ class AskedQuestion:
 
 
 def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
-    """Return all questions and their answers, in order."""
+    """Return every question with its answer, in order."""
     return tuple(
         AskedQuestion(
             clock_time(line),
@@ -77,7 +77,7 @@ def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 
 def clock_time(line: Line) -> str:
-    """Return the wall-clock time of a line, or a placeholder if unknown."""
+    """Return the wall-clock time of a line, or a dash if unknown."""
     try:
         return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
     except ValueError:

@@ -43,7 +43,7 @@ class RunReading:
         return self.run.path
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """Return the valid, readable results of a step, in order."""
+        """Return the valid and readable results of a step, in order."""
         return self._readable(model, self.run.valid_records)
 
     @property
@@ -63,7 +63,7 @@ class RunReading:
         return tuple(found)
 
     def find(self, model: type[R]) -> R | None:
-        """Return the latest valid, readable result of a step, or None."""
+        """Return the latest valid and readable result of a step, or None."""
         found = self.standing(model)
         return found[-1].result if found else None
 
@@ -74,7 +74,7 @@ class RunReading:
 
 
 def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> RunReading:
-    """Read a run folder for the report, tolerating damaged files.
+    """Read a run folder for the report. Damaged files never raise errors.
 
     Without `every_file` only journal, records and `files` are compared, which takes milliseconds.
     """
@@ -112,7 +112,7 @@ def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:
 
 @dataclass(frozen=True)
 class UsedRegistration:
-    """Registration and the targets for which it was or will be used."""
+    """Registration with the targets for which it was or will be used."""
 
     stored: Stored[RegisteredRobot]
     targets: tuple[str, ...]

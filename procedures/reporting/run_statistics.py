@@ -31,7 +31,7 @@ FRAME = ("timestamp", "level", "event", "device", "before")
 
 @dataclass(frozen=True)
 class Span:
-    """Time span in theatre time. `row` is the step it belongs to."""
+    """Period of theatre time; `row` is the step to which it belongs."""
 
     kind: Literal["step", "motion", "rest"]
     name: str

@@ -56,7 +56,7 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
 
 def as_text(rows: tuple[Row, ...]) -> str:
-    """Format the rows as text columns with headings."""
+    """Format the rows as columns with headings. Raises like `second_reading`."""
     table = [HEADINGS, *(tuple(map(printable, row)) for row in rows)]
     widths = [max(len(row[column]) for row in table) for column in range(len(HEADINGS))]
     return "".join(

@@ -1,4 +1,4 @@
-"""Rows of the report tables: predicted and true target errors, the plan, and its checked motions."""
+"""Rows of the report's tables: predicted and true target errors, the plan, and its checked motions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TargetRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Cells of the report table: target, depth, prediction, limit, error.
+        """Cells of the report's table: target, depth, prediction, limit, error.
 
         `second_reading` computes each of them again; the template reads them by their number.
         """
@@ -69,7 +69,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
 
 @dataclass(frozen=True)
 class MotionRow:
-    """Checked motion: start, end, and clearance from the head and from any other body."""
+    """Checked motion: end points, and clearance to the head and to any other body."""
 
     start: str
     end: str
@@ -97,7 +97,7 @@ class PlanRow:
 
     @property
     def nearest(self) -> MotionRow | None:
-        """Motion with the smallest clearance."""
+        """The motion with the smallest clearance."""
         known = [one for one in self.motions if one.closest is not None]
         return min(known, key=lambda one: one.closest.distance_mm if one.closest else math.inf, default=None)
 
@@ -134,7 +134,7 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
 
 
 def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
-    """Return a trajectory's motions in order, without retraced lines, whose clearance is the same."""
+    """Return the motions of a trajectory in order, without retraced lines, which have the same clearance."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews

@@ -102,7 +102,7 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def find_strategy(name: str) -> Strategy:
-    """Return the strategy with this name. Raises STR-002 if it is unknown."""
+    """Return the strategy with this name. Raises STR-002 for an unknown one."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy

@@ -1,4 +1,4 @@
-"""Errors in planning the arm's orientations, STR-002 to STR-004."""
+"""Errors in choosing the arm's orientations, STR-002 to STR-004."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class UnknownStrategy(ConfigurationError):
 
 
 class BadTrajectory(DataError):
-    """Entry and target coincide, or a number is non-finite."""
+    """Entry and target coincide, or a number is not finite."""
 
     code = "STR-003"
     action = "Correct the trajectory in the plan."
 
 
 class NoNearbyJoints(LimitError):
-    """No joint angles near those at the target bring the tool to a fiducial."""
+    """No joint angles close to those at the target bring the tool to a fiducial."""
 
     code = "STR-004"
     action = "Use the strategy ocs or nos, or move the cart or the head."

@@ -1,4 +1,4 @@
-"""Strategies that localize all fiducials in one orientation: the target's (OCS), or vertical (NOS).
+"""Strategies that localize all fiducials in one orientation: the target's (OCS), or straight down (NOS).
 
 OCS: a constant tool frame error shifts all localizations and the target alike and cancels. The cost: the
 localizations are repeated for every trajectory, and all must be reachable in its orientation. The thesis
@@ -56,7 +56,7 @@ class OrientationCorrection:
 
 @dataclass(frozen=True)
 class NeutralOrientation(OrientationCorrection):
-    """Neutral orientation strategy, `nos`: like `ocs`, but with one axis for all targets."""
+    """Neutral orientation strategy, `nos`: like `ocs`, but along one axis for all targets."""
 
     name: str = "nos"
     controls_approach: bool = False

@@ -50,7 +50,7 @@ MOST_TURNS = 8  # four or five is usual
 def least_displacement(
     kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
 ) -> Joints:
-    """Find the joints nearest `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
+    """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
 
     `tool_origin_mm` (3,) is in the flange. Minimises |q - q0| subject to p(q) = point, by sequential
     linearization: with the Jacobian J of the tool origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a
@@ -107,7 +107,7 @@ class JointDisplacementMinimization:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with joints nearest the target's.
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with the joints nearest the target's.
 
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.
@@ -133,7 +133,7 @@ class JointDisplacementMinimization:
 def solve_joints(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
-    """Solve for the joints at the target and at each fiducial, rad."""
+    """Return the joints at the target and at each fiducial, rad."""
     at_target = arm.guide_joints(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
     return at_target, tuple(
@@ -158,7 +158,7 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
 
 
 def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
-    """Find joints with the tool origin of `start_rad` and error displacements closest to `wanted`."""
+    """Find joints with the tool origin of `start_rad` and error displacements nearest to `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:

@@ -42,7 +42,7 @@ LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Arm as seen by a strategy: nominal kinematics, tools as FLANGE <- TOOL, branch, reference joints.
+    """Arm that a strategy plans for: nominal kinematics, tools as FLANGE <- TOOL, branch, reference joints.
 
     `sizes` are those of the arm's remaining errors.
     """

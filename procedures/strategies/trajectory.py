@@ -1,4 +1,4 @@
-"""Planned straight path into the head, and tool poses along it.
+"""Planned straight path into the head, and the tool's poses along it.
 
 Five numbers of a trajectory are set by the surgeon, one angle is free. The tool's z axis is along the
 trajectory. At free angle 0, tool x points horizontally and as nearly as possible radially away from the z
@@ -75,7 +75,7 @@ class Trajectory:
 
 
 def reference_direction(axis: Array, at_mm: Array) -> Array:
-    """Return unit tool x (3,) at free angle 0, given tool axis (3,) and origin (3,) mm in the robot frame.
+    """Return unit tool x (3,) at free angle 0 for a tool axis (3,) and origin (3,) mm in the robot frame.
 
     The horizontal radial direction at the origin, made perpendicular to the axis. Within 5 degrees of the
     axis, robot z replaces it; on the base's z axis, robot x does.
@@ -98,7 +98,7 @@ def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotati
 
 
 def turn_onto(orientation: Rotation, axis: Array) -> Rotation:
-    """Rotate the orientation robot <- tool by the smallest angle that aligns tool z with a unit axis (3,).
+    """Turn the orientation robot <- tool by the smallest rotation that aligns tool z with a unit axis (3,).
 
     For a refined registration: follows the small change of the axis without any turn about it.
     """
@@ -116,7 +116,7 @@ def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
 
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
-    """Return the pose moved back along its tool z axis, away from the patient."""
+    """Return the pose moved back along its own tool z axis, away from the patient."""
     require_frames(pose, Frame.ROBOT, Frame.TOOL)
     return Transform(
         Frame.ROBOT,
@@ -139,7 +139,7 @@ def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
 
 
 def refine_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """Return the target pose for a refined transform, given the pose `planned` with the coarse transform.
+    """Return the target pose for a refined transform, given the pose `planned` with the coarse one.
 
     The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in
     between localization and target. Raises FRM-001 on other frames.
@@ -153,7 +153,7 @@ def refine_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct
 def poses_along(
     trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
 ) -> tuple[Transform, ...]:
-    """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the trajectory's orientation."""
+    """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in a trajectory's orientation."""
     orientation = orientation_along(trajectory, robot_from_ct)
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
