@@ -1,4 +1,4 @@
-"""Web server of the console, for a running case, a recorded case, or other pages.
+"""Web server of the console: a running case over the engine's socket, a recorded case, or other pages.
 
 `GET /state` and `POST /orders` offer the page's buttons to scripts, with the same checks and messages. A
 recorded case, or one run by another program, has a slider through its time.
@@ -119,7 +119,7 @@ def serve_pages(
     viewers: ViewersAddress | None = None,
     largest_body_bytes: int = LARGEST_BODY_BYTES,
 ) -> None:
-    """Serve the routes that `add` registers, behind the guard, like `serve_hub`. Raises CON-001."""
+    """Serve the routes added by `add`, behind the guard, as `serve_hub` does. Raises CON-001."""
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()

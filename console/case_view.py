@@ -104,7 +104,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class CaseView:
-    """The case after event `number`. `fact` is the number of the last event other than a signal."""
+    """The case after event `number`. `fact` is the number of the last event that is not a signal."""
 
     number: int = 0
     fact: int = 0
@@ -327,7 +327,7 @@ class RecordedCase:
         return len(self._events)
 
     def at(self, count: int) -> CaseView:
-        """Return the view after the first `count` events."""
+        """Return the view after the given number of events."""
         count = min(max(count, 0), len(self._events))
         view = self._stored_views[count // STORED_EVERY]
         for event in self._events[count - count % STORED_EVERY : count]:
@@ -335,5 +335,5 @@ class RecordedCase:
         return view
 
     def time_s(self, count: int) -> float:
-        """Return the theatre time after the first `count` events."""
+        """Return the theatre time after the given number of events."""
         return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0

@@ -63,7 +63,7 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
 
 
 class Figures:
-    """Latest figures, read by a background thread."""
+    """The latest figures, read by a background thread."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub

@@ -1,4 +1,4 @@
-"""Access control of the console: tokens, sessions, and a default-deny guard.
+"""Access control of the console: tokens, sessions, and a guard that denies by default.
 
 A loopback address is no authentication: other users and every page in the same browser can reach it. A
 request needs the right account of this computer, the right Host, the right Origin if it may change something,
@@ -255,7 +255,7 @@ class Guard:
 
 
 def _read_headers(scope: Scope) -> dict[str, str]:
-    """Return the headers by lower-case name, dropping duplicated ones."""
+    """Return the headers by lower-case name, ignoring any that are duplicated."""
     found: dict[str, str] = {}
     repeated = set()
     for name, value in scope["headers"]:
@@ -266,7 +266,7 @@ def _read_headers(scope: Scope) -> dict[str, str]:
 
 
 def _head_bytes(scope: Scope) -> int:
-    """Return the size in bytes of the request line and headers, excluding separators."""
+    """Return the size in bytes of request line and headers, without separators."""
     line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 
@@ -280,7 +280,7 @@ def _read_token(scope: Scope) -> str | None:
 
 
 def _limit_body(receive: Receive, remaining_bytes: int) -> Receive:
-    """Cut off a body that exceeds the size limit, as if the client had disconnected."""
+    """Cut off a body that exceeds its limit, as if its sender had disconnected."""
 
     async def receive_limited() -> Message:
         nonlocal remaining_bytes

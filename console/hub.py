@@ -157,13 +157,13 @@ class Hub(ChangeNotifier):
     # Orders
 
     def connect(self, send: SendOrder) -> None:
-        """Send all further orders through this function."""
+        """Route all further orders through this function."""
         self._send = send
         self.live = True
         self.note_heartbeat()
 
     def reply(self, reply: Reply) -> None:
-        """Pass on the engine's reply to an order."""
+        """Handle the engine's reply to an order."""
         waiting = self._replies.pop(reply.nonce, None)
         if waiting is not None and not waiting.done():
             waiting.set_result(reply.refused)

@@ -138,7 +138,7 @@ class Connection(H11Protocol):
             self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Hand the socket over to the guard, which closes sockets without a session.
+        """Leave the socket to the guard, which closes sockets without a session.
 
         A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
         """

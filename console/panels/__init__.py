@@ -1,1 +1,1 @@
-"""Panels of the case page: HTML rendered from a view, and a few controls."""
+"""Panels of the case page: HTML generated from a view, and a few controls."""

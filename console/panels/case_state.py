@@ -33,7 +33,7 @@ def banner(view: CaseView) -> str:
 
 
 def case_line(view: CaseView) -> str:
-    """Show the run, its theatre and its strategy."""
+    """Show the run with its theatre and strategy."""
     run = tag("b", text(view.run or "no run yet"))
     more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
     ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""

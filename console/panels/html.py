@@ -10,12 +10,12 @@ from ronna_hw.text import printable
 
 
 def text(words: object) -> str:
-    """Escape plain text for use in a page."""
+    """Escape plain text for a page."""
     return escape(printable(str(words)))
 
 
 def tag(name: str, content: str, **attributes: str) -> str:
-    """Wrap HTML in an element. `class_` sets the CSS class; underscores become hyphens."""
+    """Wrap HTML in an element. `class_` is its CSS class; underscores become hyphens."""
     shown = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
         for key, value in attributes.items()
@@ -25,7 +25,7 @@ def tag(name: str, content: str, **attributes: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
-    """Build a table of plain-text cells."""
+    """Build a table of plain text."""
     columns = tag("tr", "".join(tag("th", text(heading), scope="col") for heading in head))
     body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
     return table_of(columns, body, caption)
@@ -38,5 +38,5 @@ def table_of(head: str, body: str, caption: str = "") -> str:
 
 
 def evidence_table(evidence: Evidence) -> str:
-    """Build a table of the evidence for a question."""
+    """Build a table of evidence for a question."""
     return table(evidence.head, evidence.rows, evidence.title)

@@ -92,7 +92,7 @@ class OrderPanel:
         self._build("")
 
     def _build(self, upcoming: str) -> None:
-        """Recreate the buttons for the present state, so that a late click on an old one has no effect."""
+        """Create new buttons for the present state, so that a late click on the old ones has no effect."""
         self._quoted = upcoming
 
         async def order_next() -> None:
@@ -263,7 +263,7 @@ class QuestionPanel:
 
 
 class HeldButton:
-    """Button that must be held for a second to act, by pointer or space bar."""
+    """Button that acts after being held for a second, by pointer or space bar."""
 
     def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
         self._act = act

@@ -1,4 +1,4 @@
-"""Panels for results: accuracy, images, notices, and the latest journal and log lines."""
+"""Panels of the results: accuracy, images, notices, and the latest journal and log lines."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _render_picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Show three planes through each target, expanding those of the current step."""
+    """Show three planes through each target. Those of the current step are expanded."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     current_name = (view.running or view.upcoming).partition(":")[2]
@@ -137,7 +137,7 @@ def problems(figures: CaseFigures | None) -> str:
 
 
 def log(lines: tuple[str, ...]) -> str:
-    """List the latest log lines, newest first, with warnings and errors highlighted."""
+    """List the latest log lines, newest first. Warnings and errors are marked by level."""
     shown = "".join(tag("li", text(line), class_=_level_class(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 

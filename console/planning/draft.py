@@ -158,7 +158,7 @@ class Draft:
 
 
 class History:
-    """Current draft with undo and redo."""
+    """The current draft, with undo and redo."""
 
     def __init__(self, draft: Draft) -> None:
         self._past: list[Draft] = []
@@ -263,7 +263,7 @@ class UnsavedFile:
         self._is_ours = False  # written or adopted here
 
     def store_draft(self, draft: Draft, plan_sha256: str) -> None:
-        """Store a draft based on the plan file with this digest. Raises OSError."""
+        """Store a draft based on the plan file with that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _StoredDraft(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_atomically(self.path, kept.model_dump_json(indent=1).encode())

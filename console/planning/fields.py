@@ -14,7 +14,7 @@ from ronna_hw.text import parse_typed_number
 
 
 class NumberField:
-    """Number field with a fixed number of decimals. `on_value` receives the entered value."""
+    """Number field with the given number of decimals. `on_value` receives the entered value."""
 
     def __init__(self, label: str, name: str, on_value: Callable[[float], None], decimals: int = 1) -> None:
         self._on_value, self._decimals = on_value, decimals
@@ -31,7 +31,7 @@ class NumberField:
         self._field.on("keydown.enter", self._commit)
 
     def show(self, value: float | None) -> None:
-        """Show the present value. Keep text being typed unless the value changes otherwise."""
+        """Show the present value. Text being typed stays unless the value changes otherwise."""
         words = "" if value is None else f"{value:.{self._decimals}f}"
         if words != self._shown:
             self._shown = words

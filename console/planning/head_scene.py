@@ -30,7 +30,7 @@ AWAY_MM = 480.0
 
 
 class HeadScene:
-    """3-D scene of the head on one page, in CT coordinates and metres."""
+    """3-D scene of the head on one page, in CT coordinates, metres."""
 
     def __init__(self, editor: PlanEditor, page_view: PageView, *, low: bool) -> None:
         self._editor, self._page_view, self._low = editor, page_view, low

@@ -1,4 +1,4 @@
-"""Plan editor shared by all pages: the CT, the current draft, its assessment, and the plan file."""
+"""Plan editor shared by all pages: the CT, the current draft, its assessment, and its file."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def _image_address(cut: Cut, window: str) -> str:
 
 
 def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
-    """Draw the overlay as SVG in image pixels."""
+    """Draw the overlay as SVG in the image's pixels."""
     parts = [*_draw_sides(cut), *_draw_cross(cut, place_mm)]
     parts += [_structure_path(cut, np.array(item.points_mm)) for item in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):

@@ -105,7 +105,7 @@ def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> byte
 
 
 def sample_cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """Sample the HU of every pixel (rows, columns), interpolating between slices only along a trajectory."""
+    """Return the HU of every pixel (rows, columns), interpolated between slices only along a trajectory."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
     per_px = (
@@ -154,7 +154,7 @@ def _interpolate_between_slices(volume: Volume, first: Array, per_px: Array) -> 
 
 @dataclass
 class PageView:
-    """View settings of one page. All images pass through the crosshair, except the one along a trajectory."""
+    """View of one page. All images pass through the crosshair, except the image along a trajectory."""
 
     geometry: VoxelGeometry
     place_mm: Point = (0.0, 0.0, 0.0)
@@ -221,7 +221,7 @@ class PageView:
         self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
-        """Zoom about the crosshair. At the lowest zoom, show the whole scan."""
+        """Zoom about the crosshair. Fully zoomed out, show the whole scan."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)

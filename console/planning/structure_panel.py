@@ -35,7 +35,7 @@ ShowProblem = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Panel of the structures. Strokes and imported files go to the structure named in its field."""
+    """Panel of the structures. Strokes and files are added to the structure named in its field."""
 
     def __init__(
         self,
@@ -150,7 +150,7 @@ class StructurePanel:
 
 
 def _distance_table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """Build a table of distances, one row per structure and one column per trajectory."""
+    """Tabulate distances, with a row per structure and a column per trajectory."""
     known = {(item.structure, item.trajectory): item for item in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(
@@ -197,7 +197,7 @@ def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None
 def import_structure(
     draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry
 ) -> Draft:
-    """Import a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_as_refusals():

@@ -1,4 +1,4 @@
-"""Bodies of the 3-D scene, built from the page library's basic shapes, and the closest checked pair."""
+"""Bodies of the 3-D scene, built from the page library's few shapes, and the closest checked pair."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class Capsule:
         self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Store the capsule's pose. Return the calls that apply it on an open page."""
+        """Store the capsule's pose. Return the calls that place it on an open page."""
         return placing_calls(self.group, start, rotation_along(start, end))
 
     def delete(self) -> None:

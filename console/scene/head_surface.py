@@ -34,7 +34,7 @@ def find_series_folder(run: Path) -> Path | None:
 
 
 def build_head_stl(series: Path) -> bytes:
-    """Build a binary STL in CT coordinates and metres. Raises reading errors, and CT-022 without a head."""
+    """Build a binary STL in CT coordinates, metres. Raises reading errors, and CT-022 without a head."""
     return encode_stl(*head_surface(read_series(series)))
 
 

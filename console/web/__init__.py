@@ -1,1 +1,1 @@
-"""Web page of the console: layout, style, socket, and updates."""
+"""Web page of the console: frame, style, socket, and updates."""

@@ -47,19 +47,19 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
 
 
 def page_head() -> str:
-    """Return the style and script shared by all pages."""
+    """Return the style and script common to all pages."""
     style = (FOLDER / "style.css").read_text(encoding="utf-8")
     script = (FOLDER / "fresh.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"
 
 
 async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
-    """Answer 404 in plain text instead of the library's own page, which would block everything else."""
+    """Answer 404 in plain text, since the library's own page would block everything else."""
     return PlainTextResponse("Not found.", 404)
 
 
 def bind_page(client: Any, session: str) -> None:
-    """Bind a page to a session, so that sockets of other sessions cannot address it."""
+    """Bind a page to a session, so that sockets of other sessions can no longer address it."""
     _owners[client.id] = session
     client.on_delete(lambda: _owners.pop(client.id, None))
 

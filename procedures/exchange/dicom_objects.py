@@ -44,7 +44,7 @@ POINTS_FILE = "postoperative-points.dcm"
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a result: CT series, frame of reference, creation time, and a key.
+    """Origin of a result: CT series, frame of reference, time of creation, and a key.
 
     `key`, for example a record's hash, makes the identifiers unique to this result.
     """
@@ -251,7 +251,7 @@ def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:
-    """Return the SOP instance UID of a result's object for this modality."""
+    """Return the SOP instance UID of a result's object of this modality."""
     return uid(origin, modality, "instance")
 
 
@@ -261,7 +261,7 @@ def uid(origin: Origin, *what: str) -> UID:
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """Build a code sequence item."""
+    """Build an item of a code sequence."""
     item = Dataset()
     item.CodeValue = value
     item.CodingSchemeDesignator = scheme

@@ -13,7 +13,7 @@ class UnknownForm(ConfigurationError):
 
 
 class NotWritable(DataError):
-    """An export file cannot be written."""
+    """An exported file cannot be written."""
 
     code = "EXC-002"
     action = "Give another folder."
@@ -27,7 +27,7 @@ class NothingToExport(DataError):
 
 
 class FieldNotAllowed(DataError):
-    """An object to be exported has an attribute that is not on the allow-list."""
+    """An object for export has an attribute that is not on the allow-list."""
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."

@@ -60,7 +60,7 @@ class RawReading:
 
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
-    """Yield the readings in a run folder in order, stopping at the first damaged one. Raises PRO-024."""
+    """Yield the readings in a run folder, in order, up to the first damaged one. Raises PRO-024."""
     run = Path(run)
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(

@@ -144,7 +144,7 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
 
 
 def _registration_table(registrations: Iterable[RegisteredRobot]) -> str:
-    """Format a CSV with one row per target: the matrix in row-major order, then the error."""
+    """Format a CSV with one row per target: the matrix row by row, then the error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]

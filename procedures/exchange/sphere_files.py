@@ -70,7 +70,7 @@ def write_spheres(
 
 
 def slicer_markups(markers: Sequence[Marker]) -> str:
-    """Format a `.mrk.json` with one control point per sphere, in LPS mm."""
+    """Format a `.mrk.json` with one control point per sphere, LPS in mm."""
     points = [
         {
             "id": str(number),
@@ -91,7 +91,7 @@ def slicer_markups(markers: Sequence[Marker]) -> str:
 
 
 def table(markers: Sequence[Marker]) -> str:
-    """Format a CSV with columns for name, L, P, S and uncertainty in mm."""
+    """Format a CSV with name, L, P, S and uncertainty in mm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))

@@ -1,4 +1,4 @@
-"""Conditions to be met while the arm works, in addition to those monitored by the devices.
+"""Conditions that must hold while the arm works, besides those monitored by the devices.
 
 Guards are asked at every checkpoint: before each motion and with every progress report of a step. An unmet
 condition suspends the case with a reason in plain words, until it is met or the operator leaves the step.

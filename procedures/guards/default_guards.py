@@ -81,7 +81,7 @@ class ArmLink:
     _verdict: str | None = None
 
     def unmet(self) -> str | None:
-        """Describe a stale arm pose or a poor link."""
+        """Describe a stale pose or a bad link."""
         seen = self.workcell.arm.observe()
         if seen.state not in RUNNING:  # motions report a fault themselves
             self._since = self._verdict = None
@@ -121,7 +121,7 @@ class DiskSpace:
     name: str = "disk space"
 
     def unmet(self) -> str | None:
-        """Describe insufficient free space."""
+        """Describe a lack of free space."""
         try:
             free = shutil.disk_usage(self.folder).free
         except OSError as error:
@@ -164,7 +164,7 @@ class ToolStillMounted:
 
 
 class WallClock:
-    """Guard that detects steps of the host's wall clock, used to date the records.
+    """Guard that detects steps of the host's wall clock, which dates the records.
 
     No limit depends on the wall clock, so a jump stops nothing: it is a finding.
     """

@@ -10,7 +10,7 @@ from ronna_hw.text import format_against_limit
 
 
 class BaseShifted(RefusedError):
-    """Tracker and arm disagree on the position of the frame on the arm: cart or tracker was moved."""
+    """Tracker and arm disagree on the position of the frame on the arm: the cart or the tracker was moved."""
 
     code = "PRO-019"
     action = (

@@ -1,4 +1,4 @@
-"""Displacement of the guide while someone works through it.
+"""Displacement of the guide while somebody works through it.
 
 Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
 and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
@@ -45,7 +45,7 @@ HIDDEN = ", and clear the line between the tracker and the frame on the arm: it 
 
 @dataclass
 class GuideAtRest:
-    """Rest position of the guide, and its displacement since then.
+    """Rest position of the guide, and its displacement since.
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
     tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
@@ -73,7 +73,7 @@ class GuideAtRest:
         self._recent.clear()
 
     def add_frame(self, frame: TrackerFrame, tool: str) -> None:
-        """Add a tracker frame and compare the mean of recent frames with the rest position."""
+        """Add a tracker frame and compare the mean of the latest frames with the rest position."""
         reading = frame.tool(tool)
         if self.seen_mm is None or reading.validity is not Validity.OK:
             return

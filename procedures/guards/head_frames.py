@@ -1,4 +1,4 @@
-"""Frame-by-frame displacement of the patient's spheres while the arm moves.
+"""Displacement of the patient's spheres, frame by frame while the arm moves.
 
 The tracker's noise is 0.2 mm in one frame, so the latest readings of each sphere are averaged. Hands and
 drapes hide now one sphere, now another: none needs to be in every frame.
@@ -70,7 +70,7 @@ class HeadFrames:
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
     def _mean_mm(self) -> float | None:
-        """Return the rms displacement of spheres with enough readings, or None for too few such spheres.
+        """Return the rms displacement of spheres with enough readings, or None if there are too few.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
         sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.

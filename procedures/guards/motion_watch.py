@@ -294,7 +294,7 @@ class _WatchThread:
         self._stopping = stopping
 
     def _report_silence(self, why: str) -> None:
-        """Report a silent tracker once and immediately, since the unwatched motion may still take long."""
+        """Report a silent tracker once, immediately, since the unwatched motion may still take long."""
         if not self._silence_reported:
             self._silence_reported = True
             self.tell(f"the head is not watched: {why}")

@@ -37,7 +37,7 @@ LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
 
 @dataclass(frozen=True)
 class RoomReading:
-    """Average of `frames` tracker frames with the arm at rest.
+    """Mean of `frames` tracker frames with the arm at rest.
 
     `robot_from_flange` is the arm's pose, by its calibration if there is one. `frame_mm` (3,) is the frame on
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
@@ -79,7 +79,7 @@ def read_room(
 def room_reading(
     workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
 ) -> RoomReading:
-    """Average tracker frames taken at the arm's current pose."""
+    """Average tracker frames taken at the arm's current pose into one reading."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool

@@ -79,11 +79,11 @@ class RoomLook:
 
     @property
     def in_place(self) -> bool:
-        """Whether head and base were seen and have not moved. The tracker may have moved slightly."""
+        """Whether head and base were seen and unmoved. The tracker may have moved slightly."""
         return self.moved is None and self.head_mm is not None and self.base is not None
 
     def require(self) -> tuple[str, ...]:
-        """Return the findings, or raise `moved` if set.
+        """Return the findings. Raises `moved` if set.
 
         Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
         head is at no known position.
@@ -133,7 +133,7 @@ class RoomWatch:
             self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
 
     def unseen_s(self, now_s: float) -> float:
-        """Return the theatre time since the head was seen or the operator chose to continue without sight."""
+        """Return the theatre time since the head was seen or the operator continued without sight."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
         return now_s - max(self.seen_s, excused_s)
 
@@ -209,7 +209,7 @@ class RoomWatch:
     def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
-        """Return the error based on fewer than three known spheres, or None if none has moved."""
+        """Return the error found from fewer than three known spheres, or None if none has moved."""
         few = measure_shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm

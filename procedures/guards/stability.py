@@ -33,7 +33,7 @@ LOOKS_AT_ROOM = (
 
 
 class Subject(StrEnum):
-    """Part of the room that must stay unchanged."""
+    """Part of the room that must not change."""
 
     HEAD = "head"
     BASE = "cart and tracker"
@@ -144,7 +144,7 @@ class SeenUnchanged(Values):
 
     @property
     def unchanged(self) -> bool:
-        """Whether the subject was seen and its displacement is below the detection limit."""
+        """Whether the subject was seen, with a displacement below the detection limit."""
         return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
 
     def __str__(self) -> str:

@@ -87,7 +87,7 @@ class TrackerLink:
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
-        """Read frames until one reply is late or enough have been on time."""
+        """Read frames until one reply is late or enough are on time."""
         with self.tracker.active() as tracker:
             for _ in range(JUDGED):
                 tracker.read_frame()
@@ -143,7 +143,7 @@ class HeadInSight:
 
     @property
     def patience_s(self) -> float:
-        """Theatre time to wait before asking the operator."""
+        """Theatre time to wait before the operator is asked."""
         room = self.memory.find(RoomWatch)
         return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
 

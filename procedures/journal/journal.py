@@ -56,7 +56,7 @@ ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 
 class _Chain(NamedTuple):
-    """Length and latest hash of the journal file."""
+    """Length and last hash of the journal file."""
 
     size: int  # bytes
     lines: int
@@ -67,7 +67,7 @@ class Journal:
     """Journal of one run."""
 
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
-        """Create the journal of a run. `on_line` is called with every line written."""
+        """Create the journal of a run; `on_line` is called with every written line."""
         self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
         with self._close_on_error():
             _sync_folder(folder)
@@ -97,7 +97,7 @@ class Journal:
             raise
 
     def _set_aside_torn_end(self, torn: bytes) -> None:
-        """Move a torn end to a file beside the journal."""
+        """Move a torn end into a file beside the journal."""
         folder = self.path.parent
         try:
             with (folder / TORN_FILE).open("ab") as torn_file:
@@ -124,11 +124,11 @@ class Journal:
         self._room = folder / ROOM_FILE
 
     def write(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
-        """Append one line and return once it is on disk. Raises PRO-003."""
+        """Append one line and return when it is on disk. Raises PRO-003."""
         self._append(entry, theatre_time_s, data, durable=True)
 
     def note(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
-        """Append one line that reaches the disk with the next `write`. Raises PRO-003.
+        """Append one line, which reaches the disk with the next `write`. Raises PRO-003.
 
         Sufficient for past events, never for intents.
         """
@@ -165,7 +165,7 @@ class Journal:
             self._write_line(line, durable=durable)
 
     def _write_line(self, line: bytes, *, durable: bool) -> None:
-        """Write a line and flush it, removing it if the flush fails."""
+        """Write a line and flush it, removing it again if the flush fails."""
         self._pending = line
         try:
             os.write(self._file, line)

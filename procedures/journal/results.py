@@ -19,13 +19,13 @@ Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 
 class Values(BaseModel):
-    """Base of results and their parts: frozen, with finite numbers and no unknown fields."""
+    """Base of results and their parts: frozen, finite numbers, no unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class StepResult(Values):
-    """Base of step results. `kind` identifies the step; `version` changes with the meaning of a field."""
+    """Base of step results. `kind` identifies the step; `version` rises when a field's meaning changes."""
 
     kind: ClassVar[str]
     version: ClassVar[int]
@@ -63,7 +63,7 @@ class FramedPose(Values):
 
     @property
     def transform(self) -> Transform:
-        """The pose as a validated transform."""
+        """The pose as a checked transform."""
         return Transform.of(
             self.target,
             self.source,

@@ -25,11 +25,11 @@ PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the ope
 
 
 class Guard(Protocol):
-    """Condition that must be met while the arm works."""
+    """Condition that must hold while the arm works."""
 
     @property
     def name(self) -> str:
-        """Guard name, such as `disk space` or `line of sight`."""
+        """Name, such as `disk space` or `line of sight`."""
         ...
 
     def unmet(self) -> str | None:
@@ -66,7 +66,7 @@ class DispensableGuard(Guard, Protocol):
 
 
 class Checkpoint:
-    """Checkpoint that rests a case on request or for an unmet guard, and asks before continuing."""
+    """Checkpoint that rests a case on request or for an unmet guard, and asks before it continues."""
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ from ronna_hw.errors import EXIT_ABORTED, RefusedError, RonnaError
 
 
 class NotConfirmed(RonnaError):
-    """The operator answered no, or gave no answer in time, which counts as no."""
+    """The operator answered no, or did not answer in time, which counts as no."""
 
     code = "PRO-002"
     action = (
@@ -17,7 +17,7 @@ class NotConfirmed(RonnaError):
 
 
 class OperatorAborted(RonnaError):
-    """The operator aborted the procedure."""
+    """The operator ended the procedure."""
 
     code = "PRO-004"
     action = "The arm is at rest. Start a new run when ready."
@@ -25,7 +25,7 @@ class OperatorAborted(RonnaError):
 
 
 class GuardUnmet(RefusedError):
-    """A guard suspended the running step and its condition was not restored."""
+    """A guard suspended the running step, and its condition was not restored."""
 
     code = "PRO-017"
     action = "Restore the condition it names, then repeat the step."

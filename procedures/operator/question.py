@@ -84,7 +84,7 @@ FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DU
 
 
 class Evidence(BaseModel):
-    """Table of evidence for a question, as display text with units."""
+    """Table of evidence for a question, as displayed text with units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -178,7 +178,7 @@ class Question:
         return self.answers[-1]
 
     def is_misread(self, answer: Answer) -> bool:
-        """Return whether a continuing answer came with an incorrect read-back value."""
+        """Whether a continuing answer came with a wrong read-back value."""
         typed = answer.typed if answer.word == self.answers[0] else None
         return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
 
@@ -199,15 +199,15 @@ class Question:
 
 
 class Operator(Protocol):
-    """Operator interface, implemented by the person or script that decides."""
+    """Operator interface: the person or script that decides."""
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer to a question, or the question's last answer on timeout."""
+        """Return the answer to a question, or its last answer on timeout."""
         ...
 
 
 def join_answers(answers: Sequence[str]) -> str:
-    """Join answers for display, such as `yes or no`, quoting multi-word answers."""
+    """Join answers for display, such as `yes or no`, quoting answers of several words."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
 
@@ -241,7 +241,7 @@ class Room(Protocol):
     """Interface of the room staff, who change tools, work on the patient and follow the steps."""
 
     def announce(self, step: str) -> None:
-        """Announce the step being run, such as `at_target:T1`."""
+        """Announce the running step, such as `at_target:T1`."""
         ...
 
     def change_tool(self, number: int, description: str) -> None:

@@ -41,7 +41,7 @@ REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 @dataclass(frozen=True, eq=False)
 class PlaceMap:
-    """Map around the assumed position, with `verdicts` by grid node and `allowed` (n, n) by square, x first.
+    """Map around the assumed position: `verdicts` by grid node, `allowed` (n, n) by square, x first.
 
     The cart is rotated by `turn_rad` from its assumed orientation everywhere.
     """
@@ -53,7 +53,7 @@ class PlaceMap:
 
     @property
     def within_mm(self) -> float:
-        """Half-width of the map."""
+        """Half width of the map."""
         return self.half * FINEST_MM
 
     def allows(self, x_mm: float, y_mm: float) -> bool:
@@ -146,7 +146,7 @@ def map_places(
 
 
 def _inner_neighbours(node: Node) -> list[Node]:
-    """Return the neighbours on the coarsest grid, closest first."""
+    """Return the neighbours on the coarsest grid, nearest first."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
     return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]
@@ -187,7 +187,7 @@ def _judge(case: CartCase, requests: Sequence[Request]) -> list[Verdict]:
 
 @dataclass(frozen=True, eq=False)
 class PlaceProposal:
-    """Proposed offset of the cart from its assumed position, and its tolerance.
+    """Proposed offset of the cart from its assumed position, with tolerance.
 
     `free_mm` in any direction; or half of that plus a further rotation by `turns_deg` (negative, positive).
     """
@@ -264,7 +264,7 @@ def _shift_place(best: CartMove, step_mm: float, way: tuple[float, float], turn_
 
 
 def draw_place(found: PlaceProposal, case: CartCase) -> bytes:
-    """Draw the reachable area, the assumed position, and the best position with its tolerance, as SVG."""
+    """Draw an SVG of the reachable area, the assumed position, and the best position with its tolerance."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

@@ -57,7 +57,7 @@ class PlaceSolution:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a cart position: the solution, or the first failing pose and the reason."""
+    """Verdict on a cart position: the solution, or the first pose that fails, with the reason."""
 
     found: PlaceSolution | None
     pose: str = ""
@@ -71,7 +71,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class CartCase:
-    """Arm at the assumed cart position, with the scene and the task.
+    """Arm at the assumed cart position, with scene and task.
 
     Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
     `stereo_from_marker` that of the frame on the arm.
@@ -151,7 +151,7 @@ class CartCase:
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
-        """Raise ARM-001 to ARM-003 for a pose or approach that no branch can reach."""
+        """Raise ARM-001 to ARM-003 for a pose or an approach that no branch reaches."""
         visits: list[Visit] = [build_target_visit(setting, one) for one in axis.targeted]
         if setting.strategy.localizes_per_trajectory and not _depends_on_branch(setting):
             start_branch = setting.kinematics.branch_of(setting.start_rad)

@@ -82,7 +82,7 @@ class WrongOrientation(PlanError):
 
 
 class NotIntoHead(PlanError):
-    """A trajectory does not lead from outside the head to a target inside it, judging by the CT."""
+    """According to the CT, a trajectory does not lead from outside the head to a target inside it."""
 
     code = "PLAN-011"
     action = "Check entry and target in the CT: they may be swapped, or given in RAS."
@@ -138,7 +138,7 @@ class StandoffInsideSkin(PlanError):
 
 
 class StopBeyondInstrument(PlanError):
-    """The depth stop would be past the end of the instrument."""
+    """The depth stop would be beyond the end of the instrument."""
 
     code = "PLAN-019"
     action = "Plan with a longer instrument or a smaller standoff_mm."
@@ -152,7 +152,7 @@ class NoPlace(RefusedError):
 
 
 class NoMarkerSites(PlanError):
-    """The head has no room for that many markers away from the trajectories."""
+    """The head has no room for that many markers clear of the trajectories."""
 
     code = "PLAN-021"
     action = "Ask for fewer --markers, or move an entry point."

@@ -124,7 +124,7 @@ class _Search:
                 chosen[name] = other
 
     def _search_turns(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
-        """Yield the suitable turns in this branch, then intermediate ones next to near misses."""
+        """Yield the suitable turns in this branch, then intermediate turns next to near misses."""
         near_misses = yield from self._rank_turns(axis, turns, branch)
         between = (
             turn for turn in intermediate_turns_rad(near_misses) if not self.hidden(_turn(axis, turn), branch)
@@ -134,7 +134,7 @@ class _Search:
     def _rank_turns(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
-        """Yield the suitable turns in this branch: those with a good wrist in order, then the best others.
+        """Yield the suitable turns in this branch: good wrists in order, then the others, best first.
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
@@ -156,7 +156,7 @@ class _Search:
         return near_misses
 
     def find_visible_turns(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
-        """Find the turns that make every sphere visible, by axis and in the strategy's order.
+        """Find the turns at which every sphere is visible, by axis and in the strategy's order.
 
         Usually the first will do, and checking the others takes most of the time: each is computed on demand.
         """
@@ -198,7 +198,7 @@ class WristState:
 
     @classmethod
     def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
-        """Evaluate the poses of one trajectory from a check that has reached its target."""
+        """Evaluate the poses of one trajectory. The check must have reached its target."""
         turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
         for one in check.reached:
             turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
@@ -274,7 +274,7 @@ def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str 
 
 
 def _is_target_reachable(setting: ArmSetting, trajectory: Trajectory) -> bool:
-    """Return whether the guide can reach the target at any angle in any branch."""
+    """Whether the guide reaches the target at any angle in any branch."""
     return any(
         check_branch(setting, target, (), branch, first_only=True).passed
         for branch in setting.kinematics.branches

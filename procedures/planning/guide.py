@@ -40,12 +40,12 @@ def place_guides(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
 
 
 def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
-    """Return the distance in mm from the instrument's tip to its depth stop, which rests on the guide."""
+    """Return the distance from the instrument's tip to its depth stop, which rests on the guide, in mm."""
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
 def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """Yield trajectories whose depth stop would be past the instrument's end, with its position in mm."""
+    """Yield trajectories whose depth stop would be beyond the instrument's end, with its position in mm."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:

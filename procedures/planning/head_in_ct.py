@@ -50,7 +50,7 @@ SAME_BONE_MM = 15.0  # along the trajectory, from where the central ray meets bo
 
 
 class HeadEllipsoid(Strict):
-    """Ellipsoid enclosing the head, in CT coordinates."""
+    """Ellipsoid around the head in CT coordinates."""
 
     centre_mm: Numbers3 = Field(description="Its centre, LPS.")
     semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
@@ -67,7 +67,7 @@ class HeadEllipsoid(Strict):
 
 
 def fit_head(volume: Volume) -> HeadEllipsoid:
-    """Fit the smallest axis-aligned ellipsoid enclosing the whole head. Raises PLAN-014.
+    """Fit the smallest axis-aligned ellipsoid around the whole head. Raises PLAN-014.
 
     A head cut off by the CT is used as far as the CT shows it.
     """
@@ -97,7 +97,7 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
-    """Return centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid enclosing points (n, 3).
+    """Return centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid around points (n, 3).
 
     Convex in reciprocal axes and scaled centre: min -sum(log b) under |b p - d| <= 1 (Boyd & Vandenberghe,
     Convex Optimization, 8.4.1). Not simply the bounding box: half a head is not a small whole one.

@@ -38,7 +38,7 @@ FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its ori
 
 @dataclass(frozen=True)
 class StereoSight:
-    """Camera positions in the tool frame, mm."""
+    """Positions of the two cameras in the tool frame, mm."""
 
     left_mm: Array
     right_mm: Array

@@ -84,7 +84,7 @@ class ProposedMarkers(Strict):
 
 @dataclass(frozen=True)
 class FurtherMarker:
-    """Best position for one additional marker, with the rms error at each target before and after, in mm."""
+    """Best position for one more marker, with the rms error at each target before and after, in mm."""
 
     centre_mm: Numbers3
     targets: tuple[tuple[str, float, float], ...]
@@ -146,7 +146,7 @@ def propose_further(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> FurtherMarker:
-    """Find the best position for one marker in addition to `present_mm` (n, 3). Raises PLAN-021."""
+    """Find the best position for one marker besides those at `present_mm` (n, 3). Raises PLAN-021."""
     centres, _ = _find_free_sites(head, trajectories, volume, np.random.default_rng(seed))
     is_apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
     if not is_apart.any():
@@ -241,7 +241,7 @@ def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64])
 
 
 def mark_allowed(points: Array) -> NDArray[np.bool_]:
-    """Flag marker sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
+    """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
     good = distances[:, 0] >= APART_MM
@@ -261,7 +261,7 @@ def is_clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
 def list_sites(
     head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator
 ) -> tuple[Array, Array]:
-    """List possible sphere centres (s, 3) and their post directions (s, 3)."""
+    """List possible sphere centres (s, 3) and the directions of their posts (s, 3)."""
     axes, middle = np.array(head.semi_axes_mm), np.array(head.centre_mm)
     directions = _cap_directions(random)
     skin = directions / np.linalg.norm(directions / axes, axis=1, keepdims=True)
@@ -276,7 +276,7 @@ def list_sites(
 
 
 def _cap_directions(random: np.random.Generator) -> Array:
-    """Draw directions (s, 3) uniformly over the cap."""
+    """Draw directions (s, 3), uniform over the cap."""
     cosine = random.uniform(np.cos(CAP_HALF_ANGLE_RAD), 1.0, SITES)
     turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
     axis = np.array(CAP_AXIS) / np.linalg.norm(CAP_AXIS)

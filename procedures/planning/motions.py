@@ -1,4 +1,4 @@
-"""Motions of the procedure with the mounted tool, previewed and checked for collisions.
+"""Motions of the procedure with the mounted tool, previewed and checked for clearance.
 
 A move between two approach points that is not clear goes via home if that is clear.
 """
@@ -52,7 +52,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class PreviewedMotion:
-    """A motion and its preview."""
+    """A motion with its preview."""
 
     motion: Motion
     preview: PathPreview
@@ -119,7 +119,7 @@ def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]
 
 
 def _plan_gauge_motions(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
-    """Plan the tool check motions, from home to the gauge and back."""
+    """Plan the motions of the tool check, from home to the gauge and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
@@ -145,7 +145,7 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
 def plan_motions(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
-    """Plan the motions from home through all visits and back."""
+    """Plan the motions from home through all visits and back home."""
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None

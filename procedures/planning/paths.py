@@ -1,4 +1,4 @@
-"""Check that the arm can execute the whole procedure in a single branch, with every pose and line.
+"""Check that the arm can execute the whole procedure: every pose, approach and line in a single branch.
 
 Poses are checked in the order of the procedure: all localizations, then every target.
 """
@@ -47,7 +47,7 @@ def check_paths(
 
 
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """Check already turned axes; otherwise like `check_paths`."""
+    """Check axes that have already been turned; otherwise like `check_paths`."""
     best: PathCheck | None = None
     for branch in order_branches(setting, axes, fiducials_mm):
         checked = check_branch(setting, axes, fiducials_mm, branch)

@@ -86,7 +86,7 @@ class PlanCheck:
         raise_together(self.findings, "the plan")
 
     def as_payload(self) -> dict[str, Any]:
-        """Return plain values for a record or script."""
+        """Return plain values for a record or a script."""
         return {
             "passed": self.passed,
             "series_instance_uid": self.plan.series_instance_uid,
@@ -171,7 +171,7 @@ def check_plan(
 
 
 def _check_series(plan: Plan, volume: Volume) -> CheckResult:
-    """Check that the plan belongs to this series and that every trajectory enters the head."""
+    """Check that the plan belongs to this series and that every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",

@@ -1,4 +1,4 @@
-"""The plan file `plan.toml`: create, read, write and seal. Mistakes in a file are reported all at once.
+"""The plan file `plan.toml`: create, read, write and seal. All mistakes in a file are reported together.
 
 Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
 must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
@@ -81,7 +81,7 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
 
 
 def parse_plan_bytes(content: bytes, name: str) -> Plan:
-    """Parse the content of a plan file named `name`. Raises like `read_plan`."""
+    """Parse the content of a plan file with this name. Raises like `read_plan`."""
     return parse_plan(parse_toml_bytes(content, name, PlanUnreadable), name)
 
 
@@ -149,7 +149,7 @@ def _advise_missing_key(mistake: Mapping[str, Any]) -> str:
 
 
 def _count_ids(content: dict[str, Any]) -> Counter[str]:
-    """Count the trajectory ids in the raw content, since other mistakes may prevent validation."""
+    """Count the trajectory ids in the raw content, since other mistakes may prevent parsing the model."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
         return Counter()
@@ -214,7 +214,7 @@ def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
 
 
 def require_unaltered(plan: Plan, name: str) -> None:
-    """Raise PLAN-023 unless a sealed plan matches its seal."""
+    """Raise PLAN-023 if a plan does not match its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
         raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
 

@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 @dataclass(frozen=True)
 class LockedPlan:
-    """Content of a plan file when a case locked it."""
+    """Content of a plan file at the time a case locked it."""
 
     content: bytes
 
@@ -111,7 +111,7 @@ class PlannerLock:
 
 
 def _lock(path: Path, kind: int) -> int:
-    """Open and lock the file at this path, retrying if it was replaced meanwhile."""
+    """Open and lock the file at this path; repeat if the file was replaced meanwhile."""
     while True:
         file = _open(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -125,7 +125,7 @@ def _lock(path: Path, kind: int) -> int:
 
 
 def _open(path: Path) -> int:
-    """Open a file, for writing if possible, as exclusive locks on network file systems require."""
+    """Open a file for writing if possible, since exclusive locks on network file systems require it."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:

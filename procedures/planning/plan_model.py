@@ -1,4 +1,4 @@
-"""Data model of a plan: trajectories on a CT, patient position, and tool.
+"""Data model of a plan: trajectories on a CT, for a patient position and a tool.
 
 Strict: unknown keys are errors, and nothing that decides side or patient has a default.
 """
@@ -43,7 +43,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PatientPosition(StrEnum):
-    """Patient position as a DICOM term: head or feet first; supine, prone or on a side."""
+    """Patient position in DICOM terms: head or feet first; supine, prone or on a side."""
 
     HFS = "HFS"
     HFP = "HFP"
@@ -107,7 +107,7 @@ class PlannedTrajectory(Strict):
 
 
 class Structure(Strict):
-    """Drawn or imported structure: points in CT coordinates (LPS, mm) and the margin to observe."""
+    """Drawn or imported structure: points in CT coordinates (LPS, mm) and the margin to keep."""
 
     name: str = Field(min_length=1, max_length=32, pattern=STRUCTURE_NAME_PATTERN, description="Its name.")
     margin_mm: float = Field(
@@ -248,7 +248,7 @@ def span(points: ArrayLike) -> float:
 
 
 def is_in_metres(points: ArrayLike) -> bool:
-    """Return whether points (n, 3) given as millimetres span so little that they must be in metres.
+    """Return whether points (n, 3), given as millimetres, span so little that they must be in metres.
 
     One point alone, as drawn first, says nothing about its unit.
     """

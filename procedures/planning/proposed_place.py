@@ -83,7 +83,7 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, drift: ProposalDeviation) -> bool:
-        """Return whether a deviation is within the position tolerance and the examined range of rotations."""
+        """Return whether a deviation is within the position tolerance and the examined rotations."""
         most_negative_deg, most_positive_deg = self.turns_deg
         turned = abs(drift.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm

@@ -31,7 +31,7 @@ class PlanningScene:
     head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """Return the scene with extra clearance while the stereo head is mounted."""
+        """Return the scene with additional clearance while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(

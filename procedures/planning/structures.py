@@ -92,7 +92,7 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
 
 
 def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
-    """Build a structure from points (n, 3), thinned to the number that a plan can store.
+    """Build a structure from any number of points (n, 3), thinned to the number that a plan can store.
 
     All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
     that a plan does not accept.

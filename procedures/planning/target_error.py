@@ -57,7 +57,7 @@ def predict_by_markers(
 def predict_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
-    """Predict the target error from a passed check, with arm, tool frame, calibrations and instrument."""
+    """Predict the target error with arm, tool frame, calibrations and instrument, from a passed check."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     sphere_visits, target = select_poses(setting, check, identifier)
@@ -128,7 +128,7 @@ def _guide_errors(
 def choose_best_strategies(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> ArmSetting:
-    """Resolve the strategy `best` for each trajectory, leaving other strategies unchanged.
+    """Resolve the strategy `best` for each trajectory; other strategies are unchanged.
 
     Trajectories and fiducials (n, 3) are in CT mm. Candidates must be visible, reachable and clear.
     """

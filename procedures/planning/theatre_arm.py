@@ -1,4 +1,4 @@
-"""Arm of a theatre file for planning, without opening any device."""
+"""The arm of a theatre file for planning, without opening any device."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 @dataclass(frozen=True)
 class GuideRecord:
-    """Record of the guide with its bore and gauge."""
+    """Record of the guide, with bore and gauge."""
 
     record: ToolRecord
     bore: GuideBore
@@ -31,7 +31,7 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """Tool records by name, and the flange on which they must have been measured.
+    """Tool records by name, and the flange on which the tools must have been measured.
 
     While `calibrating` the tip, its record may refer to a former one.
     """
@@ -60,7 +60,7 @@ class ToolRecords:
         return GuideRecord(found, found.bore, found.gauge)
 
     def check(self, calibrations: Calibrations, moment: datetime) -> None:
-        """Check all records. Raises CAL-001 if any is not valid at this moment, TOOL-002, TOOL-003."""
+        """Check all records. Raises CAL-001 if one is not valid at this moment, TOOL-002, TOOL-003."""
         for name, record in self.records.items():
             record.check_valid_at(moment)
             check_flange(record, self.flange)

@@ -58,7 +58,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Reached:
-    """A visit with the joint angles at its approach point and the line to its pose."""
+    """A visit with the joint angles at its approach point, and the line to its pose."""
 
     visit: Visit
     approach_rad: JointVector
@@ -89,7 +89,7 @@ class Unmet:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """Result of a path check: all visits with joints in one branch, or the failures in the best one.
+    """Result of a path check: all visits with joints in one branch, or the failures in the best branch.
 
     `largest_turn_rad` is the largest turn of any axis between two approach points, or from the start.
     """
@@ -155,7 +155,7 @@ class ArmSetting:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def in_branch(self, branch: Branch) -> ArmInBranch:
-        """Return the arm in this branch, as used by strategies."""
+        """Return the arm in this branch for use by strategies."""
         return ArmInBranch(
             self.kinematics,
             flange_from_guide=self.flange_from_tool,
@@ -188,7 +188,7 @@ class Axes:
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
-        """Return the axes of one trajectory only."""
+        """Return only the axes of one trajectory."""
         return Axes(
             tuple(one for one in self.localized if one.identifier == identifier),
             tuple(one for one in self.targeted if one.identifier == identifier),

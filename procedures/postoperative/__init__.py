@@ -1,1 +1,1 @@
-"""The postoperative check: registers both CTs on bone, finds the inserted objects, measures their errors."""
+"""The postoperative check: bone registration of two CTs, detection of inserted objects, and their errors."""

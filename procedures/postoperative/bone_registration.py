@@ -1,4 +1,4 @@
-"""Registration of two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
+"""Bone registration of two CTs of one head, by coarse-to-fine Gauss-Newton on intensities.
 
 Only bone is compared: HU are clipped at soft tissue and at compact bone, so that swollen skin, air and metal
 have little weight; remaining outliers are down-weighted (Cauchy).
@@ -36,7 +36,7 @@ LEAST_OVERLAP = 0.6  # share of the bone that both scans show
 
 @dataclass(frozen=True, eq=False)
 class BoneRegistration:
-    """Pose post <- pre of the head in patient coordinates, mm.
+    """Pose post <- pre of the head in patient coordinates, mm, with quality measures.
 
     `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of the
     first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the remaining
@@ -57,7 +57,7 @@ class _Level:
     geometry: VoxelGeometry
 
     def interpolate(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Interpolate at patient positions (n, 3) by cubic splines; also mark positions inside the scan."""
+        """Interpolate at patient positions (n, 3) by cubic splines, and flag positions inside the scan."""
         indices = self.geometry.to_index(points_mm).T
         last = np.array(self.geometry.shape)[:, None] - 1.0
         inside = np.all((indices >= 0.0) & (indices <= last), axis=0)
@@ -65,7 +65,7 @@ class _Level:
 
 
 def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
-    """Find the pose of the head in `post` relative to `pre`. Raises POST-001, POST-002."""
+    """Register the head in `post` to that in `pre`. Raises POST-001, POST-002."""
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
@@ -101,7 +101,7 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
 
 
 def sample_bone(volume: Volume, places_mm: Array) -> Array:
-    """Sample HU at positions (..., 3), clipped to bone; soft tissue outside the scan."""
+    """Sample HU at positions (..., 3), clipped to bone. Outside the scan, the value is soft tissue."""
     return np.asarray(np.clip(volume.sample(places_mm, SOFT_HU), SOFT_HU, COMPACT_HU), dtype=float)
 
 
@@ -131,7 +131,7 @@ def _build_level(volume: Volume, spacing_mm: float) -> _Level:
 
 
 def _find_bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
-    """Return voxel centres (n, 3) mm on and around the largest piece of bone, and their values."""
+    """Return voxel centres (n, 3) mm in and around the largest bone component, and their values."""
     labels, count = ndimage.label(level.values > BONE_HU)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
     bone = labels == 1 + int(sizes.argmax())
@@ -189,7 +189,7 @@ def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.
 def _rate_pose(
     points: Array, values: Array, target: _Level, pose: RigidTransform
 ) -> tuple[float, float, float]:
-    """Return correlation, overlap and robust residual of a pose."""
+    """Return a pose's correlation, overlap and robust residual."""
     there, inside = target.interpolate(pose.apply(points))
     overlap = float(inside.mean())
     if np.count_nonzero(inside) < LEAST_POINTS // 2:

@@ -49,7 +49,7 @@ class FoundKind(StrEnum):
 
 
 class FoundTrajectory(Strict):
-    """Trajectory as planned and as found; points in LPS mm of the planned CT.
+    """Trajectory as planned and as found, with points in LPS mm of the planning CT.
 
     A hole has no tip: `tip_mm`, `target_error_mm` and `depth_error_mm` are None; `lateral_mm` is that of its
     axis.
@@ -83,7 +83,7 @@ class PostoperativeComparison:
 def compare_with_plan(
     plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> PostoperativeComparison:
-    """Find the object along each trajectory of a plan; `only` names the trajectories, by default all.
+    """Find the object along each trajectory of a plan, or along those listed in `only`.
 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
@@ -122,7 +122,7 @@ def compare_registered(
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
-    """Require the plan's series as `pre` and another one as `post`. Raises PLAN-003, POST-003, POST-004."""
+    """Require `pre` to be the plan's series and `post` another. Raises PLAN-003, POST-003, POST-004."""
     if pre.series_instance_uid == post.series_instance_uid:
         raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
     if plan.series_instance_uid == pre.series_instance_uid:
@@ -139,7 +139,7 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
 def _candidates(
     line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
 ) -> tuple[Candidate, ...]:
-    """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
+    """Find rods and holes near a planned trajectory, in planning CT coordinates."""
     pose = registration.post_from_pre
     back = pose.inv()
 
@@ -161,7 +161,7 @@ def _candidates(
 
 
 def _compare_trajectory(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
-    """Measure an instrument or a hole against its planned trajectory."""
+    """Measure the deviation of an instrument or hole from its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm
@@ -195,7 +195,7 @@ def _to_point(values: Array) -> Point:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Rod or hole in coordinates of the planned CT: tip or point in the bone, (3,) mm, and axis.
+    """Rod or hole in planning CT coordinates: tip or point in the bone, (3,) mm, and axis.
 
     `failures` are reasons why it cannot be used at all, `doubts` why it may be wrong.
     """
@@ -211,7 +211,7 @@ class Candidate:
         return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
 
     def is_same_object(self, other: Candidate) -> bool:
-        """Return whether both candidates are one instrument, one hole, or an instrument in its hole."""
+        """Return whether two candidates are the same instrument or hole, or an instrument in its hole."""
         if self.kind is other.kind is FoundKind.DRILL_HOLE:
             return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
         near = (  # a hole's direction is too uncertain to extrapolate to a tip
@@ -225,7 +225,7 @@ class Candidate:
 def assign(
     lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """Assign candidates to trajectories by smallest total distance; also name the winner of a lost candidate.
+    """Assign candidates to trajectories by smallest total distance, and report who won a contested one.
 
     `lines` are the planned ones, `candidates` those found along each; both by name.
     """
@@ -253,7 +253,7 @@ def assign(
 
 
 def _assignment_cost_mm(line: PlannedLine, one: Candidate) -> float:
-    """Return the axis' mean distance from entry and target, plus a penalty for holes and failed fits."""
+    """Return the axis's mean distance from entry and target, plus a penalty for holes and failed fits."""
     mean_mm = 0.5 * (one.axis_distance_mm(line.entry_mm) + one.axis_distance_mm(line.target_mm))
     rank = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return mean_mm + rank * SUBSTITUTE_PENALTY_MM

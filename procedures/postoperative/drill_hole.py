@@ -1,4 +1,4 @@
-"""Detection of a drilled hole near a planned trajectory, as bone present only in the first scan.
+"""Detection of a drilled hole near a planned trajectory, as bone missing from the second scan.
 
 A blurred cylinder is fitted where bone was lost. A hole has an entry and a direction, but no tip.
 """
@@ -74,7 +74,7 @@ def find_holes(
 def _fit_hole(
     pre: Volume, post: Volume, post_line: PlannedLine, back: RigidTransform, middle: Array
 ) -> FittedAxis:
-    """Fit a blurred cylinder to the second scan's voxels around the middle of the missing bone."""
+    """Fit a blurred cylinder to the second scan's voxels around the centre of the missing bone."""
     coarse = PlannedLine(
         post_line.to_patient_mm(middle), post_line.to_patient_mm(middle + np.array([1.0, 0.0, 0.0]))
     )

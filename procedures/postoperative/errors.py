@@ -1,4 +1,4 @@
-"""Errors of the postoperative check, POST-001 to POST-009."""
+"""Errors in the postoperative check, POST-001 to POST-009."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import EXIT_REFUSED, DataError
 
 
 class NoBone(DataError):
-    """A CT shows no skull to register on."""
+    """A CT shows no skull for registration."""
 
     code = "POST-001"
     action = "Give CTs of the whole head, in Hounsfield units."
@@ -28,7 +28,7 @@ class SeriesSwapped(DataError):
 
 
 class OneSeriesTwice(DataError):
-    """Both folders hold the same series."""
+    """Both folders contain the same series."""
 
     code = "POST-004"
     action = "Give the planning CT, then the postoperative one."
@@ -59,7 +59,7 @@ class InstrumentAmbiguous(DataError):
 
 
 class RunOfAnotherPlan(DataError):
-    """The run for the report followed another plan, or a plan on another CT."""
+    """The run to be reported on used another plan, or a plan on another CT."""
 
     code = "POST-008"
     action = "Give the run of this operation, or omit --run."

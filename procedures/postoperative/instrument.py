@@ -1,4 +1,4 @@
-"""Detection of the metal rod of an electrode or needle near a planned trajectory: axis and tip.
+"""Detection of an electrode or needle near a planned trajectory, as a metal rod with axis and tip.
 
 A coarse pass takes the longest bright piece along the trajectory; then a blurred rod is fitted to the voxels
 around it, and then again with its streaks, which would otherwise shift the depth of the tip by tenths of a
@@ -90,7 +90,7 @@ def _length_mm(places: Array) -> float:
 
 
 def _fit_coarse_line(line: PlannedLine, places: Array) -> PlannedLine:
-    """Fit a line to a bright piece; `places` (n, 3) are positions along and across the trajectory, mm."""
+    """Fit a line to a bright component at `places` (n, 3), along and across the trajectory in mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
     rod = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
@@ -99,7 +99,7 @@ def _fit_coarse_line(line: PlannedLine, places: Array) -> PlannedLine:
 
 
 def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
-    """Fit a blurred rod to the voxels, starting from a coarse line whose target is the tip."""
+    """Fit a blurred rod to the voxels, starting from a coarse line that ends at the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = select_voxels(
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
@@ -150,7 +150,7 @@ def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
 
 @dataclass(frozen=True, eq=False)
 class _VoxelModel:
-    """Model of the voxels around a rod: tissue, rod and streaks, clipped as by the scanner."""
+    """Model of the voxels around a rod: tissue, rod and streaks, clipped like the scanner's output."""
 
     samples: Array
     length_mm: float
@@ -164,13 +164,13 @@ class _VoxelModel:
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
-        """Return the HU of tissue, rod and streaks, clipped; `unknown` holds the rod's values first."""
+        """Return the clipped HU of tissue, rod and streaks. The rod's parameters come first in `unknown`."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
     def fit(
         self, values: Array, start: Array, bounds: tuple[Array, Array], scale_hu: float
     ) -> OptimizeResult:
-        """Fit the parameters to the HU of the voxels."""
+        """Fit the parameters to the voxels' HU."""
         return least_squares(
             lambda unknown: self.hu(unknown) - values, start, bounds=bounds, loss="soft_l1", f_scale=scale_hu
         )
@@ -184,7 +184,7 @@ def _rod_axis(unknown: Array, length_mm: float) -> RodAxis:
 
 
 def _rod_share(local: Array, unknown: Array, length_mm: float) -> Array:
-    """Return the rod's share at positions (..., 3): a blurred disc across, a blurred edge along."""
+    """Return the rod's fraction at positions (..., 3): a blurred disc across, a blurred edge along."""
     tip_u, tip_v, end_u, end_v, depth_mm, _, radius_mm, spread_mm = unknown
     share = -local[..., 0] / length_mm  # 0 at the coarse tip, 1 at the outer end
     u = local[..., 1] - tip_u - share * (end_u - tip_u)
@@ -197,7 +197,7 @@ def _rod_share(local: Array, unknown: Array, length_mm: float) -> Array:
 
 
 def _voxel_offsets(volume: Volume, line: PlannedLine) -> Array:
-    """Return sample positions (n, 3) in a voxel relative to its centre, along and across the path, mm."""
+    """Return sample positions (n, 3) in mm relative to a voxel's centre, along and across the line."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -218,7 +218,7 @@ def _estimate_background(local: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """Voxels (n, 3) mm and their slices, with unit vectors `normal` (3,) and `plane` (3, 2)."""
+    """Voxels (n, 3) mm grouped by slice, with unit vectors `normal` (3,) and `plane` (3, 2)."""
 
     voxels: Array
     normal: Array
@@ -249,7 +249,7 @@ class RodAxis:
 
 @dataclass(frozen=True, eq=False)
 class Streaks:
-    """Streak HU at each voxel: known in the slices of the shaft, unknown in those of the tip.
+    """Streak HU at each voxel: known in the shaft's slices, to be fitted in those of the tip.
 
     `parts` are the voxels of the latter, slice by slice; each has two unknowns, with `start` and bounds.
     """
@@ -264,7 +264,7 @@ class Streaks:
     high: Array
 
     def hu(self, unknown: Array) -> Array:
-        """Return streak HU at each voxel, from strength and origin along the rod, mm, for each tip slice."""
+        """Return the streak HU at each voxel, given strength and axial position in mm for each tip slice."""
         found = self.shaft_hu.copy()
         for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
             found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
@@ -278,7 +278,7 @@ def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
 
 
 def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
-    """Estimate the streak pattern from usable voxels (n,) along the shaft, minus a rod without streaks."""
+    """Estimate the streak pattern from usable shaft voxels (n,), given HU with rod and tissue subtracted."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
         return zero_streaks(slices, rod)
@@ -309,7 +309,7 @@ def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[n
 
 
 def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Numbers) -> Array:
-    """Return harmonic columns (n, COLUMNS) at voxels about the axis points at `along_mm`."""
+    """Return the harmonic basis (n, COLUMNS) at voxels around the axis points at `along_mm`."""
     centres = rod.point_mm + np.reshape(along_mm, (-1, 1)) * rod.outwards
     across = (slices.voxels[voxels] - centres) @ slices.plane
     angles = np.arctan2(across[:, 1], across[:, 0])[:, None] * np.arange(1, HARMONICS + 1)
@@ -318,7 +318,7 @@ def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Nu
 
 
 def _solve_robustly(columns: Array, values: Array) -> Array:
-    """Solve least squares with Cauchy weights."""
+    """Solve a least-squares problem with Cauchy weights."""
     weights = np.ones(len(values))
     for _ in range(REWEIGHTED):
         root = np.sqrt(weights)

@@ -1,4 +1,4 @@
-"""Surroundings of a straight trajectory into the head, and the quality of fits to objects in them."""
+"""Image region around a straight trajectory into the head, and quality of the fits made in it."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ class PlannedLine:
         return PlannedLine(pose.apply(self.entry_mm), pose.apply(self.target_mm))
 
     def to_patient_mm(self, local_mm: Array) -> Array:
-        """Return patient positions (..., 3) of positions along and across, mm from the entry."""
+        """Convert positions along and across the line, mm from the entry, to patient positions (..., 3)."""
         return np.asarray(self.entry_mm + local_mm @ self.axes.T)
 
     def to_local_mm(self, points_mm: Array) -> Array:
-        """Return positions along and across, mm from the entry, of patient positions (..., 3)."""
+        """Convert patient positions (..., 3) to positions along and across the line, mm from the entry."""
         return np.asarray((points_mm - self.entry_mm) @ self.axes)
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), with positions (..., 3) mm.
+    """HU on a grid of `STEP_MM` around a trajectory (along, across, across), at positions (..., 3) mm.
 
     NaN outside the scan, where nothing is known.
     """
@@ -71,7 +71,7 @@ class Surroundings:
 
 
 def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> Surroundings:
-    """Sample HU linearly around a trajectory between two distances from its entry."""
+    """Sample HU by linear interpolation around a trajectory, between two distances from its entry."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
@@ -81,7 +81,7 @@ def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: fl
 def select_voxels(
     volume: Volume, line: PlannedLine, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
-    """Return centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
+    """Return HU and centres (n, 3) mm, along and across, of the voxels within a radius of a trajectory.
 
     The grid continues beyond the scan, with NaN.
     """
@@ -110,7 +110,7 @@ def select_voxels(
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Quality of a fit: `whole` if the scan shows all it needs, `inside` if within the bounds.
+    """Quality of a fit. `whole` if the scan covers the region needed, `inside` if no bound was reached.
 
     Residual in HU, radius in mm.
     """
@@ -139,7 +139,7 @@ class ExpectedFit:
     radius_mm: tuple[float, float]
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """List the reasons why position and direction are unknown."""
+        """List the reasons why a fit gives no position and direction."""
         sentences = []
         if not quality.whole:
             sentences.append("the CT ends there")
@@ -150,7 +150,7 @@ class ExpectedFit:
         return tuple(sentences)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
-        """List the reasons why position and direction may be wrong."""
+        """List the reasons why a fitted position and direction may be wrong."""
         sentences = []
         if quality.residual_hu > self.residual_hu:
             sentences.append(
@@ -166,6 +166,6 @@ class ExpectedFit:
 
 
 def mark_at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Mark the parameters (n,) that ended at a bound."""
+    """Flag the fitted parameters (n,) that reached a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))

@@ -1,4 +1,4 @@
-"""Result of a postoperative check for storage, output and report, and a picture of each trajectory."""
+"""Postoperative check result for storage, output and report, with an image of each trajectory."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLANNED_COLOUR, FOUND_COLOUR = "#58c4dd", "#ff9d5c"
 
 
 class PostoperativeCheck(Strict):
-    """Postoperative CT compared with the plan."""
+    """Comparison of the postoperative CT with the plan."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this format.")
     pre_series_instance_uid: str = Field(description="The planning CT.")
@@ -46,7 +46,7 @@ class PostoperativeCheck(Strict):
 def summarize_comparison(
     proof: PostoperativeComparison, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
-    """Convert a comparison to plain values."""
+    """Convert a comparison to a serializable result with warnings."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
     doubts = (f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)

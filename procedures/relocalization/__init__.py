@@ -1,4 +1,4 @@
-"""Fine re-localization of spheres with the stereo head: images, triangulation, servoing. Pure numerics."""
+"""Numerics for fine sphere localization with the stereo head: images, triangulation, servoing."""
 
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.servo import (

@@ -1,4 +1,4 @@
-"""Initial guess of a sphere's outline: circles through edge points of a reduced image.
+"""Initial estimate of a sphere's outline from circles through edge points of a reduced image.
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
@@ -50,7 +50,7 @@ SCORE_SHARE = 0.3  # ... this share of the best
 
 @dataclass(frozen=True)
 class Circle:
-    """Circle with centre and radius in pixels, and the share of its rim that has edges."""
+    """Circle with centre and radius in pixels, and the fraction of its rim covered by edges."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -91,7 +91,7 @@ class EdgePoints:
 
 
 def halve_image(image: GreyImage, times: int) -> GreyImage:
-    """Average 2 x 2 pixels, `times` times; drop rows and columns that do not fill a block.
+    """Average 2 x 2 pixels, `times` times, dropping rows and columns that do not fill a block.
 
     With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
     repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
@@ -173,7 +173,7 @@ def _fit_circles(
 
 
 def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
-    """Count the edge points on each circle that face its centre."""
+    """Count the edge points on each circle with gradients towards its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
     direction = edges.direction[::step].astype(np.float32)
@@ -186,7 +186,7 @@ def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Fit a least-squares circle to its edge points; return None if too little rim remains."""
+    """Fit a least-squares circle to its edge points, or return None if too little of the rim is left."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px

@@ -1,4 +1,4 @@
-"""Robust fit of an ellipse to rim points.
+"""Robust ellipse fit to rim points.
 
 The ellipse is |S (x - c)| = 1 with S symmetric and positive definite. Residuals are first-order geometric
 distances (Sampson). The first iterations use the points that best agree on a circle, since a sphere's outline
@@ -46,7 +46,7 @@ class Ellipse:
         return np.array([[xx, xy], [xy, yy]])
 
     def radius_at(self, angle_rad: Array) -> Array:
-        """Return the distance in px from the centre to the rim in the directions `angle_rad`."""
+        """Return the centre-to-rim distance in px in the directions `angle_rad`."""
         direction = np.stack([np.cos(angle_rad), np.sin(angle_rad)])
         return np.asarray(1.0 / np.linalg.norm(self.matrix @ direction, axis=0))
 
@@ -57,7 +57,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """Fitted ellipse, weights (n,) and scatter of its points, and covariance of its centre."""
+    """Fitted ellipse, point weights (n,), scatter, and covariance of the centre."""
 
     ellipse: Ellipse
     weights: Array
@@ -71,7 +71,7 @@ def circle_as_ellipse(centre_px: tuple[float, float], radius_px: float) -> Ellip
 
 
 def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -> EllipseFit | None:
-    """Fit an ellipse to points (n, 2) from a start within a few pixels; return None if undefined.
+    """Fit an ellipse to points (n, 2) from a start within a few pixels, or return None if undefined.
 
     With `rough_start` false, the start is on the rim to within its noise and the consensus search is skipped.
     """
@@ -108,7 +108,7 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
 
 
 def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
-    """Return distances (n,) and their derivatives (n, 5) by centre and shape."""
+    """Return distances (n,) and their derivatives (n, 5) with respect to centre and shape."""
     x = points_px[:, 0] - parameters[0]
     y = points_px[:, 1] - parameters[1]
     xx, xy, yy = parameters[2:]
@@ -124,7 +124,7 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
 
 
 def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
-    """Mark the points near the circle through three points with the largest consensus."""
+    """Flag the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
     offset = circumcentre_offsets(b - a, c - a, least_area=1e-6)
@@ -135,7 +135,7 @@ def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
 
 
 def circumcentre_offsets(ab: Array, ac: Array, least_area: float) -> Array:
-    """Return centres (n, 2) of the circles through a, b, c, relative to a; 0 for nearly collinear points."""
+    """Return circumcentres (n, 2) of points a, b, c relative to a, or 0 where they are nearly collinear."""
     doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
     doubled_area = np.where(np.abs(doubled_area) < least_area, np.inf, doubled_area)
     square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Errors of stereo-head measurements, STE-001 to STE-014; data errors are also `ValueError`s."""
+"""Errors in stereo head measurements, STE-001 to STE-014. Data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class WrongSize(DataError):
 
 
 class ServoDiverges(DataError):
-    """The servo's residual does not decrease from step to step."""
+    """The servo residual does not decrease from step to step."""
 
     code = "STE-007"
     action = "Check the stereo calibration and that the patient's head is still, then start again."
 
 
 class ServoExhausted(DataError):
-    """The servo's residual is still above its tolerance after the last allowed step."""
+    """The servo residual still exceeds its tolerance after the last allowed step."""
 
     code = "STE-008"
     action = "Leave out this sphere, or check lens, light and arm, then start again."
@@ -69,7 +69,7 @@ class SphereNotInView(DataError):
 
 
 class WrongCamera(DataError):
-    """The calibration belongs to a different camera than the one that took the image."""
+    """The image comes from a camera other than the calibrated one."""
 
     code = "STE-010"
     action = "Use the calibration of the mounted head, or calibrate it."

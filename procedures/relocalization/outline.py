@@ -1,4 +1,4 @@
-"""Outline of a disc on the full image: edges along rays, a robust ellipse, and its reliability.
+"""Outline of a disc in the full image: edges along rays, robust ellipse fit, and reliability check.
 
 On each ray from the centre, a blurred step is fitted to the steepest fall in brightness: background plus a
 sloping inside times the complementary error function. Then comes an ellipse. Rays whose edge is too weak, too
@@ -103,7 +103,7 @@ class SphereImage:
 
 
 def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
-    """Fit the ellipse at full resolution near a guess; return None without a disc."""
+    """Fit the ellipse at full resolution, starting from a guess. Return None if there is no disc."""
     span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
     start = circle_as_ellipse(guess.centre_px, guess.radius_px)
     coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)
@@ -136,7 +136,7 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
 def judge_outline(
     image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
-    """Judge the outline. `rim` marks the rays that support it, `bright` these and their neighbours."""
+    """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
         float(np.median(values[rim])) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
     )
@@ -190,7 +190,7 @@ def _mark_dimmed(
 
 
 def _bright_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
-    """Return the share of the inside that is brighter than halfway between the grey levels at the rim."""
+    """Return the fraction of the interior brighter than the mid-level between both sides of the rim."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
     distance = radius * ellipse.radius_at(angle)
@@ -243,7 +243,7 @@ class Profiles:
 
 @dataclass(frozen=True)
 class RimEdges:
-    """Edge found on each ray: offset from the base, level outside, step height, blur, misfit of the model."""
+    """Edge on each ray: offset from the base, outer grey level, step height, blur, and model misfit."""
 
     offset_px: Array
     dark_grey: Array
@@ -254,7 +254,7 @@ class RimEdges:
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:
-    """Sample grey values every pixel along `rays` rays, within `half_width_px` of the rim on both sides."""
+    """Sample grey values at every pixel along `rays` rays, up to `half_width_px` either side of the rim."""
     angle: Array = np.arange(rays, dtype=float) * (2.0 * np.pi / rays)
     base = ellipse.radius_at(angle)
     offset = np.arange(-np.ceil(half_width_px), np.ceil(half_width_px) + 1.0)
@@ -267,7 +267,7 @@ def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px
 
 
 def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
-    """Return the positions (rays, 2) of edges `offset_px` from the bases of their rays."""
+    """Return the positions (rays, 2) of edges offset by `offset_px` from the bases of their rays."""
     distance = profiles.base_px + offset_px
     return np.stack(
         [
@@ -279,7 +279,7 @@ def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
 
 
 def steepest_falls(profiles: Profiles) -> RimEdges:
-    """Find the steepest fall from bright to dark on each ray, refined by a parabola's vertex."""
+    """Find the steepest bright-to-dark transition on each ray, refined by parabolic interpolation."""
     fall = np.zeros_like(profiles.grey)
     fall[:, 1:-1] = 0.5 * (profiles.grey[:, :-2] - profiles.grey[:, 2:])
     rays = np.arange(len(fall))
@@ -296,7 +296,7 @@ def steepest_falls(profiles: Profiles) -> RimEdges:
 
 
 def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> RimEdges:
-    """Fit `B + (A + m (s - e)) * Phi((e - s) / w)` to every ray: edge e and blur w by Gauss-Newton.
+    """Fit `B + (A + m (s - e)) * Phi((e - s) / w)` to every ray by Gauss-Newton (edge e, blur w).
 
     B, A and m are linear parameters, e and w are not; all five are iterated together from the steepest falls.
     """
@@ -343,7 +343,7 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
 
 
 def _interpolate(image: GreyImage, x: Array, y: Array) -> Array:
-    """Interpolate grey values linearly; positions outside use the nearest border pixel."""
+    """Interpolate grey values linearly, using the nearest border pixel outside the image."""
     height, width = image.shape
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     column = np.minimum(x.astype(np.intp), width - 2)

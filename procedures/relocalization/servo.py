@@ -1,4 +1,4 @@
-"""Control law that moves the tool centre point onto a sphere, and the search pattern for spheres.
+"""Control law for moving the tool centre point onto a sphere, and the sphere search pattern.
 
 The residual is the sphere's centre in the tool frame; the law leads from a measured residual to the next
 pose. The loop that moves the arm and takes the images is in the workcell; it keeps a `ServoState` and queries
@@ -26,7 +26,7 @@ LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so tha
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """Settings of the servo. `tolerance_mm` is the end condition (thesis: 0.03 mm).
+    """Servo settings. `tolerance_mm` is the termination criterion (thesis: 0.03 mm).
 
     A measurement of the sphere is wrong by the arm's repeatability and by a share of the remaining distance:
     head and arm are slightly rotated and scaled against their calibration records.
@@ -52,7 +52,7 @@ class ServoState:
 
     @property
     def converged(self) -> bool:
-        """Whether the last residual meets the end condition."""
+        """Whether the last residual meets the termination criterion."""
         return bool(self.residuals_mm) and self.residuals_mm[-1] <= self.settings.tolerance_mm
 
     @property
@@ -118,7 +118,7 @@ class ServoState:
 
 
 def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
-    """Return the sphere centre in the robot frame, (3,) mm: the nominal tool pose applied to the residual.
+    """Return the sphere centre in the robot frame, (3,) mm, from nominal tool pose and residual.
 
     Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
@@ -139,7 +139,7 @@ def _require_tool_pose(pose: Transform) -> None:
 
 
 def search_offsets_mm() -> Array:
-    """Return the search offsets (n, 3) mm in the tool frame: rings across the tool axis, near to far.
+    """Return the search offsets (n, 3) mm in the tool frame: rings across the tool axis, innermost first.
 
     The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
     spiral.

@@ -1,4 +1,4 @@
-"""Measure a retro-reflective sphere in one image or in an image pair: centre, semi-axes, quality.
+"""Measurement of a retro-reflective sphere in an image or image pair: centre, semi-axes, quality.
 
 The image is reduced, circles are guessed from edges, then refined and judged on the full image, best first.
 Glare or a second sphere can look like the sphere in one image. The lines of sight to two different objects do
@@ -81,14 +81,14 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Measure every disc that may be a sphere, most visible rim first; return an empty tuple if none."""
+    """Measure every disc that may be a sphere, most visible rim first."""
     return tuple(sphere for sphere in _iterate_spheres(image, radius_range_px) if sphere is not None)
 
 
 def _iterate_spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Yield the measurement of each round shape, lazily; None for shapes that are no disc."""
+    """Yield a measurement of each round shape, lazily, or None for shapes that are not discs."""
     grey = _validate_image(image)
     if radius_range_px is not None and not 0.0 < radius_range_px[0] <= radius_range_px[1]:
         raise BadMeasurement(
@@ -168,7 +168,7 @@ class Sighting:
 
     @property
     def doubt(self) -> str:
-        """Reason why there is no point, for each camera; empty if there is one."""
+        """Reason for a missing point, by camera, or an empty string if there is a point."""
         sides = zip(SIDES, (self.left, self.right), strict=True)
         return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
 
@@ -180,7 +180,7 @@ def locate_sphere(
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> Sighting:
-    """Locate the sphere seen by both cameras; without a point if a camera sees too little of the sphere.
+    """Locate the sphere seen by both cameras. There is no point if a camera sees too little of it.
 
     Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no two round
     shapes match.
@@ -203,7 +203,7 @@ def locate_sphere(
 
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
-    """Return the smallest and largest image radius, px, of a sphere near the tool centre point."""
+    """Return the minimum and maximum image radius in px of a sphere near the tool centre point."""
     distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
     radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
@@ -228,7 +228,7 @@ def _measure_outlines(
 
 
 def _combine_errors(problems: dict[str, DataError]) -> DataError:
-    """Combine the errors of one or both cameras; saturation takes precedence."""
+    """Combine the errors of one or both cameras, giving precedence to saturation."""
     worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
     words = {one.what for one in problems.values()}
     if len(problems) == len(SIDES) and len(words) == 1:
@@ -243,7 +243,7 @@ def _find_agreeing(
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
 ) -> Sighting | None:
-    """Find the reliable outlines with the smallest gap between lines of sight; return None without any."""
+    """Find the reliable outlines with the smallest ray gap, or return None if none agree."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)

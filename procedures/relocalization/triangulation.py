@@ -1,4 +1,4 @@
-"""Triangulate the sphere's centre in the tool frame from both outlines; check the head's cameras.
+"""Triangulation of the sphere's centre in the tool frame from two outlines, and check of the cameras.
 
 Pixels are those of the full sensor, with (0, 0) at the centre of the top-left one. Distortion follows
 OpenCV's five-coefficient model, k1 k2 p1 p2 k3, in normalised coordinates.
@@ -44,7 +44,7 @@ LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet bette
 
 
 class Camera:
-    """Camera calibration prepared for computation, with `tool` coordinates in mm."""
+    """Camera calibration in computational form, with tool coordinates in mm."""
 
     def __init__(self, calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> None:
         self._focal = np.array(calibration.focal_px)
@@ -56,7 +56,7 @@ class Camera:
         self.centre_mm = pose.inverse().translation_mm  # centre of projection, in tool coordinates
 
     def project(self, point_mm: ArrayLike) -> tuple[Array, Array]:
-        """Project a point (3,) in tool coordinates to a pixel (2,), with the derivative (2, 3) by the point.
+        """Project a point (3,) in tool coordinates to a pixel (2,), and return the Jacobian (2, 3).
 
         The derivative neglects distortion: it only weights a least-squares step.
         """
@@ -66,7 +66,7 @@ class Camera:
         return pixel, (self._focal[:, None] * slope) @ self.rotation
 
     def centre_of(self, sphere: SphereImage) -> Array:
-        """Return normalized image coordinates (2,) of the sphere's true centre, without distortion and bias.
+        """Return normalized coordinates (2,) of the sphere's true centre, corrected for distortion and bias.
 
         The outline of a sphere is an ellipse whose centre is too far from the optical axis. With semi-minor
         axis b in normalised units, the sphere's centre is the ellipse's centre divided by (1 + b^2): the
@@ -77,11 +77,11 @@ class Camera:
         return np.asarray(ellipse / (1.0 + semi_minor**2), dtype=float)
 
     def to_pixel(self, normalised: Array) -> Array:
-        """Return the pixel (2,) of undistorted normalized coordinates."""
+        """Convert undistorted normalized coordinates to a pixel (2,)."""
         return np.asarray(self._focal * distort(normalised, self._distortion) + self._principal)
 
     def angular_radius_rad(self, sphere: SphereImage) -> float:
-        """Return half the angle that the sphere subtends at the centre of projection.
+        """Return half the angle subtended by the sphere at the projection centre.
 
         From the same conic section: sin^2 a = b^2 (1 + b^2) / (r^2 + (1 + b^2)^2), r the distance of the
         ellipse's centre from the optical axis.
@@ -92,7 +92,7 @@ class Camera:
         return float(np.arcsin(np.sqrt(sine_squared)))
 
     def undistort(self, pixel: ArrayLike) -> Array:
-        """Remove distortion by fixed-point iteration; return normalized coordinates (2,). Raises STE-004."""
+        """Convert a pixel to undistorted normalized coordinates (2,) iteratively. Raises STE-004."""
         observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
         if observed.shape != (2,) or not np.all(np.isfinite(observed)):
             raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
@@ -127,7 +127,7 @@ def distort(ideal: Array, coefficients: tuple[float, float, float, float, float]
 
 @dataclass(frozen=True)
 class StereoPoint:
-    """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two consistency checks.
+    """Sphere centre in the tool frame, mm, with covariance (3, 3) and two consistency measures.
 
     `ray_gap_mm` is the gap between the two lines of sight; `radii_mm` are the radii implied by the left and
     the right outline at that distance.
@@ -140,7 +140,7 @@ class StereoPoint:
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the sphere, mean of both outlines."""
+        """Sphere radius averaged over both outlines."""
         return sum(self.radii_mm) / 2.0
 
 
@@ -232,7 +232,7 @@ def _minimise_distances(
     pixels: list[Array],
     start: Array,
 ) -> tuple[Array, Array]:
-    """Minimize the weighted distance to both pixels by Gauss-Newton; return the point and its covariance."""
+    """Minimize the weighted distance to both pixels by Gauss-Newton. Return the point and covariance."""
     weights = [np.linalg.inv(np.array(outline.covariance_px2)) for outline in outlines]
     point = start
     normal = np.eye(3)

@@ -1,1 +1,1 @@
-"""Report of a run, with its tables and pictures."""
+"""Run report with its tables and figures."""

@@ -1,4 +1,4 @@
-"""Figures of a calibration, check or measurement, and `result.json`, which holds the `--json` output.
+"""Results of calibrations, checks and measurements, and `result.json` with the `--json` output.
 
 The kind of the figures is recognized by a key that no other kind has. A key `kind` would be new in the output
 of `--json`, and files written before it would still have to be recognized by their content.
@@ -29,7 +29,7 @@ RESULT_FILE = "result.json"  # in the folder of the run
 
 
 class Figure(NamedTuple):
-    """Line of the table; `spread` is the standard error, in the unit of the value."""
+    """Row of the results table. `spread` is the standard error in the unit of the value."""
 
     name: str
     value: str
@@ -38,7 +38,7 @@ class Figure(NamedTuple):
 
 
 class Numbers(BaseModel):
-    """Numbers of a result; the fields are the keys of `--json`, in the same order."""
+    """Base of result values. The fields are the keys of `--json`, in the same order."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, from_attributes=True)
 
@@ -67,7 +67,7 @@ class RecordFigures(Figures):
         """Yield the measurements and the accuracy of the record."""
 
     def table(self) -> Iterator[Figure]:
-        """Yield the figures of quality and validity of the record."""
+        """Yield the quality figures and the validity period of the record."""
         yield from self.quality()
         yield Figure("made", self.created[:16].replace("T", " "))
         yield Figure("valid until", self.expires[:16].replace("T", " "))
@@ -157,7 +157,7 @@ class HeadFigures(RecordFigures):
 
 
 class SignFigures(Numbers):
-    """Sign of a change: value with standard error, and chi-square statistic."""
+    """Indicator of a change: value with standard error, and chi-square statistic."""
 
     name: str
     unit: str
@@ -291,7 +291,7 @@ class FrameFigures(RecordFigures):
 
 
 class TipFigures(RecordFigures):
-    """Figures of a tip calibration of the guide."""
+    """Figures of a guide tip calibration."""
 
     tool_number: int
     readings: int
@@ -371,7 +371,7 @@ def write_figures(figures: Figures, folder: Path) -> None:
 
 
 def read_figures(folder: Path) -> Figures:
-    """Read the figures in a run folder. Raises OSError, or ValueError if there are none."""
+    """Read the figures from a run folder. Raises OSError, or ValueError if they are invalid."""
     content = read_json_bytes(folder / RESULT_FILE)
     found = parse_json(content)
     for key, kind in KINDS.items():
@@ -381,7 +381,7 @@ def read_figures(folder: Path) -> Figures:
 
 
 def load_figures(folder: Path) -> Figures | None:
-    """Read the figures in a run folder; return None if missing or unreadable."""
+    """Read the figures from a run folder, or return None if missing or unreadable."""
     try:
         return read_figures(folder)
     except (OSError, ValueError):

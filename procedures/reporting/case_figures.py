@@ -32,7 +32,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class SphereFigure:
-    """Sphere of the CT, and its positions by each instrument, mm; None if unknown."""
+    """Sphere from the CT, with its position by each instrument in mm, None where unknown."""
 
     number: int  # counts from 1
     ct_mm: Point | None  # by the registration
@@ -42,7 +42,7 @@ class SphereFigure:
 
 @dataclass(frozen=True)
 class TrajectoryFigure:
-    """Planned trajectory mapped by its registration, mm."""
+    """Planned trajectory in the robot frame, mapped by its registration, mm."""
 
     name: str
     entry_mm: Point

@@ -29,7 +29,7 @@ class Ending:
 
 
 def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """Return the ending according to the journal; `error` is that of the command line, if known."""
+    """Determine the ending from the journal. `error` is the command's error, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)
@@ -51,7 +51,7 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
 def _describe_closed_run(
     journal: Sequence[Line], closed: Line, last: Line | None, error: RunError | None
 ) -> tuple[str, str, str]:
-    """Return word, sentence and code of a closed run; `last` is the line that ended its last step."""
+    """Return word, sentence and code for a closed run. `last` is the line that ended its last step."""
     outcome = closed.get("outcome")
     if outcome == "done" and error is not None:  # computed after the steps
         return "failed", f"Every step was done, but {error.what}", error.code
@@ -85,7 +85,7 @@ def _describe_closed_run(
 
 
 def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
-    """Describe who has since acknowledged the fault in a line; return '' while it is not acknowledged."""
+    """Describe who later acknowledged the fault in a line, or return '' if nobody has."""
     place = next(number for number, line in enumerate(journal) if line is last)
     error_text = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
     names = [
@@ -97,7 +97,7 @@ def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
 
 
 def _is_named(acknowledged: Line, error_text: str) -> bool:
-    """Whether a text names the acknowledged fault or the device that had it."""
+    """Return whether an error text mentions the acknowledged fault or its device."""
     code = str(acknowledged.get("fault", "")).partition(":")[0]
     return f"the {acknowledged.get('device')} is in fault" in error_text or (
         code != "" and code in error_text
@@ -105,7 +105,7 @@ def _is_named(acknowledged: Line, error_text: str) -> bool:
 
 
 def _describe_incidents(journal: Sequence[Line]) -> str:
-    """List the incidents of a finished case in words; return '' if there were none."""
+    """List the incidents of a finished case in words, or return '' if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
@@ -130,7 +130,7 @@ def resumes(journal: Sequence[Line]) -> int:
 
 
 def _count_emergency_stops(journal: Sequence[Line]) -> int:
-    """Count emergency stops. Each is acknowledged once, however many steps fail meanwhile."""
+    """Count emergency stops. Each counts once, however many steps fail before it is acknowledged."""
     count, is_standing = 0, False
     for line in journal:
         is_of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM

@@ -1,4 +1,4 @@
-"""Files that accompany a report: pictures, tables, a simulated theatre's truth, the postoperative check."""
+"""Files stored with a report: images, tables, the simulated truth, and the postoperative check."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 def store_truth(run: Path, truth: Truth) -> Path:
-    """Store the theatre verifier's result in the folder of a run."""
+    """Store the theatre verifier's result in a run folder."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / KEPT_TRUTH
     content = (truth.model_dump_json(indent=1) + "\n").encode()
@@ -51,7 +51,7 @@ def drop_unconfirmed_truth(run: Path) -> bool:
 
 
 def load_truth(run: Path) -> Truth | None:
-    """Load the result stored by `store_truth`; return None if missing or unreadable."""
+    """Load the result stored by `store_truth`, or return None if missing or unreadable."""
     try:
         return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
     except (OSError, ValueError):
@@ -59,7 +59,7 @@ def load_truth(run: Path) -> Truth | None:
 
 
 class ReportFiles:
-    """Writer of files in `OUT/report`; creates the folder if it is missing."""
+    """Writer for the files in `OUT/report`. Creates the folder if missing."""
 
     def __init__(self, out: Path) -> None:
         self._folder = out / REPORT_FOLDER
@@ -67,7 +67,7 @@ class ReportFiles:
         self.written: list[str] = []
 
     def text(self, name: str, text: str) -> Path:
-        """Write one text file atomically; return its path."""
+        """Write a text file atomically and return its path."""
         path = self._folder / name
         write_atomically(path, text.encode())
         self.written.append(name)
@@ -103,11 +103,11 @@ class ReportFiles:
         self.text("looks.csv", _csv(rows))
 
     def timeline(self, spans: Sequence[Span]) -> None:
-        """Write every step, motion and pause with its theatre time."""
+        """Write the theatre times of every step, motion and pause."""
         self.text("timeline.csv", _csv(list(map(asdict, spans))))
 
     def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
-        """Write the clearance of each checked motion, to the head and to anything else."""
+        """Write the clearance of each checked motion from the head and from other bodies."""
         rows = [
             {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
             | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}
@@ -129,7 +129,7 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
-    """Load a picture; return None, with a note, if it is too large or cannot be read."""
+    """Load an image. If it is too large or unreadable, add a note and return None."""
     try:
         return read_bounded(path, LARGEST_PICTURE_BYTES, follow_links=False)
     except (OSError, InputRefused):
@@ -151,13 +151,13 @@ class PostoperativeResult:
 
     @property
     def shown(self) -> list[tuple[str, str]]:
-        """Name and embedded picture of each trajectory."""
+        """Names of trajectories and their images as data URLs."""
         names = [one.id for one in self.found.trajectories]
         return [(name, data_url(self.pictures[name])) for name in names if name in self.pictures]
 
 
 def store_check(folder: Path, after: PostoperativeResult) -> None:
-    """Store the check in a folder, creating it if missing. Raises OSError."""
+    """Store a postoperative check in a folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
     for name, picture in after.pictures.items():
@@ -165,7 +165,7 @@ def store_check(folder: Path, after: PostoperativeResult) -> None:
 
 
 def load_check(reading: RunReading) -> PostoperativeResult | None:
-    """Load the check of a run; return None without a check, and add a note if it cannot be read."""
+    """Load the postoperative check of a run, or return None if missing or unreadable (with a note)."""
     folder = reading.folder / REPORT_FOLDER
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))

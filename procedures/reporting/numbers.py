@@ -1,4 +1,4 @@
-"""Number formats of a report, one for each quantity, never truncated."""
+"""Number formats of a report, one per quantity."""
 
 from __future__ import annotations
 

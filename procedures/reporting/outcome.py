@@ -1,4 +1,4 @@
-"""Outcome of a run. The JSON of these models is the output of `ronna-procedure run --json`: a contract."""
+"""Outcome of a run. As JSON, these models form the stable output of `ronna-procedure run --json`."""
 
 from __future__ import annotations
 

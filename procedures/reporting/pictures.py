@@ -1,4 +1,4 @@
-"""Figures of a report as SVG, and of proposed markers as PNG.
+"""Report figures as SVG, and proposed marker positions as PNG.
 
 A canvas is as wide as a phone's screen, so that its text is readable there in portrait; elsewhere it scales
 with the page.
@@ -64,7 +64,7 @@ VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
 
 
 class Canvas:
-    """Canvas for shapes, with y growing downwards; `svg` is the finished picture."""
+    """SVG canvas with y growing downwards."""
 
     def __init__(self, height: float, title: str) -> None:
         self._height = height
@@ -74,7 +74,7 @@ class Canvas:
     def rectangle(
         self, x: float, y: float, width: float, height: float, fill: str, *, title: str = ""
     ) -> None:
-        """Add a filled rectangle; `title` is shown on hover."""
+        """Add a filled rectangle, with `title` shown on hover."""
         inside = f"<title>{escape(title)}</title>" if title else ""
         self._shapes.append(
             f'<rect x="{x:.2f}" y="{y:.2f}" width="{max(width, 0.0):.2f}" height="{height:.2f}" '
@@ -94,7 +94,7 @@ class Canvas:
 
     @property
     def svg(self) -> str:
-        """Finished picture, as a standalone file or for embedding in a page."""
+        """Finished drawing, to be stored as a file or embedded in a page."""
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {self._height:g}" role="img" '
             f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}">'
@@ -103,7 +103,7 @@ class Canvas:
 
 
 def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
-    """Draw the target errors as bars with their values, in mm."""
+    """Draw the target errors in mm as labelled bars."""
     bars: list[tuple[str, float, str]] = []
     for row in rows:
         if row.error_mm is not None:
@@ -139,7 +139,7 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 
 
 def _motion_name(one: MotionRow) -> str:
-    """Describe a motion for a reader, with spheres counted from 1."""
+    """Describe a motion in words, counting spheres from 1."""
     if one.start == one.end:
         return f"{_place_name(one.end)}, along the axis"
     return f"{_place_name(one.start)} → {_place_name(one.end)}"
@@ -212,7 +212,7 @@ def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int,
 
 
 def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
-    """Draw the number of cycles over microseconds of host time: turnaround filled, jitter as a line."""
+    """Draw a histogram of cycles by host time in microseconds: turnaround filled, jitter as a line."""
     canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
     low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
     highest = max(max(one[2], one[3]) for one in bins)
@@ -245,7 +245,7 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
 
 
 def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
-    """Draw the rms of each view in px; excluded views are red and clipped at the picture's height."""
+    """Draw the rms residual of each view in px. Excluded views are red and clipped at the figure's top."""
     canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
     highest_px = max((value for value, used in looks_px if used), default=1.0)
     across, up = (WIDTH - LEFT) / len(looks_px), LOOKS_HEIGHT / max(highest_px, 1e-6)

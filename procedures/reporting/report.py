@@ -1,4 +1,4 @@
-"""The report `report.html`: one self-contained file on what a run did, how it ended, and its quality.
+"""The report `report.html`: a self-contained record of what a run did, how it ended, and how accurately.
 
 Everything in it comes from the run's folder, however incomplete; only the truth of a simulated theatre comes
 from its verifier and is passed in.
@@ -89,7 +89,7 @@ def write_report(
     after: PostoperativeResult | None = None,
     unconfirmed: Sequence[str] = (),
 ) -> Path:
-    """Write the report of a run into its folder, or into `out`; return the path of the report.
+    """Write the report of a run to its folder or to `out`, and return the path.
 
     `truth` is the theatre verifier's result, `after` the postoperative check; both default to what is stored
     in the folder. `error` is the command line's. `unconfirmed` says what no seal vouches for; what had none
@@ -184,7 +184,7 @@ def _findings(reading: RunReading) -> list[str]:
 
 
 def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
-    """Return the rows of the plan and the clearance pictures of each trajectory; also write both as files."""
+    """Return the plan rows and clearance figures of each trajectory, and write the clearances to files."""
     rows = plan_rows(reading)
     pictures = []
     for row in rows:
@@ -237,7 +237,7 @@ def _figures(
 
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
-    """Return the result of a calibration, a check or a measurement; without figures for a case."""
+    """Return the results of a calibration, check or measurement; empty for a case."""
     found = load_figures(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
@@ -250,7 +250,7 @@ def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
 def _second_reading(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
 ) -> dict[str, Any]:
-    """Return the target figures computed a second way, and whether both agree."""
+    """Return independently computed target figures, and whether they agree with the report's."""
     if not rows:
         return {"second_text": "", "agree": True}
     try:
@@ -264,7 +264,7 @@ def _second_reading(
 
 
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
-    """Return the health of the robot link by stream, with the name of the mounted tool."""
+    """Return the robot link health of each stream, labelled with the mounted tool."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = (stored.result.link for stored in reading.standing(Retreated))
     looks = (stored.result.link for stored in reading.standing(ConfirmedTarget))
@@ -277,7 +277,7 @@ def _host_time(reading: RunReading, place: int) -> str:
 
 
 def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
-    """Return names and embedded pictures, without those of superseded results."""
+    """Return names and data URLs of the images, excluding those of superseded results."""
     gone = {
         name
         for line in reading.run.lines(Entry.RESULT)
@@ -292,7 +292,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
 
 
 def _without_controls(value: Any) -> Any:
-    """Escape control characters in plain text; text marked as safe is ours and stays unchanged."""
+    """Escape control characters in plain text. Markup declared safe is generated here and stays unchanged."""
     return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
 
 

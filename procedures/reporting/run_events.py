@@ -1,4 +1,4 @@
-"""Events of a run outside the normal course of its steps, and the questions to the operator."""
+"""Notable events of a run besides its normal steps, and the questions asked of the operator."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 
 def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
-    """Return findings and seat changes that did not stop the run; identical texts only once."""
+    """Return findings and seat changes that did not stop the run, without duplicates."""
     first: dict[str, RunEvent] = {}
     for one in _events_of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
@@ -110,7 +110,7 @@ def _acknowledgement_text(line: Line) -> str:
 
 
 def _restart_text(line: Line) -> str:
-    """Describe what a resuming program found of the previous one."""
+    """Describe the state in which a resuming program found the run."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
     first = f"The program ended before {begun} was complete" if begun else ""
     return f"{first}; the last line of its journal was truncated and set aside" if torn else first

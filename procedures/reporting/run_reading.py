@@ -1,4 +1,4 @@
-"""Content of a run folder for its report: everything readable, with notes on everything unreadable.
+"""Content of a run folder for reporting, with notes on anything unreadable.
 
 A report matters most for the run that went wrong; a truncated journal or a changed file is mentioned in it
 and does not prevent the rest from being shown.
@@ -31,7 +31,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class RunReading:
-    """Content of a run folder, with its `changes` since the run and the `problems` of reading it."""
+    """Content of a run folder, later `changes` to it, and `problems` encountered in reading it."""
 
     run: RunFolder
     log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
@@ -48,7 +48,7 @@ class RunReading:
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Readable registrations used, or to be used, to reach the targets."""
+        """Readable registrations that were or will be used to reach the targets."""
         made = self._readable(RegisteredRobot, self.run.records)
         return find_used_registrations(made, self.run.records, self.run.superseded)
 
@@ -68,7 +68,7 @@ class RunReading:
         return found[-1].result if found else None
 
     def note(self, problem: str) -> None:
-        """Add a note about something unreliable, once for each text."""
+        """Add a note about something unreliable, without duplicates."""
         if problem not in self.problems:
             self.problems.append(problem)
 
@@ -131,7 +131,7 @@ class UsedRegistration:
 def find_used_registrations(
     registrations: Sequence[Stored[RegisteredRobot]], records: Sequence[Record], gone: Collection[str]
 ) -> tuple[UsedRegistration, ...]:
-    """Find the registrations used in a run, in order; `gone` are identifiers of superseded records.
+    """Find the registrations used in a run, in order. `gone` lists the ids of superseded records.
 
     A finished target follows the parents of its result, whatever is valid since; any other the valid one.
     """
@@ -157,7 +157,7 @@ def find_used_registrations(
 
 
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
-    """Find the used registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
+    """Find the registrations used in a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.standing}
     made = [
         Stored(one, parse_record(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind

@@ -1,4 +1,4 @@
-"""Time spent by step, and counters of the links, from a run's journal and log.
+"""Time spent per step, and link counters, from a run's journal and log.
 
 Theatre time is that of the procedure; with real devices it is wall-clock time, while a simulated theatre in
 lock-step adds none while the computer works or a script answers. Host time is what the computer took.
@@ -43,7 +43,7 @@ class Span:
 
 
 def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
-    """Return the spans by begin time; a span without an end lasts until its program's last line."""
+    """Return the spans by start time. A span without an end lasts until its program's last line."""
     spans: list[Span] = []
     open_now: dict[str, int] = {}  # open spans by key: index in `spans`
     row, last_s = BETWEEN_STEPS, 0.0
@@ -101,7 +101,7 @@ class TimeTaken:
 
 
 def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
-    """Return the phases and steps in order of first occurrence, then questions and manual work.
+    """Return times for phases and steps in order of first occurrence, then for questions and manual work.
 
     Steps of all trajectories are added up. A step that was restarted counts again; one that never ended
     counts until the last line of its program.
@@ -145,7 +145,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
 
 
 def _elapsed_s(line: Line, key: str) -> float:
-    """Return the theatre time since the time stored under a key; 0 if the line lacks the key."""
+    """Return the theatre time elapsed since the time stored under a key, or 0 if the key is missing."""
     began = line.get(key)
     return max(0.0, theatre_time_s(line) - float(began)) if isinstance(began, int | float) else 0.0
 
@@ -159,7 +159,7 @@ def _host_s(begin: Line, end: Line) -> float:
 
 
 def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
-    """Return the name, the number of active periods, and the summed counters as text of each device."""
+    """Return name, number of active periods, and summed counters as text for each device."""
     totals: dict[str, _Totals] = {}
     for line in log:
         if "device" not in line:
@@ -182,7 +182,7 @@ def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str
 
 @dataclass
 class _Totals:
-    """Sums over a device's active periods; counters of its connection continue across periods."""
+    """Sums over a device's active periods. Connection counters continue across periods."""
 
     times: int = 0
     sums: dict[str, int | float] = field(default_factory=dict)

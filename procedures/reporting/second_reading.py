@@ -1,4 +1,4 @@
-"""Independent second reading of the target figures: plain text from plain JSON.
+"""Independent cross-check of the target figures, read from plain JSON and printed as plain text.
 
 It shares neither models nor formatter with the report's table, so that a number wrong in either shows up as a
 difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
@@ -22,7 +22,7 @@ Row = tuple[str, ...]
 
 
 def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
-    """Read the rows from the record files and, if it exists, the truth file.
+    """Read the target rows from the record files, and from the truth file if it exists.
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
@@ -65,7 +65,7 @@ def as_text(rows: tuple[Row, ...]) -> str:
 
 
 def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, str]:
-    """Map each target to its valid registration, or to the one that led the guide if the target is done."""
+    """Map each target to its valid registration, or if already reached, to the one used to reach it."""
     used = {
         one["target"]: name
         for name, record in standing.items()

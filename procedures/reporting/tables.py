@@ -18,7 +18,7 @@ from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 @dataclass(frozen=True)
 class TargetRow:
-    """Row of a target. The error is known only against a simulated truth, and only if the tip arrived."""
+    """Table row for a target. The error is known only in simulation, and only if the tip arrived."""
 
     target: str
     depth_mm: float | None
@@ -80,7 +80,7 @@ class MotionRow:
 
 @dataclass(frozen=True)
 class PlanRow:
-    """Row of a trajectory: entry and target in LPS mm, angles about the axis, clearance of the motions.
+    """Table row for a trajectory: entry and target in LPS mm, angles about the axis, motion clearances.
 
     What only the path check provides is None before it, and for a trajectory that was left out.
     """

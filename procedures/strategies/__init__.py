@@ -1,1 +1,1 @@
-"""Orientations of the arm at the fiducials and at a target. Pure numerics."""
+"""Strategies for the arm's orientation at the fiducials and targets. Pure numerics."""

@@ -1,4 +1,4 @@
-"""All strategies by name, and their combinations: one per trajectory, or the best for each."""
+"""All strategies by name, and combinations of them: one per trajectory, or the best for each."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class StrategyByTrajectory:
 
     @property
     def controls_approach(self) -> bool:
-        """Whether the usual strategy controls the approach; see `strategy_for` for one trajectory."""
+        """Whether the usual strategy controls the approach. For a single trajectory, see `strategy_for`."""
         return self.usual.controls_approach
 
     def strategy_for(self, trajectory: str) -> Strategy:

@@ -44,13 +44,13 @@ class OrientationCorrection:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of the axis."""
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all oriented along the axis."""
         return poses_along(along, fiducials_mm, robot_from_ct)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Return all turns outwards from the axis's free angle, rad. All serve equally well."""
+        """Return all turns in rad by increasing distance from the free angle. All are equally suitable."""
         return OUTWARDS_RAD
 
 
@@ -65,7 +65,7 @@ class NeutralOrientation(OrientationCorrection):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; empty without fiducials.
+        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm, or () without fiducials.
 
         Raises FRM-001 on other frames.
         """

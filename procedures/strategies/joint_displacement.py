@@ -1,4 +1,4 @@
-"""Strategies that keep the joints at a fiducial near those at the target: JDMS, and an improved JDMS.
+"""Strategies that keep the joints at fiducials near those at the target: JDMS, and an improved version.
 
 JDMS (joint displacement minimization): at each fiducial, the orientation whose joints differ least from those
 at the target. Joint and link errors are then nearly equal at both and cancel. The cost: the orientations
@@ -118,7 +118,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Rank turns by joint displacement, smallest first. Turns with a pose out of reach are left out."""
+        """Rank turns by joint displacement, smallest first, omitting turns with unreachable poses."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -144,7 +144,7 @@ def solve_joints(
 
 @dataclass(frozen=True)
 class ImprovedDisplacementMinimization(JointDisplacementMinimization):
-    """The strategy `improved`. Turns about the axis are ranked as in JDMS."""
+    """The strategy `improved`, which ranks turns about the axis like JDMS."""
 
     name: str = "improved"
 
@@ -189,7 +189,7 @@ def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> 
 
 
 def _error_displacements(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
-    """Return displacements (p, 3 k) mm of a point (3,) mm at the tool by one sigma of each error."""
+    """Return displacements (p, 3 k) mm of a tool point (3,) mm due to one sigma of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)

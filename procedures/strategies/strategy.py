@@ -1,4 +1,4 @@
-"""Interface of a localization strategy, the arm that it plans for, its turns, and the approach to a pose.
+"""Interface of localization strategies, the arm they plan for, turns about the axis, and approach joints.
 
 A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
 tool the same way at a target, see `target_pose`. Its axis is the trajectory's; only the free angle about it
@@ -75,7 +75,7 @@ class ArmInBranch:
 
 
 class Strategy(Protocol):
-    """Strategy for tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
+    """Stateless strategy for tool orientations. Poses are ROBOT <- TOOL, from the coarse transform."""
 
     @property
     def name(self) -> str:
@@ -84,12 +84,12 @@ class Strategy(Protocol):
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """Whether every trajectory has its own localizations and registration, or one set serves all."""
+        """Whether every trajectory has its own localizations and registration, instead of one shared set."""
         ...
 
     @property
     def controls_approach(self) -> bool:
-        """Whether each joint arrives at a fiducial as it will at the target; see `arrival_signs`.
+        """Whether each joint approaches a fiducial in the same direction as the target. See `arrival_signs`.
 
         Backlash is then equal at both. Only for strategies that localize per trajectory.
         """
@@ -98,7 +98,7 @@ class Strategy(Protocol):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
+        """Return the axes for localizing all fiducials (n, 3) in CT mm, with one set of poses for each.
 
         The trajectories themselves, or one axis that is independent of them.
         """
@@ -117,12 +117,12 @@ class Strategy(Protocol):
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Return turns about the axis, best first, to add to the trajectory's free angle, rad."""
+        """Return turns to add to the trajectory's free angle in rad, best first."""
         ...
 
 
 def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
-    """Return distinct turns a quarter and half a step from each of `turns_rad`, the nearest first.
+    """Return distinct turns a quarter and half a step away from each of `turns_rad`, nearest first.
 
     A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
     clearance that a motion needs, so an angle that passes may be between two that do not. Quarter steps are
@@ -140,7 +140,7 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 def arrival_signs(
     kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
 ) -> tuple[int, ...]:
-    """Return the direction (+1 or -1) in which each joint arrives at a pose ROBOT <- TOOL (`at_rad`)."""
+    """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`."""
     before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
     branch = kinematics.branch_of(at_rad)
     joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
@@ -148,6 +148,6 @@ def arrival_signs(
 
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
-    """Return joints slightly before a position, from which each turns onto it in its direction, +1 or -1."""
+    """Return joints slightly before a position, to be approached in each joint's direction, +1 or -1."""
     before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])
