@@ -40,11 +40,7 @@ class SceneChoice:
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
 
     def check(self) -> None:
-<<<<<<< ours
-        """Raise CLI-001 unless the scene is a known name or an existing file; its contents are not read."""
-=======
         """Raise CLI-001 unless the scene is a known name or an existing file (contents unchecked)."""
->>>>>>> theirs
         if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
             close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
             raise UsageMistake(
