@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+
 from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
 
 SEE_PHANTOM = "See ronna-sim phantom --help."  # advice for its options
@@ -33,6 +35,21 @@ class EndpointTaken(ConnectError):
 
     code = "SIM-004"
     action = "Choose another endpoint, or end the program that uses it."
+
+    @classmethod
+    def from_system(
+        cls, error: OSError, endpoint: str, *, holder: object = None, action: str = ""
+    ) -> EndpointTaken:
+        """Explain why an endpoint cannot be listened on; `holder` names the program that uses it."""
+        if error.errno == errno.EADDRNOTAVAIL:
+            return cls(
+                f"cannot listen on {endpoint}: it is no address of this computer",
+                action="Give one of its addresses, such as one in 127.0.0.0/8: `ip address` lists them.",
+            )
+        reason = (error.strerror or str(error)).lower()
+        if error.errno == errno.EADDRINUSE:
+            reason = f"in use by {holder}" if holder else "in use"
+        return cls(f"cannot listen on {endpoint}: {reason}", action=action or cls.action)
 
 
 class NothingToVerify(DataError):

@@ -14,7 +14,7 @@ import typer
 
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.options import require_folder_of
 from ronna_hw.text import format_count
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 X_FRAME = "xframe"  # a layout that needs no file
 READING_SHARE = 0.4  # of the progress bar
+PAGE_ENDING = ".html"
 PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
 SeriesArgument = Annotated[
     Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
@@ -222,6 +223,10 @@ def view(
     from procedures.imaging.errors import MarkerCountWrong
     from ronna_hw.records import write_atomically
 
+    if out.suffix.lower() != PAGE_ENDING:
+        raise PathProblem(
+            f"--out: {out} is no page", expected=f"a file that ends in {PAGE_ENDING}", action="Name another."
+        )
     require_folder_of(out)
     with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.folders import hold_run, remove_if_empty, remove_if_refused, require_outside_runs
+from procedures.runs.folders import hold_run, remove_if_empty, remove_if_refused
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import read_request
 from procedures.runs.simulated_theatre import find_truth
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
-from ronna_hw.command_line.options import require_folder
+from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain

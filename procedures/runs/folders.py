@@ -17,7 +17,7 @@ from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.command_line.options import require_folder
+from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
@@ -117,18 +117,6 @@ def require_run(folder: Path) -> None:
             action=f"Give one of them: {folder / held[-1]}.",
         )
     raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
-
-
-def require_outside_runs(out: Path) -> None:
-    """Raise CLI-005 if `--out` is a run's folder or inside one: what is added there breaks its evidence."""
-    place = out.resolve()
-    for folder in (place, *place.parents):
-        if (folder / JOURNAL_FILE).exists() or (folder / REQUEST_FILE).exists():
-            raise PathProblem(
-                f"--out: {out} is {'the folder of a run' if folder == place else f'inside the run {folder}'}",
-                expected="a folder outside every run, which may be new",
-                action=f"Name another, such as {folder.parent}: what is added to a run breaks its seal.",
-            )
 
 
 def is_run(folder: Path) -> bool:

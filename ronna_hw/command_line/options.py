@@ -201,8 +201,24 @@ def require_folder(out: Path) -> None:
         raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
+def require_outside_runs(*outputs: Path) -> None:
+    """Raise CLI-005 for an output that is a run's folder or inside one: it would break the run's evidence."""
+    from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+
+    for out in outputs:
+        place = out.resolve()
+        for folder in (place, *place.parents):
+            if (folder / JOURNAL_FILE).exists():
+                raise PathProblem(
+                    f"{out} is {'the folder of a run' if folder == place else f'inside the run {folder}'}",
+                    expected="a place outside every run, which may be new",
+                    action=f"Name another, such as one in {folder.parent}: an addition breaks a run's seal.",
+                )
+
+
 def require_folder_of(*files: Path) -> None:
-    """Raise CLI-005 if a file's folder does not exist; call before the work that writes the file."""
+    """Raise CLI-005 for a file in a run or without a folder; call before the work that writes the file."""
+    require_outside_runs(*files)
     for file in files:
         if not file.parent.is_dir():
             raise PathProblem(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import heapq
 import itertools
 import selectors
@@ -131,8 +130,7 @@ def _bind_one(address: str) -> socket.socket:
         control.bind((address, GVCP_PORT))
     except OSError as error:
         control.close()
-        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be bound: {error.strerror}"
-        raise EndpointTaken(f"UDP port {GVCP_PORT} of {address} {reason}") from error
+        raise EndpointTaken.from_system(error, f"UDP port {GVCP_PORT} of {address}") from error
     return control
 
 

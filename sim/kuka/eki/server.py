@@ -8,7 +8,6 @@ interpreter; unread ones wait in a buffer, and an overflow ends the connection.
 from __future__ import annotations
 
 import contextlib
-import errno
 import re
 import socket
 import time
@@ -275,8 +274,6 @@ def _listen(endpoint: Endpoint) -> socket.socket:
         listener.setblocking(False)
     except OSError as error:
         listener.close()
-        reason = (error.strerror or str(error)).lower()
-        if error.errno == errno.EADDRINUSE and (holder := find_tcp_listener(endpoint.host, endpoint.port)):
-            reason = f"in use by {holder}"
-        raise EndpointTaken(f"cannot listen on {endpoint}: {reason}", action=ANOTHER_PORT) from error
+        holder = find_tcp_listener(endpoint.host, endpoint.port)
+        raise EndpointTaken.from_system(error, str(endpoint), holder=holder, action=ANOTHER_PORT) from error
     return listener

@@ -12,6 +12,7 @@ from math import inf
 from typing import Protocol
 
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import find_tcp_listener
 from ronna_hw.wire.polaris import REPLY_ERROR
 from sim.errors import EndpointTaken
 from sim.polaris.faults import LineFaults
@@ -183,5 +184,5 @@ def listen(address: Endpoint) -> socket.socket:
     try:
         return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise EndpointTaken(f"cannot listen on {address.host}:{address.port}: {reason}") from error
+        holder = find_tcp_listener(address.host, address.port)
+        raise EndpointTaken.from_system(error, f"{address.host}:{address.port}", holder=holder) from error

@@ -49,4 +49,4 @@ def test_given_addresses_are_used_and_addresses_in_use_refused() -> None:
         second = subprocess.run(command("sim.cli", "basler", *given), capture_output=True, text=True)
         assert second.returncode == 4
         assert "SIM-004" in second.stderr
-        assert "127.76.5.1 is in use" in second.stderr
+        assert "127.76.5.1: in use" in second.stderr

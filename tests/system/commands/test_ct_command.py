@@ -198,6 +198,15 @@ def test_the_page_of_a_series_does_not_name_the_patient(series: Path, tmp_path: 
     assert "secret" not in page.lower()
 
 
+def test_a_page_replaces_neither_a_slice_nor_a_plan(series: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[plan]\n")
+    done = ronna_ct("view", series, "--out", plan)
+    assert done.returncode == 1
+    assert "CLI-005" in done.stderr
+    assert plan.read_text() == "[plan]\n"
+
+
 def test_the_patient_is_named_on_request(series: Path, tmp_path: Path) -> None:
     asked = ronna_ct("localize", series, "--identity", "--json", "--write", tmp_path / "spheres.dcm")
     patient = json.loads(asked.stdout)["patient"]

@@ -149,6 +149,8 @@ def test_nothing_is_written_into_a_run(run: Path, inside: str) -> None:
     before = sorted(run.rglob("*"))
     report = in_this_process(app, "report", run, "--out", run / inside)
     assert "CLI-005" in one_error(report.stderr)[0]
+    export = in_this_process(app, "export", run, "--out", run / inside)
+    assert "CLI-005" in one_error(export.stderr)[0]
     with pytest.raises(PathProblem, match=r"the folder of a run|inside the run"):
         new_run_folder(RunRequest(procedure=CaseProcedure()), run / inside)
     assert sorted(run.rglob("*")) == before
