@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 
 ROUNDING = 1e-6  # tolerance for being a rotation up to rounding
-UNIT_TOLERANCE = 1e-3  # of a quaternion's norm: trackers send four decimals
 
 
 class Frame(StrEnum):
@@ -77,16 +76,19 @@ class Transform:
         translation_mm: ArrayLike = (0.0, 0.0, 0.0),
         quaternion_wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0),
     ) -> Self:
-        """Build from a translation (3, mm) and a scalar-first unit quaternion (4). Raises FRM-001."""
-        norm = float(np.linalg.norm(quaternion := np.asarray(quaternion_wxyz, dtype=float)))
-        if quaternion.shape != (4,) or not abs(norm - 1.0) <= UNIT_TOLERANCE:
+        """Build from a translation (3, mm) and a scalar-first quaternion (4), which is normalised.
+
+        Raises FRM-001.
+        """
+        try:
+            rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
+        except ValueError as error:
             raise FrameMismatch(
-                f"the rotation {target} <- {source} is not a unit quaternion",
-                expected="w, x, y, z of norm 1",
-                got=f"{quaternion.tolist()}",
-                action="Normalise the quaternion; its scalar part comes first.",
-            )
-        rotation = Rotation.from_quat(quaternion, scalar_first=True)
+                f"the quaternion {target} <- {source} is no rotation",
+                expected="w, x, y, z, not all of them zero",
+                got=f"{quaternion_wxyz}",
+                action="Give a quaternion whose scalar part comes first.",
+            ) from error
         return cls(target, source, build_rigid(np.asarray(translation_mm, dtype=float), rotation))
 
     @classmethod

@@ -80,7 +80,7 @@ def _render_picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Show three planes through each target. Those of the current step are expanded."""
+    """Show three planes through each target, expanding the figure for the current step."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     current_name = (view.running or view.upcoming).partition(":")[2]

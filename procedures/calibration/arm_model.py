@@ -179,7 +179,7 @@ class ArmModel:
 
     @property
     def to_record(self) -> Array:
-        """Derivative (k, size) of an arm record's contents with respect to the parameters, excluding spheres.
+        """Return the Jacobian (k, size) of a record's contents for the parameters other than the spheres.
 
         All deviations, then the head on the flange in mm. A turn of the head moves no sphere that it is
         centred on.

@@ -105,7 +105,7 @@ class CartCase:
         return _to_verdict(turned.check, dict(turned.turns_rad))
 
     def setting_at(self, move: CartMove) -> ArmSetting:
-        """Return the arm setting for a moved cart."""
+        """Return the arm setting that results from moving the cart."""
         pose = move.to_cart_frame(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 

@@ -110,7 +110,7 @@ def draw_trajectory(post: Volume, found: FoundTrajectory, post_from_pre: RigidTr
 
 
 def _largest_offset(local: Array) -> Array:
-    """Return the direction (3,) across the trajectory in which the found object deviates most."""
+    """Return the direction (3,), perpendicular to the trajectory, in which the object deviates most."""
     off = local[int(np.argmax(np.hypot(local[:, 1], local[:, 2])))] * np.array([0.0, 1.0, 1.0])
     length = float(np.linalg.norm(off))
     return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.asarray(off / length)

@@ -103,7 +103,11 @@ def operator_selection(
         and (resumption is None or resumption.asks)
     ):
         tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
-    elif resumption is not None and not (accepted or answers or at_terminal or observers.executor or prompt):
+    elif (
+        resumption is not None
+        and resumption.asks
+        and not (accepted or answers or at_terminal or observers.executor or prompt)
+    ):
         tell(NOBODY_ACCEPTS)
     script = ScriptedOperator()
     without_file = _apply_rules(

@@ -190,7 +190,7 @@ def ask_verifier(folder: Path) -> Truth:
 
 
 def find_truth(folder: Path) -> Truth | None:
-    """Return the ground truth about a run, or None if it is unavailable."""
+    """Return the ground truth for a run, or None if it is unavailable."""
     if not (folder / THEATRE_FOLDER).is_dir():
         return None
     try:

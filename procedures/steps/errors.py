@@ -50,7 +50,7 @@ class ToolBesideGauge(LimitError):
 
 
 class ToolSeenElsewhere(LimitError):
-    """The tracker sees the frame of the mounted tool off its recorded position, or not at all."""
+    """The tracker sees the tool's frame away from its recorded position, or not at all."""
 
     code = "TOOL-006"
     action = (

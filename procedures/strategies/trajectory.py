@@ -55,7 +55,7 @@ class Trajectory:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def with_rest(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
-        """Return the trajectory with the tool coming to rest this far beyond the target, in mm."""
+        """Return a copy of the trajectory whose tool comes to rest `beyond_mm` past the target."""
         return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
     @property

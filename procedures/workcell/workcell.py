@@ -377,7 +377,7 @@ class Workcell:
         self.supervised.reset_confirmation()
 
     def stop(self) -> None:
-        """Stop all arms as well as their links still allow. Never raises."""
+        """Stop every arm as far as its link still permits. Never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
         self.supervised.reset_confirmation()

@@ -41,7 +41,7 @@ class ByteSink(Protocol):
         ...
 
     def note(self, link: str, **facts: str | float) -> None:
-        """Receive link facts other than bytes, such as a new rate, lost bytes or a streamed image."""
+        """Receive a link event other than traffic, such as a rate change, lost bytes or a streamed image."""
         ...
 
 

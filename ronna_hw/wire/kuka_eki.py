@@ -110,7 +110,7 @@ class RsiState(IntEnum):
 
 
 class Reference(StrEnum):
-    """Accumulation of corrections: relative or absolute."""
+    """How corrections accumulate: relative or absolute."""
 
     ABSOLUTE = "ABS"
     RELATIVE = "REL"

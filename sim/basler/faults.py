@@ -129,7 +129,7 @@ class CameraFaults:
         return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
 
     def disturb(self, light: Light, left_px: int, top_px: int) -> Light:
-        """Apply the light faults to an area (height, width) of the sensor."""
+        """Apply the optical faults to an area (height, width) of the sensor."""
         for kind, amount in self.light_faults():
             match kind:
                 case "defocus":

@@ -34,7 +34,7 @@ SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; sphe
 
 
 def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
-    """Compare a run folder with the truth of its theatre.
+    """Compare a run folder with the ground truth of its simulated theatre.
 
     Raises SIM-006 when there is nothing to compare, SIM-007 when the truth cannot be read, PRO-033 for an
     altered run. A run made with `--sim` contains its theatre; for a run by hand, `theatre` is the folder of

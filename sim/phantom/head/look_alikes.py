@@ -49,7 +49,7 @@ class Seat:
         return self.between(*POLYMER_HU)
 
     def middle(self) -> Vector:
-        """Draw a centre next to the head."""
+        """Pick a random centre next to the head."""
         return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
 
     def along(self) -> Vector:

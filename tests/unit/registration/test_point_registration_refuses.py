@@ -148,9 +148,9 @@ def test_a_misspelt_frame_is_refused():
         register(GOOD, GOOD).between("robt", Frame.CT)
 
 
-@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (10.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
-def test_a_quaternion_that_is_not_of_unit_length_is_refused(quaternion):
-    with pytest.raises(FrameMismatch, match="unit quaternion"):
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+def test_a_quaternion_that_is_no_rotation_is_refused(quaternion):
+    with pytest.raises(FrameMismatch, match="is no rotation"):
         Transform.of(Frame.ROBOT, Frame.CT, quaternion_wxyz=quaternion)
 
 
