@@ -86,7 +86,7 @@ class Transform:
             raise FrameMismatch(
                 f"the quaternion {target} <- {source} is no rotation",
                 expected="w, x, y, z, not all of them zero",
-                got=f"{quaternion_wxyz}",
+                got=f"{quaternion_wxyz!r}",
                 action="Give a quaternion whose scalar part comes first.",
             ) from error
         return cls(target, source, build_rigid(np.asarray(translation_mm, dtype=float), rotation))

@@ -17,7 +17,7 @@ from procedures.operator.question import Question, Topic
 from ronna_hw.clock import Clock
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
-GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
+CONTINUE, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
 CHOICES = "wait continues as soon as the condition is met, leave ends the step here with the arm at rest"
 WITHOUT = "continue proceeds without it for {:.0f} s of the next motion or wait, then asks again"
 LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
@@ -142,8 +142,8 @@ class Checkpoint:
         if reason is None:
             return
         with self._rest(PAUSED, reason):
-            question = Question(Topic.PAUSE, f"Paused: {reason}", point, (GO_ON, ABORT), timeout_s=None)
-            if self._ask(question) != GO_ON:
+            question = Question(Topic.PAUSE, f"Paused: {reason}", point, (CONTINUE, ABORT), timeout_s=None)
+            if self._ask(question) != CONTINUE:
                 raise OperatorAborted("the operator ended the procedure while it was paused")
         self._meet_requests(point)  # somebody may have requested another one meanwhile
 
@@ -170,7 +170,7 @@ class Checkpoint:
                 self._meet_abort()  # a pause may wait: the arm rests
                 if self._clock.now_s() - since_s >= patience_s:
                     answer = self._ask(_question(guard, reason, point))
-                    if answer == GO_ON and isinstance(guard, DispensableGuard):
+                    if answer == CONTINUE and isinstance(guard, DispensableGuard):
                         guard.excuse()
                         continue
                     if answer != WAIT:
@@ -183,5 +183,5 @@ def _question(guard: Guard, reason: str, point: str) -> Question:
     subject = f"{guard.name}: {reason}"
     if isinstance(guard, DispensableGuard):
         without = WITHOUT.format(guard.excused_for_s)
-        return Question(guard.topic, subject, f"{point}; {CHOICES}; {without}", (WAIT, GO_ON, LEAVE))
+        return Question(guard.topic, subject, f"{point}; {CHOICES}; {without}", (WAIT, CONTINUE, LEAVE))
     return Question(Topic.GUARD, subject, f"{point}; {CHOICES}", (WAIT, LEAVE))

@@ -22,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from procedures.operator.checkpoint import ABORT, GO_ON
+from procedures.operator.checkpoint import ABORT, CONTINUE
 from ronna_hw.bounded_input import check_json
 
 LONGEST_BYTES = 65_536  # of one order
@@ -251,7 +251,7 @@ RULES = (
 )
 RULE_OF = {rule.order: rule for rule in RULES}
 COMMANDS = {rule.command: rule for rule in RULES if rule.command}
-PAUSE_ANSWERS = {Resume: GO_ON, Abort: ABORT}  # orders that answer the question of a pause at a prompt
+PAUSE_ANSWERS = {Resume: CONTINUE, Abort: ABORT}  # orders that answer the question of a pause at a prompt
 QUOTING_NEXT = (Next, RunTo, Resume)  # sent with the step that was shown as next
 ConsoleOrder = (
     Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | AnswerQuestion

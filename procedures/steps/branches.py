@@ -12,8 +12,7 @@ from enum import StrEnum
 from procedures.engine.questions import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed
-from procedures.operator.checkpoint import GO_ON as CONTINUE
-from procedures.operator.checkpoint import LEAVE, WAIT
+from procedures.operator.checkpoint import CONTINUE, LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
 from procedures.operator.question import NO, YES, Question, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
-from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
+from procedures.operator.checkpoint import ABORT, CONTINUE, LEAVE, WAIT
 from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answers
 from procedures.steps.branches import BRANCHES, HOLD
 from procedures.steps.clinical import (
@@ -57,7 +57,7 @@ CLINICAL_STEPS: Steps = (
 ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     **dict.fromkeys(Topic, (YES, NO)),
     **{branch.topic: branch.answers for branch in BRANCHES if branch.topic is not None},
-    Topic.PAUSE: (GO_ON, ABORT),
+    Topic.PAUSE: (CONTINUE, ABORT),
     Topic.GUARD: (WAIT, LEAVE),
     Topic.READING: (READ, NOBODY),
     **{stage.topic: (DONE, HOLD) for stage in STAGES},

@@ -13,7 +13,7 @@ class WrongTool(LimitError):
     exit_code = RefusedError.exit_code
 
 
-class InstrumentInside(RefusedError):
+class GuideHeldAtEntry(RefusedError):
     """The guide is held in front of an entry, so it may only move along its own axis."""
 
     code = "PRO-014"

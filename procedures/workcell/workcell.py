@@ -27,7 +27,7 @@ from procedures.workcell.arm_history import (
     stands_at,
 )
 from procedures.workcell.device_views import ArmView, DeviceView
-from procedures.workcell.errors import InstrumentInside
+from procedures.workcell.errors import GuideHeldAtEntry
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
@@ -341,7 +341,7 @@ class Workcell:
         axis = self.place.axis
         if axis is None or axis.trajectory != trajectory:
             on = self.place.trajectory or "no trajectory"
-            raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
+            raise GuideHeldAtEntry(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         return axis
 
     def recover(self, role: str, by: str) -> None:
@@ -421,4 +421,4 @@ class Workcell:
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
         for held in self.place.hold_reasons:
-            raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
+            raise GuideHeldAtEntry(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")

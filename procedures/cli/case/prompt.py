@@ -14,7 +14,7 @@ from procedures.engine.errors import UnknownStep
 from procedures.engine.states import ABORTED
 from procedures.engine.states import HELD as MACHINE_HELD
 from procedures.journal.errors import StepRefused
-from procedures.operator.checkpoint import GO_ON
+from procedures.operator.checkpoint import CONTINUE
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Answer, Question
 from procedures.runs.lifecycle import leave_head_if_agreed
@@ -33,7 +33,7 @@ HELD = (
 )
 TO_CONTINUE = "No motion and no step begins before it is acknowledged by name; why shows what to do."
 AT_PAUSE = {rule.command: rule for rule in COMMANDS.values() if PAUSED in rule.at_prompt}
-ENDING_PAUSE = {GO_ON: GO_ON} | {
+ENDING_PAUSE = {CONTINUE: CONTINUE} | {
     name: PAUSE_ANSWERS[rule.order] for name, rule in AT_PAUSE.items() if rule.order in PAUSE_ANSWERS
 }
 AT_PAUSE_CHOICES = " | ".join(

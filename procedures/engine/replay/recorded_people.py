@@ -9,7 +9,7 @@ from typing import cast
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
-from procedures.operator.checkpoint import GO_ON
+from procedures.operator.checkpoint import CONTINUE
 from procedures.operator.question import Answer, Question, Task, Topic
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, hold_active
@@ -52,7 +52,7 @@ class RecordedOperator:
                 del self._confirmations[: place + 1]
                 return Answer(str(line["answer"]))
         if question.topic is Topic.PAUSE:  # a guard asked in its place
-            return Answer(GO_ON)
+            return Answer(CONTINUE)
         raise NotRecorded(f"the run did not ask {question.name}: {question.subject}")
 
 

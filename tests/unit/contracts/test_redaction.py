@@ -9,7 +9,7 @@ import pytest
 
 from procedures.journal.errors import StepRefused
 from procedures.planning.errors import NotReachable, PlanUnreadable
-from procedures.workcell.errors import InstrumentInGuide, InstrumentInside
+from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
 from ronna_hw.redaction import (
@@ -96,7 +96,7 @@ def test_a_record_is_logged_field_by_field() -> None:
         (PlanUnreadable("line 3: expected a value, trajectory DOE_JOHN"), "PLAN-001"),
         (NotReachable("trajectory DOE_JOHN is out of reach"), "PLAN-007"),
         (StepRefused("registration:DOE_JOHN cannot start"), "PRO-001"),
-        (InstrumentInside("the guide is held in front of the entry of DOE_JOHN"), "PRO-014"),
+        (GuideHeldAtEntry("the guide is held in front of the entry of DOE_JOHN"), "PRO-014"),
         (InstrumentInGuide("an instrument is in the guide, and in DOE_JOHN"), "TOOL-001"),
         (ValueError("could not convert 'DOE'"), "ValueError"),
     ],

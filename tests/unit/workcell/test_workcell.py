@@ -14,7 +14,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
+from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, TipOffAxis, WrongTool
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device
@@ -208,14 +208,14 @@ def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused
     cell: RecordingCell, what: str
 ) -> None:
     inserted(cell)
-    with nothing_moves(cell, InstrumentInside, r"PRO-014.*in front of the entry of T1"):
+    with nothing_moves(cell, GuideHeldAtEntry, r"PRO-014.*in front of the entry of T1"):
         OTHER_MOTIONS[what](cell)
 
 
 @pytest.mark.hazard(24)
 def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
     inserted(cell, "T2")
-    with nothing_moves(cell, InstrumentInside, "not on T1; expected T1, got T2"):
+    with nothing_moves(cell, GuideHeldAtEntry, "not on T1; expected T1, got T2"):
         cell.workcell.withdraw("T1")
 
 
@@ -253,7 +253,7 @@ def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
     with pytest.raises(LinkTimeout):
         cell.workcell.insert(insertion(cell))
     cell.arm.failing = None
-    with pytest.raises(InstrumentInside):
+    with pytest.raises(GuideHeldAtEntry):
         cell.workcell.go_home()
     cell.workcell.withdraw("T1")
 
