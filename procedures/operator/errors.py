@@ -10,8 +10,8 @@ class NotConfirmed(RonnaError):
 
     code = "PRO-002"
     action = (
-        "Nothing was done. Repeat the step when the operator can confirm: questions need a terminal, "
-        "--console or --answers."
+        "Nothing was done. Repeat the step when the operator can confirm; a program without a terminal "
+        "needs --console or --answers."
     )
     exit_code = EXIT_ABORTED
 
