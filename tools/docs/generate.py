@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
+from collections.abc import Mapping
+from pathlib import Path
 from types import ModuleType
 
 from api_pages import devices, numerics
@@ -49,6 +52,8 @@ from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
+ROOT = Path(__file__).parents[2]
+MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 
@@ -120,13 +125,32 @@ def list_errors_with_code() -> list[type[RonnaError]]:
 
 
 def _tabulate_error_codes() -> str:
+    sources = {
+        str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+        for package in PACKAGES
+        for path in sorted((ROOT / package.__name__).rglob("*.py"))
+    }
     return table(
-        ("code", "what it means", "what to do", "exit code"),
+        ("code", "what it means", "what to do", "raised in", "exit code"),
         [
-            (error.code, (error.__doc__ or "").strip().splitlines()[0], error.action, error.exit_code)
+            (
+                error.code,
+                (error.__doc__ or "").strip().splitlines()[0],
+                error.action,
+                _name_places(error, sources),
+                error.exit_code,
+            )
             for error in list_errors_with_code()
         ],
     )
+
+
+def _name_places(error: type[RonnaError], sources: Mapping[str, str]) -> str:
+    """Name the modules that raise an error, at most `MOST_PLACES`."""
+    raised = re.compile(rf"(?<!class )\b{error.__name__}(?:\.from_\w+)?\(")
+    places = [f"`{name}`" for name, source in sources.items() if raised.search(source)]
+    more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
+    return ", ".join(places[:MOST_PLACES]) + more
 
 
 def _tabulate_exported_fields() -> str:

@@ -197,7 +197,7 @@ def test_the_guide_is_not_positioned_without_the_tool_check(cell: ClinicalCell) 
 @pytest.mark.hazard(36)
 def test_the_gauge_is_not_approached_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHECK)
-    with pytest.raises(NotConfirmed, match=r"move the guide over to the gauge.*without a terminal, "):
+    with pytest.raises(NotConfirmed, match=r"move the guide over to the gauge.*without a terminal needs"):
         check(cell, *(0.0,) * 5)
     assert cell.arm.motions == []
 
