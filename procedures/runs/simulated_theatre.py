@@ -17,6 +17,7 @@ from ronna_hw.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST, RonnaError
 from ronna_hw.evidence.manifest import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, await_end, command, run_command
+from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 
@@ -117,7 +118,8 @@ class SimulatedTheatre:
         if self._former is not None:
             write_atomically(self._file, self._former)
         if theatre_gone and error is not None:  # what the procedure met is only the consequence
-            words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
+            ended = describe_exit(child.process.returncode or 0)
+            words = "it no longer responds" if halted else " / ".join(child.messages) or f"it ended: {ended}"
             raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error
 
 

@@ -14,6 +14,7 @@ from uuid import uuid4
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from sim.errors import BadCalibrationFile, BadDeviceParameter
 from sim.kuka.controller_parameters import parse_parameters
@@ -107,7 +108,7 @@ class Theatre:
 
         def wait(child: ChildProcess) -> None:
             code = child.process.wait()
-            words = " / ".join(child.messages) or f"exit code {code}"
+            words = " / ".join(child.messages) or describe_exit(code)
             on_end(f"{child.name} ended: {words}")
 
         for child in self._children:
