@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(5400)]
 
 RUNS = 200
 SHARES = 8  # each with other work of its own, so that several workers take part
+AT_ONCE = 10
 SAME = ("ct", "registration", "targets")
 CASE_LIMIT_S = 300.0  # host time, on a computer that is busy on purpose
 # Works and rests for moments of its own choosing, until the test that started it is gone.
@@ -57,3 +59,38 @@ def test_a_seed_gives_the_same_numbers_under_any_other_load(
         for key in SAME:
             assert outcome[key] == undisturbed[key], f"run {number} of share {share}"
         shutil.rmtree(out)
+
+
+def test_ten_cases_at_once_give_the_same_numbers(
+    commands: Commands, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    undisturbed = undisturbed_mini(tmp_path_factory)
+
+    def run(number: int) -> dict[str, object]:
+        out = str(tmp_path / str(number))
+        done = commands.run("ronna-procedure", *MINI_SEED_3, "--out", out, timeout_s=CASE_LIMIT_S)
+        assert done.returncode == 0, done.stderr
+        outcome = json.loads(done.stdout)
+        return {key: outcome[key] for key in SAME}
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        assert list(pool.map(run, range(AT_ONCE))) == [{key: undisturbed[key] for key in SAME}] * AT_ONCE
+
+
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    """Only one core for this process and all that it starts."""
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(allowed)})
+    yield
+    os.sched_setaffinity(0, allowed)
+
+
+def test_a_case_on_one_core_gives_the_same_numbers(
+    commands: Commands, one_core: None, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    undisturbed = undisturbed_mini(tmp_path_factory)
+    done = commands.run("ronna-procedure", *MINI_SEED_3, "--out", str(tmp_path), timeout_s=CASE_LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    outcome = json.loads(done.stdout)
+    assert {key: outcome[key] for key in SAME} == {key: undisturbed[key] for key in SAME}
