@@ -59,6 +59,12 @@ def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     return RigidTransform(matrix, normalize=False, copy=False)
 
 
+def is_rotation(matrix: Array) -> bool:
+    """Return whether a finite matrix (3, 3) is a proper rotation up to rounding."""
+    residual = matrix @ matrix.T - np.eye(3)
+    return bool(np.abs(residual).max() <= ROUNDING and np.linalg.det(matrix) >= 0)
+
+
 @dataclass(frozen=True)
 class Transform:
     """Rigid transform `target <- source`, based on SciPy's `RigidTransform`."""
@@ -97,8 +103,7 @@ class Transform:
         values = np.asarray(matrix, dtype=float)
         if values.shape != (4, 4) or not np.all(np.isfinite(values)):
             raise FrameMismatch(f"a transform {target} <- {source} needs a finite 4x4 matrix")
-        residual = values[:3, :3] @ values[:3, :3].T - np.eye(3)
-        if np.abs(residual).max() > ROUNDING or np.linalg.det(values[:3, :3]) < 0:
+        if not is_rotation(values[:3, :3]):
             raise FrameMismatch(f"the matrix {target} <- {source} is not a proper rotation")
         return cls(target, source, RigidTransform.from_matrix(values))
 

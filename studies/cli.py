@@ -11,7 +11,7 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.options import require_folder, require_outside_runs, with_option_records
+from ronna_hw.command_line.options import require_output_folder, with_option_records
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.text import format_count
 
@@ -373,8 +373,7 @@ def _run(
     from studies.campaign.workers import run_study
 
     folder = study_options.out or Path("campaigns") / study.name
-    require_folder(folder)
-    require_outside_runs(folder)
+    require_output_folder(folder)
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
         terminal.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")

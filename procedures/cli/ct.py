@@ -15,7 +15,7 @@ import typer
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
-from ronna_hw.command_line.options import require_folder_of
+from ronna_hw.command_line.options import require_folder_of, require_output_folder
 from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
@@ -124,6 +124,8 @@ def localize(
 
     check_names(write or ())
     require_folder_of(*(write or ()))
+    if pictures is not None:
+        require_output_folder(pictures)
     if pick is not None and method is not Method.COMBINED:
         raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)

@@ -20,6 +20,7 @@ from procedures.cli.planning_inputs import (
 )
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.options import require_output_folder
 
 if TYPE_CHECKING:
     from procedures.planning.cart_map import PlaceProposal
@@ -81,6 +82,8 @@ def place(
 
     Exit codes: 0 a position was found, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
     """
+    if out is not None:
+        require_output_folder(out)
     began_s = time.perf_counter()
     if strategy == CHOSEN_BY_PLACE:
         raise UsageMistake(

@@ -9,6 +9,7 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.options import require_output_folder
 
 if TYPE_CHECKING:
     from procedures.planning.plan_model import Plan
@@ -50,6 +51,8 @@ def postoperative(
     from procedures.postoperative.comparison import compare_with_plan
     from procedures.postoperative.summary import summarize_comparison
 
+    if out is not None:
+        require_output_folder(out)
     plan = read_plan(plan_file)
     known = [one.id for one in plan.trajectories]
     for name in only or ():

@@ -13,7 +13,7 @@ from procedures.registration.errors import (
     DuplicatePoints,
     TooFewPoints,
 )
-from ronna_hw.frames import ROUNDING, Transform
+from ronna_hw.frames import Transform, is_rotation
 
 Array = NDArray[np.float64]
 
@@ -86,11 +86,7 @@ def _is_rigid(matrix: Array) -> bool:
     """Return whether a matrix is (4, 4), finite, with a proper rotation and nothing else in its last row."""
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         return False
-    rotation = matrix[:3, :3]
-    is_orthogonal = float(np.abs(rotation @ rotation.T - np.eye(3)).max()) <= ROUNDING
-    return (
-        is_orthogonal and float(np.linalg.det(rotation)) > 0.0 and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]
-    )
+    return is_rotation(matrix[:3, :3]) and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:

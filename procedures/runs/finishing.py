@@ -20,7 +20,7 @@ from procedures.runs.simulated_theatre import find_truth
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
-from ronna_hw.command_line.options import require_folder, require_outside_runs
+from ronna_hw.command_line.options import require_output_folder
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
@@ -148,8 +148,7 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
     from procedures.reporting.report import write_report
 
     if out is not None:
-        require_folder(out)
-        require_outside_runs(out)
+        require_output_folder(out)
     with contextlib.nullcontext() if out else hold_run(run):
         found = inspect_run(run)
         if out is None:

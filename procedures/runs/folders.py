@@ -17,7 +17,7 @@ from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.command_line.options import require_folder, require_outside_runs
+from ronna_hw.command_line.options import require_output_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
@@ -35,8 +35,7 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
-    require_folder(out)
-    require_outside_runs(out)
+    require_output_folder(out)
     case = request is not None and isinstance(request.procedure, CaseProcedure)
     seed = f"s{request.seed}-" if case and request is not None and request.seed is not None else ""
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"

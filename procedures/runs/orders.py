@@ -173,7 +173,7 @@ class Quit(Order):
 
 
 class CaseActivity(Enum):
-    """What a case is doing when an order arrives."""
+    """Activity of a case at the moment an order arrives."""
 
     OPENING = auto()  # the theatre is not open yet
     WAITING = auto()  # between steps

@@ -201,6 +201,12 @@ def require_folder(out: Path) -> None:
         raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
+def require_output_folder(out: Path) -> None:
+    """Raise CLI-005 for an output folder that is a file, or belongs to a run."""
+    require_folder(out)
+    require_outside_runs(out)
+
+
 def require_outside_runs(*outputs: Path) -> None:
     """Raise CLI-005 for an output that is a run's folder or inside one: it would break the run's evidence."""
     from ronna_hw.evidence.journal_reading import JOURNAL_FILE

@@ -9,7 +9,6 @@ import importlib
 import pkgutil
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from types import ModuleType
 
 from api_pages import devices, numerics
@@ -17,6 +16,7 @@ from hazard_matrix import hazard_table
 from model_tables import model_tables
 from reference_tables import (
     REFERENCE,
+    ROOT,
     checklist,
     disturbances,
     parameter_table,
@@ -52,7 +52,6 @@ from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
-ROOT = Path(__file__).parents[2]
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 

@@ -161,13 +161,12 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     Written to the run's folder `export` by default.
     """
     from procedures.exchange.run_export import export_run
-    from ronna_hw.command_line.options import require_folder, require_outside_runs
+    from ronna_hw.command_line.options import require_output_folder
     from ronna_hw.command_line.terminal import print_json, tell
 
     folder = run_folder / "export"
     if out is not None and out.resolve() != folder.resolve():
-        require_folder(out)
-        require_outside_runs(out)
+        require_output_folder(out)
         folder = out
     written = export_run(run_folder, folder)
     if as_json:

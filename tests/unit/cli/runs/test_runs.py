@@ -8,10 +8,12 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+import typer
 from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process, one_error
 
+from procedures.cli.ct import app as ct_app
 from procedures.cli.procedure import app
 from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.showing import draw_lineage
@@ -27,6 +29,7 @@ from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
+from studies.cli import app as campaign_app
 
 
 @pytest.mark.parametrize("sealed", [True, False])
@@ -153,4 +156,22 @@ def test_nothing_is_written_into_a_run(run: Path, inside: str) -> None:
     assert "CLI-005" in one_error(export.stderr)[0]
     with pytest.raises(PathProblem, match=r"the folder of a run|inside the run"):
         new_run_folder(RunRequest(procedure=CaseProcedure()), run / inside)
+    assert sorted(run.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        (ct_app, ("localize", ".", "--write", "{run}/spheres.json")),
+        (ct_app, ("localize", ".", "--pictures", "{run}/pictures")),
+        (ct_app, ("view", ".", "--out", "{run}/ct.html")),
+        (ct_app, ("postoperative", ".", ".", "--plan", "plan.toml", "--out", "{run}/after")),
+        (campaign_app, ("registration", "--runs", "1", "--out", "{run}/study")),
+    ],
+)
+def test_no_command_adds_a_file_to_a_run(run: Path, program: typer.Typer, words: tuple[str, ...]) -> None:
+    before = sorted(run.rglob("*"))
+    ended = in_this_process(program, *(word.format(run=run) for word in words))
+    assert "CLI-005" in one_error(ended.stderr)[0]
+    assert "inside the run" in ended.stderr
     assert sorted(run.rglob("*")) == before
