@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -100,6 +102,26 @@ def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
     for _ in range(repeats):
         work()
     return (time.process_time() - began) / repeats
+
+
+# A process counts as its own the memory of the one that started it: one with little memory stands in between.
+_METER = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss)
+sys.exit(code)
+"""
+BYTES_PER_KIB, BYTES_PER_GB = 1024, 1e9
+
+
+def measure_program(line: Sequence[str]) -> tuple[float, float]:
+    """Run a program; return its CPU seconds and peak memory in GB. Raises RuntimeError if it fails."""
+    done = subprocess.run([sys.executable, "-c", _METER, *line], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(" ".join(done.stderr.split()) or f"exit code {done.returncode}")
+    cpu_s, peak_kib = map(float, done.stdout.split())
+    return cpu_s, peak_kib * BYTES_PER_KIB / BYTES_PER_GB
 
 
 def measure_rate(work: Callable[[], object], duration_s: float) -> tuple[float, float]:

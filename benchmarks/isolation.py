@@ -9,20 +9,24 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import psutil
 
+from ronna_hw.host.process import PARENT
+
 STOP_S = 10.0  # after SIGTERM a measurement ends what it started, and removes its files
 LINGER_S = 5.0  # what watches its parent ends a little later than that
 POLL_S = 0.02
+PREFIX = "ronna-bench-"  # of the folder for the files of a measurement
 WORDS_KEPT = 60  # of the messages of a measurement that failed
-_PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 
 
 def run_alone(line: Sequence[str], limit_s: float, *, linger_s: float = LINGER_S) -> str:
@@ -32,7 +36,7 @@ def run_alone(line: Sequence[str], limit_s: float, *, linger_s: float = LINGER_S
     descendants of this process: it must have no other children.
     """
     _adopt_orphans()
-    with TemporaryDirectory(prefix="ronna-bench-", ignore_cleanup_errors=True) as place:
+    with TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as place:
         output, messages = Path(place) / "output", Path(place) / "messages"
         with output.open("wb") as out, messages.open("wb") as err:  # a pipe stays open as long as a child
             process = subprocess.Popen(
@@ -58,9 +62,27 @@ def run_alone(line: Sequence[str], limit_s: float, *, linger_s: float = LINGER_S
         return output.read_text(encoding="utf-8")
 
 
+@contextlib.contextmanager
+def end_with_runner() -> Iterator[None]:
+    """Interrupt the measurement in this block if its runner is killed, and remove the folder of its files."""
+    _control_process(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    try:
+        if PARENT.is_gone:
+            raise KeyboardInterrupt
+        yield
+    finally:
+        place = Path(os.environ.get("TMPDIR", ""))
+        if PARENT.is_gone and place.name.startswith(PREFIX):
+            shutil.rmtree(place, ignore_errors=True)
+
+
 def _adopt_orphans() -> None:
-    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0):
-        raise OSError(ctypes.get_errno(), "prctl: no orphans are adopted")
+    _control_process(_PR_SET_CHILD_SUBREAPER, 1)
+
+
+def _control_process(option: int, value: int) -> None:
+    if ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0):
+        raise OSError(ctypes.get_errno(), f"prctl {option} is refused")
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

@@ -30,7 +30,7 @@ if str(ROOT) not in sys.path:
 
 from benchmarks import history  # noqa: E402
 from benchmarks.figures import Figure  # noqa: E402
-from benchmarks.isolation import run_alone  # noqa: E402
+from benchmarks.isolation import end_with_runner, run_alone  # noqa: E402
 from ronna_hw.command_line.terminal import message_console, on_terminal, run  # noqa: E402
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 
@@ -76,7 +76,8 @@ def bench(
 ) -> int:
     """Measure against bare baselines and peers in the same run."""
     if in_process is not None:
-        figures = importlib.import_module(f"benchmarks.{MEASUREMENTS[in_process]}").measure(smallest)
+        with end_with_runner():
+            figures = importlib.import_module(f"benchmarks.{MEASUREMENTS[in_process]}").measure(smallest)
         sys.stdout.write(json.dumps([asdict(figure) for figure in figures]))
         return EXIT_DONE
     names = only or list(MEASUREMENTS)

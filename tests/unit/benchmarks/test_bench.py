@@ -95,6 +95,18 @@ def test_the_processor_time_of_a_process_grows_with_its_work() -> None:
     assert 0.0 < first < second
 
 
+def test_the_peak_memory_of_a_program_is_not_that_of_the_process_that_measures_it() -> None:
+    held = bytearray(300_000_000)
+    cpu_s, peak_gb = figures.measure_program([sys.executable, "-c", "bytearray(100_000_000)"])
+    assert 0.1 < peak_gb < 0.2 < len(held) / 1e9
+    assert cpu_s > 0.0
+
+
+def test_a_measured_program_that_fails_says_why() -> None:
+    with pytest.raises(RuntimeError, match="no series"):
+        figures.measure_program([sys.executable, "-c", "import sys; sys.exit('no series')"])
+
+
 def test_every_listed_measurement_exists() -> None:
     for module in run.MEASUREMENTS.values():
         assert (ROOT / "benchmarks" / f"{module.replace('.', '/')}.py").exists()

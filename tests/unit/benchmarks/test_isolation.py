@@ -27,6 +27,13 @@ child = "from signal import *; signal(SIGTERM, SIG_IGN); print(1, flush=True); i
 started = subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE, start_new_session=True)
 started.stdout.readline()
 """
+WITH_RUNNER = """
+import signal, subprocess, sys
+from benchmarks.isolation import end_with_runner
+signal.signal(signal.SIGTERM, signal.default_int_handler)
+with end_with_runner():
+    subprocess.run([sys.executable, "-c", "import time; foreign = time.sleep(600)"], start_new_session=True)
+"""
 
 
 def _run_alone(measurement: str, limit_s: float = 30.0) -> str:
@@ -64,6 +71,20 @@ def test_a_measurement_that_fails_says_why_and_leaves_no_child() -> None:
 def test_a_measurement_that_leaves_a_process_behind_has_failed() -> None:
     output = _run_alone(STUBBORN_CHILD)
     assert output.startswith("failed: left running: ")
+
+
+def test_a_measurement_whose_runner_is_killed_ends_with_its_child_and_its_files(tmp_path: Path) -> None:
+    mark, environment = marked_environment()
+    with subprocess.Popen(
+        [sys.executable, "-c", RUN_ALONE, WITH_RUNNER, "60"],
+        cwd=ROOT,
+        env=environment | {"TMPDIR": str(tmp_path)},
+        stdout=subprocess.DEVNULL,
+    ) as runner:
+        eventually(lambda: any("foreign" in line for line in list_marked(mark)), 30.0)
+        runner.kill()
+    eventually(lambda: not list_marked(mark), 30.0)
+    eventually(lambda: not list(tmp_path.iterdir()), 30.0)
 
 
 @pytest.mark.slow
