@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
     from ronna_hw.theatre import Theatre
 
-# What the first steps of a case import when they need it; while the phantom is made, they cost no time.
-IMPORTED_LATE = ("pydicom", "matplotlib.figure", "matplotlib.backends.backend_agg")
 SIMULATED_DRIVERS = ("kuka_rsi", "ndi_polaris", "basler_stereo")
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
@@ -213,8 +211,7 @@ def _start_simulated(
     for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
         importlib.import_module(module)  # a second of imports, meanwhile
     if phantom is not None:
-        for module in IMPORTED_LATE:
-            importlib.import_module(module)
+        importlib.import_module("pydicom")  # for the first step; meanwhile, it costs no time
         for driver in SIMULATED_DRIVERS:
             load_driver(driver)
         observers.status("making the phantom CT")
