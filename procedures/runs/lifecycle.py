@@ -29,7 +29,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import SCENE_FILE
 from ronna_hw.host.files import require_open_files
-from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption
+from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption, resume_garbage_collection
 from ronna_hw.log_output import keep_log
 from ronna_hw.registry import load_driver
 
@@ -141,6 +141,7 @@ def open_engine(
             opening={**request_hash(folder), "seed": request.seed},
             arm_not_home=not_home,
         )
+        resume_garbage_collection()
         if simulated is not None:
             simulated.keep_file()
         outcome, ended_by = "failed", None
