@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
@@ -152,6 +151,8 @@ class _Estimate:
 
 def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
     """Alternate between adjusting all values and estimating the error sizes, excluding outlying views."""
+    from scipy.optimize import least_squares  # imported late: a case measures with a calibrated head
+
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
     residuals = shifts = gaps = np.empty(0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Sequence
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume, VoxelGeometry, cut_region
@@ -18,12 +18,15 @@ Array = NDArray[np.float64]
 HALF_WIDTH_MM = 14.0
 STEP_MM = 0.25  # of the interpolated image
 WINDOW_HU = (-1000.0, 600.0)
-DOTS_PER_INCH = 100
-SIZE_IN = (9.6, 4.8)
-MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.13, "top": 0.74, "wspace": 0.32}  # shares of the image
-# A page shows the image at a third to a half of its size; these sizes stay legible.
-HEADING_POINTS, PLANE_POINTS, TICK_POINTS = 17, 15, 12
+SIZE_PX = (960, 480)
+PLANE_SIDE_PX = 240
+CORNERS_PX = tuple((left, 148) for left in (77, 393, 709))  # upper left ones of the planes
+# A page shows the image at a third to a half of its size; these letters stay legible.
+HEADING_PX, PLANE_PX, TICK_PX = 24, 21, 17
 HEADING_LETTERS = 64  # per line
+TICKS_MM = (-10, 0, 10)
+TICK_LENGTH_PX, CROSS_PX = 5, 6
+RING_COLOUR, CROSS_COLOUR = "#ff7f0e", "#17becf"
 
 UNSCANNED_COLOUR = "#1f2f5f"  # unlike the black of air
 STRAIGHT_DEG = 10.0  # a plane tilted by more is called oblique
@@ -75,81 +78,70 @@ def _as_text(centre_mm: Iterable[float]) -> str:
 
 
 class _Sheet:
-    """Reusable figure showing three planes of a volume's grid.
+    """Reusable image showing three planes of a volume's grid.
 
-    What all pictures share, such as axes and letters, is drawn once and kept as pixels.
+    What all pictures share, such as scales and letters, is drawn once.
     """
 
     def __init__(self, volume: Volume) -> None:
-        from matplotlib import colormaps
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Circle
-
         self._volume = volume
+        self._heading_font = ImageFont.load_default(HEADING_PX)
+        self._blank = Image.new("RGB", SIZE_PX, "white")
+        draw = ImageDraw.Draw(self._blank)
+        plane_font, tick_font = ImageFont.load_default(PLANE_PX), ImageFont.load_default(TICK_PX)
         geometry = volume.geometry
         sides = geometry.orientation[::-1]  # along slices, rows, columns
-        self._figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
-        self._figure.subplots_adjust(**MARGINS)  # computing them for each image would double its time
-        self._canvas = FigureCanvasAgg(self._figure)
-        self._axes, self._images, self._circles, self._crosses = [], [], [], []
-        colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
-        for place, (across, down, through) in enumerate(_PLANES):
-            axes = self._figure.add_subplot(1, 3, place + 1)
+        for (left, top), (across, down, through) in zip(CORNERS_PX, _PLANES, strict=True):
+            right, bottom = left + PLANE_SIDE_PX, top + PLANE_SIDE_PX
+            middle = left + PLANE_SIDE_PX / 2, top + PLANE_SIDE_PX / 2
+            for tick_mm in TICKS_MM:
+                place_px = (tick_mm / HALF_WIDTH_MM + 1.0) * PLANE_SIDE_PX / 2
+                height_px = bottom - place_px
+                draw.line((left + place_px, bottom, left + place_px, bottom + TICK_LENGTH_PX), "black")
+                draw.line((left - TICK_LENGTH_PX, height_px, left, height_px), "black")
+                text = f"{tick_mm:d}"
+                draw.text((left + place_px, bottom + 20), text, "black", tick_font, "mm")
+                draw.text((left - 8, height_px), text, "black", tick_font, "rm")
+            draw.text((middle[0], top - 18), _plane_name(geometry, through), "black", plane_font, "mm")
+            draw.text((left, bottom + 46), _OPPOSITE[sides[across]], "black", plane_font, "mm")
+            draw.text((middle[0], bottom + 46), "mm", "black", plane_font, "mm")
+            draw.text((right, bottom + 46), sides[across], "black", plane_font, "mm")
             # the index increases downwards in every image; the slice axis is drawn upwards, head on top
-            is_upwards = down == 0
-            image = axes.imshow(
-                np.full((2, 2), np.nan),
-                cmap=colours,
-                vmin=WINDOW_HU[0],
-                vmax=WINDOW_HU[1],
-                extent=(-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM),
-                origin="lower" if is_upwards else "upper",
-                animated=True,  # left out of what is drawn once
-            )
-            circle = Circle((0.0, 0.0), 1.0, fill=False, color="tab:orange", linewidth=1.2, animated=True)
-            axes.add_patch(circle)
-            (cross,) = axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9, animated=True)
-            right = sides[across]
-            top = sides[down] if is_upwards else _OPPOSITE[sides[down]]
-            axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}", fontsize=PLANE_POINTS)
-            axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}", fontsize=PLANE_POINTS)
-            axes.set_title(_plane_name(geometry, through), fontsize=PLANE_POINTS)
-            axes.tick_params(labelsize=TICK_POINTS)
-            for spine in axes.spines.values():  # the image would cover half of them
-                spine.set_animated(True)
-            self._axes.append(axes)
-            self._images.append(image)
-            self._circles.append(circle)
-            self._crosses.append(cross)
-        self._heading = self._figure.suptitle("", fontsize=HEADING_POINTS, animated=True)
-        self._canvas.draw()
-        self._shared = self._canvas.copy_from_bbox(self._figure.bbox)
+            above = sides[down] if down == 0 else _OPPOSITE[sides[down]]
+            draw.text((left - 48, top), above, "black", plane_font, "mm")
+            draw.text((left - 48, middle[1]), "mm", "black", plane_font, "mm")
+            draw.text((left - 48, bottom), _OPPOSITE[above], "black", plane_font, "mm")
 
     def draw(self, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
         """Draw a PNG of the planes through a position (LPS), with a ring if a radius is known."""
-        from matplotlib.image import imsave
-
         geometry = self._volume.geometry
         planes = _sample_planes(self._volume, geometry.to_index(middle_mm) * geometry.spacing_mm)
-        self._canvas.restore_region(self._shared)
-        for axes, image, circle, cross, plane in zip(
-            self._axes, self._images, self._circles, self._crosses, planes, strict=True
-        ):
-            image.set_data(plane)
-            axes.draw_artist(image)
+        sheet = self._blank.copy()
+        draw = ImageDraw.Draw(sheet)
+        for (left, top), (_across, down, _through), plane in zip(CORNERS_PX, _PLANES, planes, strict=True):
+            sheet.paste(_colour_plane(plane[::-1] if down == 0 else plane), (left, top))
+            x, y = left + PLANE_SIDE_PX / 2, top + PLANE_SIDE_PX / 2
+            draw.rectangle((left, top, left + PLANE_SIDE_PX, top + PLANE_SIDE_PX), outline="black")
             if radius_mm is not None:
-                circle.set_radius(radius_mm)
-                axes.draw_artist(circle)
-            axes.draw_artist(cross)
-            for spine in axes.spines.values():
-                axes.draw_artist(spine)
-        self._heading.set_text(heading)
-        self._figure.draw_artist(self._heading)
+                ring_px = radius_mm * PLANE_SIDE_PX / (2 * HALF_WIDTH_MM)
+                draw.circle((x, y), ring_px, outline=RING_COLOUR, width=2)
+            draw.line((x - CROSS_PX, y, x + CROSS_PX, y), CROSS_COLOUR, 2)
+            draw.line((x, y - CROSS_PX, x, y + CROSS_PX), CROSS_COLOUR, 2)
+        draw.text((SIZE_PX[0] / 2, 10), heading, "black", self._heading_font, "ma", align="center")
         stream = io.BytesIO()
-        nameless: dict[str, Any] = {"Software": None}
-        imsave(stream, self._canvas.buffer_rgba(), format="png", dpi=DOTS_PER_INCH, metadata=nameless)
+        sheet.save(stream, "png")
         return stream.getvalue()
+
+
+def _colour_plane(plane: Array) -> Image.Image:
+    """Return a plane in grey, enlarged to its side in the picture; what was not scanned is blue."""
+    low, high = WINDOW_HU
+    grey = np.clip((np.nan_to_num(plane, nan=low) - low) * (255.0 / (high - low)), 0.0, 255.0)
+    size = PLANE_SIDE_PX, PLANE_SIDE_PX
+    image = Image.fromarray(grey.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
+    unscanned = Image.fromarray(np.isnan(plane).astype(np.uint8) * 255).resize(size, Image.Resampling.NEAREST)
+    image.paste(UNSCANNED_COLOUR, mask=unscanned)
+    return image
 
 
 def _sample_planes(volume: Volume, centre_mm: Array) -> list[Array]:

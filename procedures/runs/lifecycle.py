@@ -29,7 +29,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import SCENE_FILE
 from ronna_hw.host.files import require_open_files
-from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption
+from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption, resume_garbage_collection
 from ronna_hw.log_output import keep_log
 from ronna_hw.registry import load_driver
 
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
     from ronna_hw.theatre import Theatre
 
-# What the first steps of a case import when they need it; while the phantom is made, they cost no time.
-IMPORTED_LATE = ("pydicom", "matplotlib.figure", "matplotlib.backends.backend_agg")
 SIMULATED_DRIVERS = ("kuka_rsi", "ndi_polaris", "basler_stereo")
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
@@ -143,6 +141,7 @@ def open_engine(
             opening={**request_hash(folder), "seed": request.seed},
             arm_not_home=not_home,
         )
+        resume_garbage_collection()
         if simulated is not None:
             simulated.keep_file()
         outcome, ended_by = "failed", None
@@ -213,8 +212,7 @@ def _start_simulated(
     for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
         importlib.import_module(module)  # a second of imports, meanwhile
     if phantom is not None:
-        for module in IMPORTED_LATE:
-            importlib.import_module(module)
+        importlib.import_module("pydicom")  # for the first step; meanwhile, it costs no time
         for driver in SIMULATED_DRIVERS:
             load_driver(driver)
         observers.status("making the phantom CT")

@@ -184,11 +184,23 @@ def ask_verifier(folder: Path) -> Truth:
     """Ask the verifier for the ground truth about a run. Raises PRO-013 if it fails, PRC-001 if it hangs."""
     from procedures.reporting.outcome import Truth
 
-    answer = run_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
+    answer = run_command(
+        VERIFIER,
+        command("sim.cli", "verify", str(folder), "--json"),
+        VERIFY_TIMEOUT_S,
+        _import_report,
+    )
     # A run that reached no target is a failure of that command, after its answer.
     if answer.returncode not in (EXIT_DONE, EXIT_FAILED) or not answer.stdout:
         raise CommandRefused(VERIFIER, answer.stderr, answer.returncode)
     return Truth.model_validate_json(answer.stdout)
+
+
+def _import_report() -> None:
+    """Import what the report needs, which follows the verifier."""
+    import jinja2  # noqa: F401
+
+    import procedures.reporting.report  # noqa: F401
 
 
 def find_truth(folder: Path) -> Truth | None:

@@ -187,8 +187,10 @@ class ChildProcess:
                 self._on_message(line.rstrip())
 
 
-def run_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
-    """Run a command to completion, whatever its exit code. Raises PRC-001 like `await_end`."""
+def run_command(
+    name: str, arguments: Sequence[str], limit_s: float, meanwhile: Callable[[], object] = lambda: None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to completion, whatever its exit code; for `meanwhile` and PRC-001 see `await_end`."""
     with shield_children():
         process = subprocess.Popen(
             arguments,
@@ -199,12 +201,12 @@ def run_command(name: str, arguments: Sequence[str], limit_s: float) -> subproce
             start_new_session=True,
         )
     with process:
-        output, messages = await_end(name, process, limit_s)
+        output, messages = await_end(name, process, limit_s, meanwhile)
     return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
 
 
 def await_end(
-    name: str, process: subprocess.Popen[str], limit_s: float, meanwhile: Callable[[], None] = lambda: None
+    name: str, process: subprocess.Popen[str], limit_s: float, meanwhile: Callable[[], object] = lambda: None
 ) -> tuple[str, str]:
     """Wait for a command to end and return its output and messages.
 

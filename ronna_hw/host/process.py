@@ -34,9 +34,10 @@ def suspend_garbage_collection() -> None:
 
 
 def resume_garbage_collection() -> None:
-    """Exempt all existing objects from later collections, and resume garbage collection."""
-    gc.freeze()
-    gc.enable()
+    """Exempt all existing objects from later collections and resume garbage collection, if suspended."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
 
 
 INIT = 1
