@@ -49,12 +49,19 @@ Facts = Mapping[str, str | float]
 
 
 class _Entry(NamedTuple):
+    """Traffic of a link, in order, or facts about it. Times are of the moment at which they were handed over."""
+
     link: str
     host_ns: int
     theatre_time_s: float
-    direction: Direction | None
-    data: bytes
-    facts: Facts
+    passed: Sequence[PassedBytes] = ()
+    facts: Facts | None = None
+    earliest_s: float = 0.0  # theatre time
+    rate: float = 0.0  # theatre time per nanosecond of host time
+
+    @property
+    def lines(self) -> int:
+        return len(self.passed) if self.facts is None else 1
 
 
 class FlightRecorder:
@@ -76,8 +83,9 @@ class FlightRecorder:
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._queue: deque[_Entry] = deque()
         self._queue_length = queue_length
+        self._waiting = 0  # lines in the queue
         self._dropped: dict[str, int] = defaultdict(int)
-        self._lock = threading.Lock()  # protects the count of dropped entries
+        self._lock = threading.Lock()  # protects the counts of waiting and dropped lines
         self._last_queries: dict[
             str, tuple[int, float]
         ] = {}  # by link: host and theatre time of the last query
@@ -89,7 +97,8 @@ class FlightRecorder:
 
     def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         """Record bytes as they are transferred."""
-        self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
+        now_ns = time.monotonic_ns()
+        self._put(_Entry(link, now_ns, self._theatre_s(), (PassedBytes(now_ns, direction, data),)))
 
     def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         """Record earlier traffic, interpolating theatre time since the last call for this link."""
@@ -97,13 +106,11 @@ class FlightRecorder:
         before_ns, before_s = self._last_queries.get(link, (now_ns, now_s))
         self._last_queries[link] = now_ns, now_s
         rate = (now_s - before_s) / (now_ns - before_ns) if now_ns > before_ns else 0.0
-        for host_ns, direction, data in all_passed:
-            theatre_s = min(now_s, max(before_s, now_s - rate * (now_ns - host_ns)))
-            self._put(_Entry(link, host_ns, theatre_s, direction, data, {}))
+        self._put(_Entry(link, now_ns, now_s, all_passed, None, before_s, rate))
 
     def note(self, link: str, **facts: str | float) -> None:
         """Record facts about a link."""
-        self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), None, b"", facts))
+        self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), facts=facts))
 
     def close(self) -> None:
         """Write queued entries and close the files. Bounded in time; never raises."""
@@ -112,11 +119,12 @@ class FlightRecorder:
             self._writer.join(CLOSE_LIMIT_S)
 
     def _put(self, entry: _Entry) -> None:
-        if len(self._queue) < self._queue_length and not self._ending.is_set():
-            self._queue.append(entry)
-            return
         with self._lock:
-            self._dropped[entry.link] += 1
+            if self._waiting < self._queue_length and not self._ending.is_set():
+                self._waiting += entry.lines
+                self._queue.append(entry)
+            else:
+                self._dropped[entry.link] += entry.lines
 
     def _theatre_s(self) -> float:
         with contextlib.suppress(ValueError):  # the clock may end before the last link does
@@ -135,23 +143,32 @@ class FlightRecorder:
         lines: dict[str, list[str]] = defaultdict(list)
         for _ in range(len(self._queue)):
             entry = self._queue.popleft()
-            lines[entry.link].append(self._encode(entry))
+            lines[entry.link] += self._encode(entry)
         with self._lock:
+            self._waiting -= sum(map(len, lines.values()))
             dropped, self._dropped = self._dropped, defaultdict(int)
         lost = {link: dropped.get(link, 0) + len(lines[link]) for link in {*lines, *dropped}}
         for link, count in dropped.items():
-            note = _Entry(link, time.monotonic_ns(), self._last_s, None, b"", {"dropped": count})
-            lines[link].append(self._encode(note))
+            note = _Entry(link, time.monotonic_ns(), self._last_s, facts={"dropped": count})
+            lines[link] += self._encode(note)
         for link, new in lines.items():
             if not self._write(link, "".join(new).encode("ascii")):
                 with self._lock:
                     self._dropped[link] += lost[link]
 
-    def _encode(self, entry: _Entry) -> str:
-        epoch_ns = self._epoch_ns + entry.host_ns
-        if entry.direction is None:
-            return encode_note(epoch_ns, entry.theatre_time_s, entry.facts)
-        return encode_bytes(epoch_ns, entry.theatre_time_s, entry.direction, entry.data)
+    def _encode(self, entry: _Entry) -> list[str]:
+        _, now_ns, now_s, passed, facts, earliest_s, rate = entry
+        if facts is not None:
+            return [encode_note(self._epoch_ns + now_ns, now_s, facts)]
+        return [
+            encode_bytes(
+                self._epoch_ns + host_ns,
+                min(now_s, max(earliest_s, now_s - rate * (now_ns - host_ns))),
+                direction,
+                data,
+            )
+            for host_ns, direction, data in passed
+        ]
 
     def _write(self, link: str, lines: bytes) -> bool:
         """Write lines; returns whether it succeeded. A failed link is retried each time."""

@@ -48,12 +48,15 @@ class UnchangedInputs:
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             try:
+                if stored is None:  # nothing depends on its content yet, and each slice read asks here
+                    path.stat()
+                    continue
                 stamps = _stamps(path)
             except OSError as error:
                 if model is LockedCart and (stored is None or not _has_proposal(stored.result)):
                     continue  # it need not be there
                 return f"{path.name} cannot be read ({error.strerror}): restore it"
-            if stored is None or stamps == self._seen.get(path):
+            if stamps == self._seen.get(path):
                 continue
             key = StepKey(model.kind)
             if model is LockedCart and not _has_proposal(stored.result):
