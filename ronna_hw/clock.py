@@ -7,9 +7,11 @@ advances it, so a case takes only as long as its work.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import mmap
 import os
+import socket
 import threading
 import time
 import weakref
@@ -50,6 +52,10 @@ class Clock(Protocol):
         """Sleep for `duration_s` of theatre time."""
         ...
 
+    def let_pass(self, duration_s: float) -> None:
+        """Let theatre time pass by `duration_s` without waiting for it."""
+        ...
+
 
 class HostClock:
     """Monotonic host clock that starts at zero when opened."""
@@ -67,9 +73,12 @@ class HostClock:
     def sleep(self, duration_s: float) -> None:
         time.sleep(max(0.0, duration_s))
 
+    def let_pass(self, duration_s: float) -> None:
+        """Do nothing: host time passes anyway."""
+
 
 # Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
-LAYOUT_VERSION = 3
+LAYOUT_VERSION = 4
 CLOCK = MemoryMap(b"RONNACLK")
 VERSION = CLOCK.word("I")
 PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
@@ -78,6 +87,8 @@ EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful 
 STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 if none
 WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
 UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
+ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although nobody waits for it
+RESTING = CLOCK.word("I")  # 1 while a cyclic device sleeps until it is woken
 # A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
 # seconds for a missing reply (see the robot simulator), so the limit is above that.
 STREAM_SILENCE_NS = 2_500_000_000
@@ -108,6 +119,8 @@ class SharedClock:
             self.close()
             raise ClockUnavailable(f"{path} is not a clock file of this version")
         self._thread_lock = threading.Lock()
+        found = os.fstat(self._file)
+        self._alarm_address = f"\0ronna-clock-{found.st_dev}-{found.st_ino}"
         self._paced = bool(PACED.read(self._memory))
 
     @staticmethod
@@ -117,7 +130,7 @@ class SharedClock:
         VERSION.write(memory, LAYOUT_VERSION)
         PACED.write(memory, int(paced))
         TIME_NS.write(memory, begins_ns)
-        for word in (STREAM_HOST_NS, WANTED_NS, UNREAD_NS):
+        for word in (STREAM_HOST_NS, WANTED_NS, UNREAD_NS, ALLOWED_NS, RESTING):
             word.write(memory, 0)
         EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
@@ -153,11 +166,51 @@ class SharedClock:
                         return
                     if WANTED_NS.read(self._memory) < moment_ns:
                         WANTED_NS.write(self._memory, moment_ns)
+                self._wake_device()
             time.sleep(WAIT_STEP_S)
+
+    def let_pass(self, duration_s: float) -> None:
+        """Let a streaming device advance the time by `duration_s`, as for a motion that is about to begin."""
+        if self._paced:
+            return
+        moment_ns = self.now_ns() + round(duration_s * 1e9)
+        if ALLOWED_NS.read(self._memory) < moment_ns:
+            ALLOWED_NS.write(self._memory, moment_ns)
+        self._wake_device()
 
     def has_waiters(self) -> bool:
         """Whether any process is waiting for a future theatre time."""
         return WANTED_NS.read(self._memory) > TIME_NS.read(self._memory)
+
+    def may_pass(self) -> bool:
+        """Whether any process waits for a future theatre time or lets time pass."""
+        return self.has_waiters() or ALLOWED_NS.read(self._memory) > TIME_NS.read(self._memory)
+
+    def open_alarm(self) -> socket.socket:
+        """Open the socket that becomes readable when a resting device is to go on."""
+        alarm = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        with contextlib.suppress(OSError):  # the device then looks by itself from time to time
+            alarm.bind(self._alarm_address)
+        return alarm
+
+    @contextmanager
+    def rest(self, alarm: socket.socket) -> Iterator[None]:
+        """Have this cyclic device woken by its alarm; `may_pass` is to be checked within, before sleeping."""
+        RESTING.write(self._memory, 1)
+        try:
+            yield
+        finally:
+            RESTING.write(self._memory, 0)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    alarm.recv(1)
+
+    def _wake_device(self) -> None:
+        if not RESTING.read(self._memory):
+            return
+        caller = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        with caller, contextlib.suppress(OSError):  # its alarm is already ringing, or it has ended
+            caller.sendto(b"", self._alarm_address)
 
     def is_streaming(self) -> bool:
         """Whether a cyclic device controls the pace of time."""

@@ -75,7 +75,7 @@ class KukaRsiArm:
         cycle_s = context.program.cycle_ms / 1000.0
         self._planner = MotionPlanner(name, self._kinematics, options, cycle_s)
         self._guard = LifecycleGuard(name)
-        self.connections = Connections(name, config, options, context)
+        self.connections = Connections(name, config, options, context, clock)
         self._watch = FaultWatch(name, self._guard, self.connections, options)
         self._follower = MotionFollower(name, self.connections, self._watch, cycle_s)
         self._readings = ArmReadings(self.connections, clock, options.silence_limit_s)

@@ -19,6 +19,7 @@ from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, Fault,
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
+from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
 from ronna_hw.devices.lifecycle import Identity
@@ -38,13 +39,16 @@ STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was
 class Connections:
     """EKI and RSI connections of one arm; accessing a closed one raises."""
 
-    def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
+    def __init__(
+        self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext, clock: Clock
+    ) -> None:
         """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         self._name = name
         self._rsi = config.address("rsi").require("udp")
         self._eki_address = config.address("eki_project").require("tcp")
         self._options = options
         self._context = context
+        self._clock = clock
         self.open_eki: EkiClient | None = None
         self.open_link: LinkClient | None = None
         self.recorder = LinkRecorder(name)
@@ -106,7 +110,7 @@ class Connections:
         """Start the real-time process, which binds the RSI port; raises RSI-001."""
         self.close_link()
         settings = link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink)
+        self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink, self._clock)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
         """Switch on the drives, start the RSI program and its stream, and wait until corrections take effect.

@@ -27,6 +27,7 @@ from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.clock import Clock, HostClock
 from ronna_hw.host.process import describe_exit, shield_children
 from ronna_hw.vectors import JointVector
 
@@ -52,11 +53,14 @@ class LinkClient:
         settings: LinkSettings,
         timeout_s: float = START_TIMEOUT_S,
         on_traffic: TrafficHandler | None = None,
+        clock: Clock | None = None,
     ) -> None:
         """Start the real-time process; raises RSI-001.
 
-        `on_traffic` is called from a thread of this object with the link's traffic.
+        `on_traffic` is called from a thread of this object with the link's traffic. Theatre time passes on
+        `clock` during waits: the controller must go on for what is awaited.
         """
+        self._clock = HostClock() if clock is None else clock
         self._memory_fd = os.memfd_create("kuka_rsi")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         Mailbox.initialise(self._memory_fd)
@@ -162,6 +166,7 @@ class LinkClient:
                 remaining_s = deadline - time.monotonic()
                 if remaining_s <= 0.0:
                     return None
+                self._clock.let_pass(HEARTBEAT_S)
                 self._changed.wait(min(remaining_s, HEARTBEAT_S))
 
     def death_error(self) -> LinkProcessDied:

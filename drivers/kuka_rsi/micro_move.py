@@ -6,7 +6,6 @@ first: it moves almost nothing, and a controller that accumulates corrections is
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from math import degrees, dist, radians
 from typing import NoReturn
@@ -87,7 +86,7 @@ class MicroMove:
                 raise link.death_error()
             if link.stalled_s > TELEGRAMS_LIMIT_S:
                 self._refuse(f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
-            time.sleep(POLL_S)
+            link.wait(lambda _: False, POLL_S)  # theatre time passes meanwhile
         if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
             raise MotionStopped(
                 f"{self._name}: stopped while {AXIS_NAMES[axis]} was tested",

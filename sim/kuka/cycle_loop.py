@@ -4,8 +4,9 @@ A single thread does everything: no locks, and no other thread competes for the 
 `select` over the RSI socket and the channels.
 
 Real time: telegram k is sent at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram is sent
-once the reply has arrived. An unchanged correction then slows lock-step down to real time, so that an idle
-world costs nothing, unless someone waits for theatre time.
+once the reply has arrived. While the correction is unchanged, the controller rests until someone waits for
+theatre time, so that what a client finds does not depend on how long its host computed meanwhile. A resting
+controller still runs a cycle now and then, for clients that only watch.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from sim.world.world import World
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
 READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that client's limit
-WAITER_POLL_S = 0.001  # host time between checks whether someone waits for theatre time
+REST_CYCLE_S = 0.1  # host time of a cycle at rest; below the limits of clients for a silent controller
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
-UNCHANGED_CYCLES = 50  # without a new correction, after which lock-step is paced
+UNCHANGED_CYCLES = 10  # without a new correction, after which lock-step rests
 STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
 
 
@@ -54,6 +55,7 @@ class CycleLoop:
     ) -> None:
         self._controller = controller
         self._clock = world.clock
+        self._alarm: socket.socket | None = None
         self._client = client
         self._servers = (project_server, sdk_server)
         log = FaultLog(self._fault_time)
@@ -87,6 +89,7 @@ class CycleLoop:
     def run(self) -> None:
         """Serve until `end` is called."""
         self._autostart.begin()
+        self._alarm = self._clock.open_alarm()
         try:
             while not self._ending:
                 self._faults.poll()
@@ -102,6 +105,7 @@ class CycleLoop:
         finally:
             self._clock.end_stream()
             self._close_rsi()
+            self._alarm.close()
             for server in self._servers:
                 server.close()
 
@@ -151,22 +155,27 @@ class CycleLoop:
         if not self._clock.paced:
             self._advance(run.settings.cycle_ms * 1_000_000)
         if lock_step:
-            self._pace(run, began_s + cycle_s)
+            # A silent client, or a fault of the link, runs its course in real time.
+            at_rest = reply is not None and self._link.idle
+            self._pace(run, began_s + (REST_CYCLE_S if at_rest else cycle_s))
 
     def _pace(self, run: RsiRun, next_s: float) -> None:
-        """Slow lock-step down to real time while the correction is unchanged."""
+        """Rest until `next_s` (host time) if nothing changes and nobody waits for theatre time."""
         if run.command_deg is not self._last_command:
             self._last_command = run.command_deg
             self._unchanged = 0
         else:
             self._unchanged += 1
-        idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
-        now_s = time.monotonic()
-        while idle and now_s < next_s and not self._clock.has_waiters():
-            self._wait_until(run, min(next_s, now_s + WAITER_POLL_S))
-            now_s = time.monotonic()
-            idle = self._controller.run is run and not self._ending
-        self._serve_timers(now_s)
+        if self._unchanged >= UNCHANGED_CYCLES and self._alarm is not None:
+            with self._clock.rest(self._alarm):
+                while self._may_rest(run) and (remaining_s := next_s - time.monotonic()) > 0.0:
+                    self._wait_once(remaining_s, self._alarm)
+                    self._faults.poll()
+        self._serve_timers(time.monotonic())
+
+    def _may_rest(self, run: RsiRun) -> bool:
+        controller = self._controller
+        return not (self._ending or controller.run is not run or controller.moving or self._clock.may_pass())
 
     def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
         """Send a telegram subject to link faults and return whether the client can answer it."""
@@ -304,9 +313,9 @@ class CycleLoop:
                 return
             self._wait_once(remaining_s, None)
 
-    def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
-        """Wait once while serving channels and timers, and return whether the RSI socket is readable."""
-        waiting: list[socket.socket] = [rsi] if rsi is not None else []
+    def _wait_once(self, timeout_s: float, awaited: socket.socket | None) -> bool:
+        """Wait once while serving channels and timers, and return whether the awaited socket is readable."""
+        waiting: list[socket.socket] = [awaited] if awaited is not None else []
         for server in self._servers:
             waiting += server.sockets
         now_s = time.monotonic()
@@ -314,17 +323,17 @@ class CycleLoop:
         ready, _, _ = select.select(waiting, (), (), timeout_s)
         if ready and self._controller.run is None:
             self._faults.poll()  # a fault that was given before a client connected acts on it
-        rsi_is_readable = False
+        is_readable = False
         for one in ready:
-            if one is rsi:
-                rsi_is_readable = True
+            if one is awaited:
+                is_readable = True
                 continue
             for server in self._servers:
                 server.serve(one)
             self._tick_s = 0.0
         self._served_s = time.monotonic()
         self._serve_timers(self._served_s)
-        return rsi_is_readable
+        return is_readable
 
     def _serve_timers(self, now_s: float) -> None:
         if now_s < self._tick_s:

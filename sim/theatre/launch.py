@@ -40,6 +40,7 @@ REST_LOOK_S = 0.005
 SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so the silence limit must be higher.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
+HEARTBEAT_LIMIT_LOCK_STEP_S = 5.0  # with ten cases on two cores a program waits seconds for a processor
 NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
 
@@ -90,6 +91,8 @@ class Theatre:
                 cycle_ms,
                 read_calibration_time(self.file) if saved is not None else None,
             )
+            if not paced:
+                content["robot"]["master"]["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
             content["calibration"] |= records
             refer_to_tip(content)
             known = None if saved is None else identity_of(self.file)

@@ -7,12 +7,12 @@ import signal
 import sys
 from typing import Any
 
-from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi import arm
 from procedures.cli.procedure import main
 from procedures.journal.journal import Journal
 
-HALTED_S = 60.0  # longer than anybody needs to copy a folder; the arm's process would stop the arm after 1 s
-append = Journal._append
+HALTED_S = 60.0  # longer than anybody needs to copy a folder; the arm's process would stop the arm
+append, read_options = Journal._append, arm.read_options
 
 
 def append_and_halt(journal: Journal, *words: Any, **more: Any) -> None:
@@ -21,7 +21,6 @@ def append_and_halt(journal: Journal, *words: Any, **more: Any) -> None:
 
 
 if __name__ == "__main__":
-    KukaOptions.model_fields["heartbeat_limit_s"].default = HALTED_S
-    KukaOptions.model_rebuild(force=True)
+    arm.read_options = lambda name, options: read_options(name, {**options, "heartbeat_limit_s": HALTED_S})
     Journal._append = append_and_halt  # type: ignore[method-assign]
     sys.exit(main())

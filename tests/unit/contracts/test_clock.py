@@ -1,5 +1,6 @@
 import mmap
 import os
+import select
 import threading
 from collections.abc import Iterator
 
@@ -97,3 +98,35 @@ def test_cycles_wait_for_the_reader_of_a_measurement_until_it_waits(path: str) -
     waiting.join(5.0)
     tracker.expect_reader(0)
     assert not robot.must_wait_for_reader(CYCLE_NS)
+
+
+def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    with robot.open_alarm() as alarm:
+        with robot.rest(alarm):
+            assert not robot.may_pass()
+            camera.let_pass(0.003)
+            assert select.select([alarm], (), (), 5.0)[0]
+        assert robot.may_pass()
+        assert not robot.has_waiters()  # cycles still wait for the reader of a measurement
+        robot.advance_cycle(CYCLE_NS)
+        assert not robot.may_pass()
+        with robot.rest(alarm):
+            waiting = threading.Thread(target=camera.wait_until_ns, args=(3 * CYCLE_NS,), daemon=True)
+            waiting.start()
+            assert select.select([alarm], (), (), 5.0)[0]
+        assert robot.may_pass()
+        robot.advance_cycle(CYCLE_NS)
+        waiting.join(5.0)
+        camera.let_pass(1.0)  # while nobody rests
+        with robot.rest(alarm):
+            assert not select.select([alarm], (), (), 0.0)[0]
+
+
+def test_time_that_may_pass_stands_still_while_nothing_streams(path: str) -> None:
+    clock = SharedClock(path)
+    clock.let_pass(1.0)
+    assert clock.now_ns() == 0
+    clock.sleep(0.5)
+    assert clock.now_s() == 0.5

@@ -82,6 +82,7 @@ def test_a_fault_begins_at_the_telegram_named_in_the_script(
     here = cell(world=lock_step_world)
     eki, rsi = here.project(), here.rsi
     here.start(eki)
+    lock_step_world.clock.let_pass(1.0)
     late = []
     for _ in range(120):
         rsi.receive()
