@@ -49,6 +49,7 @@ test: setup
 
 test-all: setup
 	@$(PYTEST) -m "not soak and not browser" --every-hazard
+	@$(BIN)/python -m pytest -p no:xdist tests/browser/test_benchmarks.py
 
 soak: setup
 	@$(PYTEST) -m soak

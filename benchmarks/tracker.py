@@ -81,6 +81,7 @@ def measure_rates(stands: Mapping[str, Stand], rounds: int) -> Rates:
 
 LINES = {"TCP": "tcp://127.0.0.1:0", "pty": "serial-pty"}
 OURS, NDICAPI, SCIKIT = "driver", "ndicapi", "scikit-surgerynditracker"
+SOCKET = "bare socket in Python"  # the most that any client in Python reaches
 CLIENTS = {OURS: tracker_clients.driver, NDICAPI: tracker_clients.ndicapi, SCIKIT: tracker_clients.scikit}
 UNIT, CANNED = "ronna-sim polaris", "one fixed reply"
 FEW, MANY = "1 tool", "3 tools, 6 strays"
@@ -110,7 +111,8 @@ def measure(smallest: bool = False) -> list[Figure]:
 def _compare_clients(line: str, roms: Sequence[Path], rounds: int) -> list[Figure]:
     """Compare the clients reading one tool from a unit paced by the host clock."""
     bench = load_scene("bench")
-    stands = {name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()}
+    clients = CLIENTS | ({SOCKET: tracker_clients.bare_socket} if line == "TCP" else {})
+    stands = {name: Stand(client, LINES[line], bench, roms) for name, client in clients.items()}
     rates = measure_rates(stands, rounds)
     what = f"readings/s, {line}"
     figures = [replace(figure, what=what) for figure in _compare_with_peers(line, rates)]

@@ -1,4 +1,4 @@
-"""Tracker clients for the same unit: our driver, bare ndicapi, and scikit-surgerynditracker.
+"""Tracker clients for the same unit: our driver, bare ndicapi, scikit-surgerynditracker, and a bare socket.
 
 Each maker loads tools, starts tracking and returns a function that takes one reading; it raises RuntimeError
 if the unit returns none. The stack closes everything that it opens.
@@ -6,6 +6,7 @@ if the unit returns none. The stack closes everything that it opens.
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, redirect_stdout, suppress
 from io import StringIO
@@ -23,6 +24,9 @@ MakeReader = Callable[[ExitStack, str, Sequence[Path]], Reader]
 BX = f"BX:{FRAME_OPTIONS.value:04X}"  # for ndicapi the same request as the driver's
 PORT_REQUEST = "PHRQ:*********1****"
 ILLUMINATOR_REQUEST = "SET:Param.Tracking.Illuminator Rate=2"  # 60 Hz, as requested by the driver
+LONGEST = 4096
+BLOCK_BYTES = 64  # of a tool definition, per command
+REPLY_FRAME_BYTES = 8  # start, length and two checksums of a BX reply
 PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi converts binary replies to text after parsing them
 
 
@@ -100,6 +104,42 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
         _, _, _, poses, _ = tracker.get_frame()
         if not poses[0][3, 3] == 1.0:
             raise RuntimeError("scikit-surgerynditracker does not see the tool")
+
+    return read
+
+
+def bare_socket(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
+    """Return a reader that exchanges bytes over TCP and decodes nothing: the least a Python client needs."""
+    link = stack.enter_context(socket.create_connection(("127.0.0.1", int(endpoint.rsplit(":", 1)[1]))))
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def ask(command: str) -> str:
+        link.sendall(f"{command}\r".encode("ascii"))  # with a space after its name, it needs no checksum
+        reply = b""
+        while not reply.endswith(b"\r"):
+            reply += link.recv(LONGEST)
+        if reply.startswith(b"ERROR"):
+            raise RuntimeError(f"{command}: {reply!r}")
+        return reply.decode("ascii")
+
+    ask("INIT ")
+    ask(ILLUMINATOR_REQUEST.replace(":", " ", 1))
+    for rom in roms:
+        handle = ask(PORT_REQUEST.replace(":", " "))[:2]
+        definition = rom.read_bytes()
+        for at in range(0, len(definition), BLOCK_BYTES):
+            block = definition[at : at + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\0")
+            ask(f"PVWR {handle}{at:04X}{block.hex().upper()}")
+        ask(f"PINIT {handle}")
+        ask(f"PENA {handle}D")
+    ask("TSTART 80")
+    request = f"{BX.replace(':', ' ')}\r".encode("ascii")
+
+    def read() -> None:
+        link.sendall(request)
+        reply = link.recv(LONGEST)
+        while len(reply) < REPLY_FRAME_BYTES + int.from_bytes(reply[2:4], "little"):
+            reply += link.recv(LONGEST)
 
     return read
 

@@ -14,13 +14,12 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
 from ronna_hw.errors import RonnaError
-from ronna_hw.marker_template import TemplateMarker
-from ronna_hw.plausible import are_degrees
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
     from procedures.planning.theatre_arm import TheatreArm
+    from ronna_hw.marker_template import TemplateMarker
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 DEFAULT_STRATEGY = "ocs"
@@ -75,6 +74,7 @@ def require_theatre_options(
 ) -> None:
     """Raise CLI-001 for conflicting options, STR-002 for an invalid strategy."""
     from procedures.strategies.catalogue import find_strategy
+    from ronna_hw.plausible import are_degrees
 
     find_strategy(strategy)
     if config is None and strategy != DEFAULT_STRATEGY:
