@@ -50,6 +50,13 @@ def test_only_the_cycles_of_a_streaming_device_advance_the_time(path: str) -> No
     assert not robot.has_waiters()
 
 
+def test_a_streaming_device_waits_for_nobody_once_it_streams(path: str) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    with camera.hold_lock():
+        assert robot.advance_cycle(CYCLE_NS) == 2 * CYCLE_NS
+
+
 def test_a_wait_advances_the_time_again_after_the_stream_ends(path: str) -> None:
     robot = SharedClock(path)
     robot.advance_cycle(CYCLE_NS)
