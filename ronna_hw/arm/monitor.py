@@ -84,10 +84,25 @@ class Monitor:
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
         self._start = start_rad
+        # What range and total correction both allow, narrower by rounding: beyond it each is compared.
+        self._lower_rad = [
+            max(low, start + least) - RANGE_ROUNDING_RAD / 2
+            for low, start, least in zip(
+                limits.lower_rad, start_rad, limits.correction_lower_rad, strict=True
+            )
+        ]
+        self._upper_rad = [
+            min(high, start + most) + RANGE_ROUNDING_RAD / 2
+            for high, start, most in zip(
+                limits.upper_rad, start_rad, limits.correction_upper_rad, strict=True
+            )
+        ]
         # Newest first: the arm starts at rest.
         self._last: History = (start_rad, start_rad, start_rad, start_rad)
         self._followed_rad = start_rad
         self._recent = deque([start_rad], maxlen=limits.following_cycles)  # set-points, one a cycle
+        self._still_cycles = 0  # since `_recent` last changed
+        self._checked_rad: JointVector | None = None  # measured angles without a violation since then
         self._watch: LiveWatch | None = None
 
     def watch(self, watch: LiveWatch | None) -> None:
@@ -111,6 +126,32 @@ class Monitor:
 
     def check(self, joints_rad: JointVector) -> Violation | None:
         """Return the first limit violation that sending this set-point next would cause, or None."""
+        limits = self.limits
+        for angle, low, high, latest, previous, earlier, farthest, bent, twisted in zip(
+            joints_rad,
+            self._lower_rad,
+            self._upper_rad,
+            *self._last[:3],
+            limits.step_rad,
+            limits.second_difference_rad,
+            limits.third_difference_rad,
+            strict=True,
+        ):
+            step, before = angle - latest, latest - previous
+            bend = step - before
+            if not (
+                low <= angle <= high
+                and -farthest <= step <= farthest
+                and -bent <= bend <= bent
+                and -twisted <= bend - before + previous - earlier <= twisted
+            ):  # NaN fails here
+                found = self._find_axis_violation(joints_rad)
+                if found is not None:
+                    return found
+                break
+        return None if self._watch is None else self._watch.check(joints_rad)
+
+    def _find_axis_violation(self, joints_rad: JointVector) -> Violation | None:
         limits = self.limits
         latest, previous, earlier, _ = self._last
         for i in range(len(joints_rad)):
@@ -140,14 +181,14 @@ class Monitor:
             if abs(twist) > limits.third_difference_rad[i]:
                 most = limits.limits.jerk_rad_s3[i]
                 return Violation(ViolationKind.JERK, i + 1, twist / limits.cycle_s**3, most)
-        return None if self._watch is None else self._watch.check(joints_rad)
+        return None
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record a set-point as sent."""
         latest, previous, earlier, _ = self._last
         self._last = (joints_rad, latest, previous, earlier)
         self._followed_rad = joints_rad
-        self._recent.append(joints_rad)
+        self._add_recent(joints_rad)
         if self._watch is not None:
             self._watch.sent(joints_rad)
 
@@ -167,12 +208,12 @@ class Monitor:
     def mark_sent_again(self) -> None:
         """Record a repeat of the last set-point. The next one is checked as if there had been no pause."""
         self._followed_rad = self._last[0]
-        self._recent.append(self._followed_rad)
+        self._add_recent(self._followed_rad)
 
     def mark_at_rest(self) -> None:
         """Record that the arm is at rest at the held set-point, and that this set-point was sent."""
         self._last = (self._followed_rad, self._followed_rad, self._followed_rad, self._followed_rad)
-        self._recent.append(self._followed_rad)
+        self._add_recent(self._followed_rad)
         if self._watch is not None:
             self._watch.sent(self._followed_rad)
 
@@ -183,6 +224,8 @@ class Monitor:
         sticking or braked arm is noticed at every speed. The value is the distance from the nearest
         set-point.
         """
+        if measured_rad == self._checked_rad:
+            return None
         oldest, newest = self._recent[0], self._recent[-1]
         for i in range(len(measured_rad)):
             angle = measured_rad[i]
@@ -194,4 +237,12 @@ class Monitor:
             if not low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:  # NaN fails here
                 error = angle - (high if angle > high else low)
                 return Violation(ViolationKind.FOLLOWING_ERROR, i + 1, error, FOLLOWING_RAD)
+        self._checked_rad = measured_rad if self._still_cycles >= self.limits.following_cycles else None
         return None
+
+    def _add_recent(self, joints_rad: JointVector) -> None:
+        if joints_rad is self._recent[-1]:
+            self._still_cycles += 1
+        else:
+            self._still_cycles, self._checked_rad = 0, None
+        self._recent.append(joints_rad)

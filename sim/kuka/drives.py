@@ -168,7 +168,9 @@ class Drives:
         reversal, fastest = self._parameters.reversal_deg, 0.0
         extremes, directions = self._extremes_deg, self._directions
         for axis, (new, old) in enumerate(zip(command_deg, self.command_deg, strict=True)):
-            fastest = max(fastest, abs(new - old))
+            step = new - old if new > old else old - new
+            if step > fastest:
+                fastest = step
             travelled = new - extremes[axis]
             direction = directions[axis]
             if direction * travelled > 0.0:
@@ -204,6 +206,9 @@ class Supervision:
         self._parameters = parameters
         self._full_step_deg = [joint.full_speed_deg_s * cycle_s for joint in arm.joints]
         self._step_deg = [step * parameters.step_share + ROUNDING_DEG for step in self._full_step_deg]
+        self._usual_step_deg = [
+            min(step, full) for step, full in zip(self._step_deg, self._full_step_deg, strict=True)
+        ]
         self._lower_deg = [joint.lower_deg - ROUNDING_DEG for joint in arm.joints]
         self._upper_deg = [joint.upper_deg + ROUNDING_DEG for joint in arm.joints]
         self._fast_cycles = 0
@@ -252,6 +257,31 @@ class Supervision:
             past.append(before_deg)
         oldest, middle = past[0], past[window]
         past.append(command_deg)
+        for new, old, step, lower, upper, mid, far, bend in zip(
+            command_deg,
+            before_deg,
+            self._usual_step_deg,
+            self._lower_deg,
+            self._upper_deg,
+            middle,
+            oldest,
+            self._bend_deg,
+            strict=True,
+        ):
+            if not (
+                -step <= new - old <= step
+                and lower <= new <= upper
+                and -bend <= new - mid - mid + far <= bend
+            ):
+                break
+        else:
+            self._hard_cycles = self._fast_cycles = 0
+            return None
+        return self._judge_axes(command_deg, before_deg, middle, oldest)
+
+    def _judge_axes(
+        self, command_deg: list[float], before_deg: list[float], middle: list[float], oldest: list[float]
+    ) -> Message | None:
         fast_axis = hard_axis = -1
         hardest_deg = 0.0
         for axis, (new, old, largest, full, lower, upper, mid, far, bend) in enumerate(

@@ -107,13 +107,14 @@ class JointChain:
     def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
         self._model, self._flange = _build_model(arm, None if links is None else tuple(links))
         self._data = self._model.createData()
+        self._place = self._data.oMf[self._flange]  # a view: the kinematics write into it
         self._q = np.zeros(AXES)
 
     def flange(self, joints_rad: Sequence[float] | Matrix) -> Matrix:
         """Return the flange pose (4, 4)."""
         self._q[:] = joints_rad
         pin.framesForwardKinematics(self._model, self._data, self._q)
-        pose: Matrix = self._data.oMf[self._flange].homogeneous
+        pose: Matrix = self._place.homogeneous
         return pose
 
     def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import mmap
 import os
 import weakref
-from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -71,8 +70,7 @@ _SCENE_LENGTH = _MAP.word()
 _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 
-@dataclass(frozen=True)
-class ArmState:
+class ArmState(NamedTuple):
     """True arm state: encoder angles, and flange pose in the robot frame."""
 
     joints_rad: Numbers6

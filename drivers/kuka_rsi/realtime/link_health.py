@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
-from math import degrees, log
+from math import degrees
 
 from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import HISTOGRAM_BINS
@@ -24,7 +25,6 @@ AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at diffe
 FIRST_EDGE_US = 2.0
 RATIO = 1.25  # a bin is a quarter wider than the previous one: the last of 64 ends above 3 s
 EDGES_US = (0.0, *(FIRST_EDGE_US * RATIO**k for k in range(HISTOGRAM_BINS)))
-_SCALE = 1.0 / log(RATIO)
 
 
 class Losses:
@@ -135,9 +135,7 @@ class SenderCheck:
 
 def histogram_bin(turnaround_us: float) -> int:
     """Return the histogram bin of a host time in us; the last bin is open-ended."""
-    if turnaround_us < FIRST_EDGE_US:
-        return 0
-    return min(1 + int(log(turnaround_us / FIRST_EDGE_US) * _SCALE), HISTOGRAM_BINS - 1)
+    return bisect_right(EDGES_US, turnaround_us, 1, HISTOGRAM_BINS) - 1
 
 
 def percentile_us(counts: Sequence[int], share: float) -> float:

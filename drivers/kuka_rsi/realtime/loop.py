@@ -5,9 +5,9 @@ have been computed before; after a stall only the newest telegram in the queue i
 anyone but the stream's controller are counted and otherwise ignored.
 
 This process has priority over all others. The network's soft interrupt, which may transmit the reply on this
-processor, would have to wait until the next set-point is prepared. The processor is therefore yielded for a
-moment once the reply is out. Otherwise a peer on this machine would see the preparation, 60 us and more, as
-turnaround.
+processor, would have to wait until the next set-point is prepared. While the controller keeps a pace, the
+processor is therefore yielded for a moment once the reply is out. Otherwise a peer on this machine would see
+the preparation, 60 us and more, as turnaround.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ YIELD_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 FOREIGN_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
-PLACED_EACH_CYCLES = 32  # of lock-step, the processor of the sender is looked up
+LOOK_EACH_CYCLES = 32  # of lock-step, for the processor of the sender and for foreign senders
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
 
@@ -83,7 +83,7 @@ class LinkLoop:
         self._published: tuple[object, ...] = ()
         self._ending_cycles = 0
         self._stop_sent = False  # in the last reply
-        self._lock_step_cycles = 0
+        self._lock_step_cycles = 0  # without a pause
         self._cycles_since_fault = 0
 
     def run(self) -> None:
@@ -139,6 +139,7 @@ class LinkLoop:
 
     def _end_stream(self) -> None:
         """Release the stream's peer, because the next stream may come from another port."""
+        self._count_foreign_senders()
         self._peer = None
         self._sockets.disconnect()
         self._processor.free()
@@ -218,16 +219,21 @@ class LinkLoop:
         self._sent_ns = sent_ns = time.monotonic_ns()
         self._last_reply = reply
         if self._received_ns - self._answered_ns > self._paced_ns:
-            time.sleep(YIELD_S)
+            self._lock_step_cycles = 0
             if self._receiver.note_paced():
+                time.sleep(YIELD_S)
                 self._processor.follow(self._sockets.processor())
         else:
             self._receiver.note_lock_step()
             self._lock_step_cycles += 1
-            if self._lock_step_cycles % PLACED_EACH_CYCLES == 1:
+            if self._is_time_to_look():
                 self._processor.avoid(self._sockets.processor())
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
+
+    def _is_time_to_look(self) -> bool:
+        """Return whether system calls that lock-step needs only now and then are due; in a pace always."""
+        return self._lock_step_cycles % LOOK_EACH_CYCLES <= 1
 
     def _finish_cycle(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply and record the completed cycle."""
@@ -251,7 +257,8 @@ class LinkLoop:
             )
         if self._keeps_bytes:
             mailbox.keep(self._received_ns, self._sent_ns, data, self._last_reply)
-        self._count_foreign_senders()
+        if self._is_time_to_look():
+            self._count_foreign_senders()
         self._publish()
 
     def _leave_unanswered(self, data: bytes) -> None:

@@ -169,19 +169,24 @@ class Replies:
         )
         self._cycle_ms = settings.cycle_ms
         self._base_deg = NO_AXES
-        self.heads = (b"", b"")  # to continue and to stop
+        self._points = (NO_AXES, NO_AXES)  # to continue and to stop
+        self._ending = False
+        self._last_head: tuple[JointVector, bool, bytes] | None = None
 
     def begin(self, base_deg: JointVector) -> None:
         """Start a run with these joint angles as the origin of corrections."""
         self._base_deg = base_deg
+        self._last_head = None
 
     def prepare(self, points: SetPoints, *, ending: bool) -> None:
-        """Encode the reply heads for the prepared points; with `ending`, also Stop once at rest."""
-        if points.moving:
-            self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
-        else:
-            hold = self.head(points.last_rad, ending)
-            self.heads = (hold, hold)
+        """Take over the prepared points; with `ending`, also Stop once at rest."""
+        moving = points.moving
+        self._points = (points.go_rad, points.stop_rad) if moving else (points.last_rad, points.last_rad)
+        self._ending = ending and not moving
+
+    def head_for(self, choice: Choice) -> bytes:
+        """Encode a reply up to its IPOC for the prepared point to continue or to stop."""
+        return self.head(self._points[choice], self._ending)
 
     def complete(
         self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int
@@ -189,13 +194,16 @@ class Replies:
         """Build the complete reply to the next expected telegram."""
         ipoc = str(last_ipoc + self._cycle_ms).encode()
         delay = str(reported_late).encode() if reported_late >= 0 else b""
-        return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
+        return PreparedReply((delay, ipoc), stop_word, choice, self.head_for(choice) + ipoc + REPLY_TAIL)
 
     def head(self, joints_rad: JointVector, stop: bool) -> bytes:
         """Encode a reply up to its IPOC; corrections in deg with six decimals."""
+        last = self._last_head
+        if last is not None and last[0] is joints_rad and last[1] is stop:
+            return last[2]
         base = self._base_deg
         a, b, c, d, e, f = joints_rad
-        return self._writer.head(
+        head = self._writer.head(
             (
                 degrees(a) - base[0],
                 degrees(b) - base[1],
@@ -206,3 +214,5 @@ class Replies:
             ),
             stop,
         )
+        self._last_head = (joints_rad, stop, head)
+        return head

@@ -57,6 +57,11 @@ class LinkSockets:
         self._line = listening  # the socket that telegrams arrive on now
         self._peer: Address | None = None  # only while the stream has its own socket
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether only the stream's controller is received."""
+        return self._peer is not None
+
     def connect_to(self, peer: Address) -> None:
         """Open the stream socket connected to this controller."""
         self.disconnect()
@@ -145,13 +150,16 @@ class TelegramReceiver:
         self._now_ns = now_ns
         self._pace = Pace()
         self._keeps_pace = False
+        self._lock_steps = 0  # consecutive
         self.received_ns = 0  # arrival of the last telegram
         self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
         """Receive the next datagram from any sender, or return None on time-out."""
         try:
-            self.was_queued = self._sockets.has_datagram()
+            # A controller that waits for each reply has sent nothing else: that saves a system call.
+            alone = self._lock_steps > STEADY_ARRIVALS and self._sockets.is_connected
+            self.was_queued = not alone and self._sockets.has_datagram()
             if self._lead_ns and not self.was_queued:
                 self._sleep_until_rehearsal()
             received = self._sockets.receive()
@@ -165,12 +173,14 @@ class TelegramReceiver:
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
+        self._lock_steps = 0
         self._pace.note_arrival(self.received_ns)
         self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
         return self._keeps_pace
 
     def note_lock_step(self) -> None:
         """Record a datagram sent in immediate response to a reply, and discard the schedule."""
+        self._lock_steps += 1
         self._pace.forget()
         self._keeps_pace = False
 

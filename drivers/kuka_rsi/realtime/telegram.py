@@ -40,8 +40,9 @@ LONGEST_TELEGRAM = 8192  # one datagram; typical ones are below 1000 bytes
 MOST_DIGITS = 19  # of an IPOC: it is published as a 64-bit unsigned number
 MOST_LATE = 10**15  # of the controller's count; anything beyond is corrupt
 
-_DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() is certain to parse
-_INTEGER = rb"\d{1,15}"
+# Possessive: no digit is given back, so that nothing is remembered for it.
+_DECIMAL = rb"[-+]?\d{1,15}+(?:\.\d{0,15}+)?+"  # what float() is certain to parse
+_INTEGER = rb"\d{1,15}+"
 
 Found = re.Match[bytes]
 
@@ -90,11 +91,11 @@ class TelegramReader:
         for name, attributes in group_elements(send_tags):
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
-                pattern.append(rb">[^<]{0,80}</" + re.escape(name.encode()) + b">")
+                pattern.append(rb">[^<]{0,80}+</" + re.escape(name.encode()) + b">")
                 continue
             captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
             if captured is None:
-                pattern.append(rb" [^<>]*/>")  # not examined further
+                pattern.append(rb" [^<>/]*+/>")  # not examined further
                 continue
             for attribute in attributes:
                 tag = attribute.encode()
@@ -102,7 +103,7 @@ class TelegramReader:
             pattern.append(b"/>")
         # A context without Delay has an empty group in its place.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
-        pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d})</IPOC></Rob>" % MOST_DIGITS)
+        pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
         has_axes = "DEF_AIPos" in send_tags
         self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
 

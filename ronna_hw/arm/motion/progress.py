@@ -75,6 +75,7 @@ class MotionProfiler:
         self._braking_input.control_interface = ControlInterface.Velocity
         self._braking_input.synchronization = Synchronization.No
         self._braking_input.target_acceleration = [0.0] * axes
+        self._bounds_of: dict[InputParameter, Bounds] = {}  # bounds last given to each request
 
     def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
         """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
@@ -96,10 +97,14 @@ class MotionProfiler:
         return self._calculate(self._braking_input, start, bounds)
 
     def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> MotionProfile:
-        for values in (*start, *bounds):
+        for values in start:
             self._check(values)
+        if self._bounds_of.get(request) is not bounds:
+            for values in bounds:
+                self._check(values)
+            request.max_velocity, request.max_acceleration, request.max_jerk = bounds
+            self._bounds_of[request] = bounds
         request.current_position, request.current_velocity, request.current_acceleration = start
-        request.max_velocity, request.max_acceleration, request.max_jerk = bounds
         profile = MotionProfile(self.axes)
         try:
             self._generator.calculate(request, profile.raw)
@@ -166,6 +171,7 @@ class PathProgress:
         self._cycle_s = cycle_s
         self._fraction = 1.0
         self._profiler = MotionProfiler(1)
+        self._stop_bounds = self._bounds(limits.velocity)
         self.state = self._before = State.resting([0.0])
         self._ceiling: SpeedStep | None = None  # the slower step ahead, while braking for it
         self._leg = self._plan_leg(self._speed_at(0.0))
@@ -311,7 +317,7 @@ class PathProgress:
         return profile.sample(profile.duration_s).position[0]
 
     def _plan_stop(self, state: State) -> MotionProfile:
-        return self._profiler.stop(state, self._bounds(self._limits.velocity))
+        return self._profiler.stop(state, self._stop_bounds)
 
     def _speed_at(self, s: float) -> float:
         velocity = self._steps[0].velocity

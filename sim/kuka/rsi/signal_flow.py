@@ -94,6 +94,14 @@ class AxisCorrector:
             else list(inputs_deg)
         )
         self.stat = ACTIVE_BIT
+        for value, lower, upper, largest in zip(
+            wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True
+        ):
+            if not (lower <= value <= upper and -largest <= value <= largest):
+                break
+        else:
+            self.totals_deg = wanted
+            return None
         beyond = None
         for axis, (value, lower, upper, largest) in enumerate(
             zip(wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True)

@@ -198,7 +198,7 @@ class ReplyReader:
         if found is None:
             return self._read_strictly(data)
         *texts, ipoc = found.groups()
-        numbers = [float(text) for text in texts]
+        numbers = list(map(float, texts))
         if self._dense:
             return Reply(int(ipoc), numbers)
         values: list[float | None] = [None] * self._count
@@ -208,8 +208,9 @@ class ReplyReader:
 
     def _compile_pattern(self, elements: Sequence[ReceiveElement]) -> str:
         # Only the usual form: configured order, plain decimals. Everything else uses the parser.
-        number = r"([-+]?\d{1,15}(?:\.\d{0,15})?)"
-        parts = [rf'\s*<Sen Type="{re.escape(self._sentype)}">\s*']
+        # Possessive: what cannot match otherwise is not remembered.
+        number = r"([-+]?\d{1,15}+(?:\.\d{0,15}+)?+)"
+        parts = [rf'\s*+<Sen Type="{re.escape(self._sentype)}">\s*+']
         group = ""
         for element in elements:
             if element.tag == FREE_TAG:
@@ -218,18 +219,18 @@ class ReplyReader:
                 return r"(?!)"  # text is read by the parser only
             name, _, attribute = element.tag.partition(".")
             if group and (name != group or not attribute):
-                parts.append(r"\s*/>\s*")
+                parts.append(r"\s*+/>\s*+")
                 group = ""
             if not attribute:
-                parts.append(rf"<{name}>{number}</{name}>\s*")
+                parts.append(rf"<{name}>{number}</{name}>\s*+")
                 continue
             if not group:
                 parts.append(rf"<{name}")
                 group = name
-            parts.append(rf'\s+{re.escape(attribute)}="{number}"')
+            parts.append(rf'\s++{re.escape(attribute)}="{number}"')
         if group:
-            parts.append(r"\s*/>\s*")
-        parts.append(r"<IPOC>\s*(\d{1,20})\s*</IPOC>\s*</Sen>\s*\0*")
+            parts.append(r"\s*+/>\s*+")
+        parts.append(r"<IPOC>\s*+(\d{1,20}+)\s*+</IPOC>\s*+</Sen>\s*+\0*+")
         return "".join(parts)
 
     def _read_strictly(self, data: bytes) -> Reply | None:

@@ -39,6 +39,19 @@ def test_standing_still_is_no_violation() -> None:
     assert _monitor().check_measured(START) is None
 
 
+def test_an_arm_that_leaves_its_place_trips_after_a_long_rest_too() -> None:
+    monitor = _monitor()
+    for _ in range(3 * LIMITS.following_cycles):
+        monitor.sent(START)
+        assert monitor.check_measured(START) is None
+    away = _with(2, START[1] + 2.0 * FOLLOWING_RAD)
+    assert _kind(monitor.check_measured(away)) == ("following error", 2)
+    assert monitor.check_measured(START) is None
+    for _ in range(LIMITS.following_cycles):
+        monitor.sent(away)
+    assert _kind(monitor.check_measured(START)) == ("following error", 2)
+
+
 def test_a_point_within_the_margin_of_a_range_end_trips() -> None:
     margin = LIMITS.limits.range_margin_rad
     edge = _with(1, MODEL.upper_rad[0] - margin)

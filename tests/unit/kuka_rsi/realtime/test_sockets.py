@@ -153,8 +153,11 @@ BEGIN_NS = 1_000_000_000
 class FakeTime:
     """Sockets and a clock in one: telegrams come when the test says so."""
 
+    is_connected = True
+
     def __init__(self, arrivals_ns: Iterable[int]) -> None:
         self.now_ns = BEGIN_NS
+        self.looks = 0
         self.arrivals_ns = list(arrivals_ns)
         self.rehearsed_ns: list[int] = []
 
@@ -172,6 +175,7 @@ class FakeTime:
         return came
 
     def has_datagram(self) -> bool:
+        self.looks += 1
         return self._is_there(self.now_ns)
 
     def rehearse(self) -> None:
@@ -274,6 +278,18 @@ def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it()
     assert said == [False] * (STEADY_ARRIVALS + 1) + [True] * (STEADY_ARRIVALS + 3)
     reception.note_lock_step()
     assert not reception.note_paced()
+
+
+def test_the_queue_of_a_controller_that_waits_for_each_reply_is_not_looked_at_until_it_pauses() -> None:
+    world = FakeTime([BEGIN_NS + 120_000 * k for k in range(1, 100)])
+    reception = world.reception()
+    for _ in range(99):
+        assert reception.next() is not None
+        reception.note_lock_step()
+    assert world.looks == STEADY_ARRIVALS + 1
+    reception.note_paced()
+    reception.next()
+    assert world.looks == STEADY_ARRIVALS + 2
 
 
 def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
