@@ -15,7 +15,7 @@ from procedures.imaging.dicom.attributes import (
     read_optional_number,
     read_value,
 )
-from procedures.imaging.dicom.frame_decoder import FrameDecoder, check_frame
+from procedures.imaging.dicom.frame_decoder import JPEG_LS, FrameDecoder, check_frame, read_jpeg_bits
 from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
@@ -90,9 +90,9 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: Fr
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
     syntax = read_attribute_text(header.path, data.file_meta, "TransferSyntaxUID")
     if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _read_integer(header, data, "BitsAllocated", 0) == 16:
-        stored = _decode_16_bit(data, header, target.shape)
+        stored = _decode_16_bit(data, read_value(header.path, data, "PixelData"), header, target.shape)
     else:
-        stored = _decode_with_library(data, header.path, syntax, target.shape, decoder)
+        stored = _decode_with_library(data, header, syntax, target.shape, decoder)
     _rescale_into(target, stored, header)
 
 
@@ -101,12 +101,13 @@ def _read_integer(header: SliceHeader, data: FileDataset, keyword: str, default:
     return default if number is None else int(number)
 
 
-def _decode_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
+def _decode_16_bit(
+    data: FileDataset, pixels: object, header: SliceHeader, shape: tuple[int, ...]
+) -> NDArray[np.integer]:
     name = header.path.name
     representation = _read_integer(header, data, "PixelRepresentation", 0)
     if representation not in (UNSIGNED, SIGNED):
         raise PixelsUnusable(f"{name} has pixel representation {representation}", expected="0 or 1")
-    pixels = read_value(header.path, data, "PixelData")
     needed = 2 * shape[0] * shape[1]
     if not isinstance(pixels, bytes) or len(pixels) < needed:
         got = f"{len(pixels)}" if isinstance(pixels, bytes) else "none"
@@ -131,21 +132,23 @@ def _decode_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
 
 
 def _decode_with_library(
-    data: FileDataset, path: Path, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
+    data: FileDataset, header: SliceHeader, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
 ) -> NDArray[np.integer]:
     from pydicom import config
     from pydicom.encaps import get_frame
     from pydicom.uid import UID
 
-    name, syntax = path.name, UID(stated, validation_mode=config.IGNORE)
+    path, name, syntax = header.path, header.path.name, UID(stated, validation_mode=config.IGNORE)
     try:
         if syntax.is_encapsulated:
             # An Extended Offset Table can lead the decoder to another frame than the one that is checked.
             if "ExtendedOffsetTable" in data:
                 raise InputRefused("one frame, with an Extended Offset Table", expected="none")
-            check_frame(
-                stated, get_frame(data.PixelData, 0, number_of_frames=1), shape, data.BitsAllocated // 8
-            )
+            frame = get_frame(data.PixelData, 0, number_of_frames=1)
+            check_frame(stated, frame, shape, data.BitsAllocated // 8)
+            bits = _read_integer(header, data, "BitsStored", 0)
+            if stated == JPEG_LS and data.BitsAllocated == 16 and 8 < bits == read_jpeg_bits(frame):
+                return _decode_16_bit(data, decoder.decode_jpeg_ls(frame).tobytes(), header, shape)
             stored = decoder.decode(path)
         else:
             with warnings.catch_warnings():

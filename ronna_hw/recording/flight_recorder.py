@@ -49,7 +49,7 @@ Facts = Mapping[str, str | float]
 
 
 class _Entry(NamedTuple):
-    """Traffic of a link, in order, or facts about it. Times are of the moment at which they were handed over."""
+    """Traffic of a link, in order, or facts about it, with the times at which it was handed over."""
 
     link: str
     host_ns: int

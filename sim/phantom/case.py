@@ -81,8 +81,9 @@ def _write_slices(
     series: DicomSeries, grid: CtGrid, pool: Executor, paint: Callable[[int], NDArray[np.uint16]]
 ) -> Iterator[int]:
     """Write all slices of a series, yielding the count written so far."""
-    for number, stored in enumerate(pool.map(paint, range(grid.slices))):
-        series.write(number, stored)
+    compressed = pool.map(lambda number: series.compress(paint(number)), range(grid.slices))
+    for number, pixels in enumerate(compressed):
+        series.write(number, pixels)
         yield number + 1
 
 

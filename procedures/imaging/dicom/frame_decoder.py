@@ -7,6 +7,7 @@ aborts the whole program if that is too much.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
@@ -30,8 +31,10 @@ LIMIT_S = (
     30.0  # host time for one slice, the first with the imports; its processor time has a limit of its own
 )
 END_LIMIT_S = 1.0  # for a decoder that has stopped answering
-PIPE_BYTES = 1 << 16
+HEADER_BYTES = 128  # the first line of an answer and little more: the pixels are read where they remain
+PIPE_BYTES = 1 << 20  # what Linux grants by default: a slice in one piece
 
+JPEG_LS = "1.2.840.10008.1.2.4.80"  # lossless
 RLE = "1.2.840.10008.1.2.5"
 JPEG_2000 = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (90, 91, 201, 202, 203))
 JPEG = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 57, 70, 80, 81))  # and JPEG-LS
@@ -55,6 +58,7 @@ class FrameDecoder:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._is_for_frames = False
         self._answers = -1
         self._buffer = bytearray()
 
@@ -66,11 +70,21 @@ class FrameDecoder:
 
     def decode(self, path: Path) -> NDArray[Any]:
         """Return the stored values of a slice. Raises NotDecoded."""
+        return self._ask(json.dumps(str(path)).encode() + b"\n", is_frame=False)
+
+    def decode_jpeg_ls(self, frame: bytes) -> NDArray[Any]:
+        """Return the pixels of a JPEG-LS frame as bytes, little endian. Raises NotDecoded."""
+        return self._ask(b"%d\n" % len(frame) + frame, is_frame=True)
+
+    def _ask(self, request: bytes, *, is_frame: bool) -> NDArray[Any]:
+        if is_frame is not self._is_for_frames:
+            self.close()
+            self._is_for_frames = is_frame
         process = self._ensure_started()
         assert process.stdin is not None, "it was started with one"
         deadline_s = time.monotonic() + LIMIT_S
         try:
-            process.stdin.write(json.dumps(str(path)).encode() + b"\n")
+            process.stdin.write(request)
             process.stdin.flush()
             header = json.loads(self._read_line(deadline_s))
             if "problem" in header:
@@ -88,11 +102,14 @@ class FrameDecoder:
     def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             self._answers, child_end = os.pipe()
+            with contextlib.suppress(OSError):  # a user's pipes may be limited to less
+                fcntl.fcntl(child_end, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
             self._buffer.clear()
             try:
                 with shield_children():
                     self._process = subprocess.Popen(
-                        [sys.executable, "-P", "-m", PROCESS, str(child_end)],
+                        [sys.executable, "-P", "-m", PROCESS, str(child_end)]
+                        + ["jpeg-ls"] * self._is_for_frames,
                         stdin=subprocess.PIPE,
                         stdout=subprocess.DEVNULL,
                         stderr=subprocess.DEVNULL,  # decoders report damaged frames there
@@ -109,19 +126,25 @@ class FrameDecoder:
         line, _, self._buffer = self._buffer.partition(b"\n")
         return bytes(line)
 
-    def _read_bytes(self, count: int, deadline_s: float) -> bytes:
-        while len(self._buffer) < count:
-            self._read(deadline_s)
-        taken, self._buffer = bytes(self._buffer[:count]), self._buffer[count:]
+    def _read_bytes(self, count: int, deadline_s: float) -> bytearray:
+        taken, self._buffer = self._buffer, bytearray()
+        place = len(taken)
+        taken += bytes(count - place)
+        rest = memoryview(taken)
+        while place < count:
+            self._wait(deadline_s)
+            place += _require_bytes(os.readv(self._answers, [rest[place:]]))
         return taken
 
     def _read(self, deadline_s: float) -> None:
+        self._wait(deadline_s)
+        chunk = os.read(self._answers, HEADER_BYTES)
+        _require_bytes(len(chunk))
+        self._buffer += chunk
+
+    def _wait(self, deadline_s: float) -> None:
         if not select.select([self._answers], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
             raise TimeoutError
-        chunk = os.read(self._answers, PIPE_BYTES)
-        if not chunk:
-            raise EOFError
-        self._buffer += chunk
 
     def close(self) -> None:
         """End the process; the next slice starts a new one."""
@@ -136,6 +159,12 @@ class FrameDecoder:
         self._process = None
 
 
+def _require_bytes(count: int) -> int:
+    if not count:
+        raise EOFError
+    return count
+
+
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:
     """Raise InputRefused unless the frame declares this shape (rows, columns) and one component.
 
@@ -147,7 +176,7 @@ def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: 
         elif syntax in JPEG_2000:
             _check_size(_read_j2k_size(frame), shape)
         elif syntax in JPEG:
-            _check_size(_read_jpeg_size(frame), shape)
+            _check_size(_read_jpeg_header(frame)[1:], shape)
     except (struct.error, IndexError) as problem:
         raise InputRefused("a compressed frame is cut off") from problem
 
@@ -162,16 +191,21 @@ def _check_size(size: tuple[int, int, int], shape: tuple[int, ...]) -> None:
         )
 
 
-def _read_jpeg_size(frame: bytes) -> tuple[int, int, int]:
-    """Read rows, columns and components from a JPEG or JPEG-LS frame (ITU T.81 B.2.2)."""
+def read_jpeg_bits(frame: bytes) -> int:
+    """Return the bits of a sample of a frame that passed `check_frame`."""
+    return _read_jpeg_header(frame)[0]
+
+
+def _read_jpeg_header(frame: bytes) -> tuple[int, int, int, int]:
+    """Read bits, rows, columns and components from a JPEG or JPEG-LS frame (ITU T.81 B.2.2)."""
     place = len(_START) if frame.startswith(_START) else len(frame)
     while True:
         mark, kind, length = struct.unpack_from(">BBH", frame, place)
         if mark != 0xFF or length < 2:
             raise InputRefused("a compressed frame is not JPEG")
         if kind in _SIZES:
-            rows, columns, components = struct.unpack_from(">HHB", frame, place + 5)
-            return rows, columns, components
+            bits, rows, columns, components = struct.unpack_from(">BHHB", frame, place + 4)
+            return bits, rows, columns, components
         place += 2 + length
 
 

@@ -31,6 +31,9 @@ UID_BITS = 128
 COORDINATE_DIGITS = 4
 DIRECTION_DIGITS = 10  # of a direction cosine: four would displace the last row of a tilted slice by 0.01 mm
 PREAMBLE_BYTES = 128  # DICOM part 10: free bytes before the letters DICM
+COMPRESSED_BYTES = (
+    20_000_000  # of a series from which JPEG-LS is used: for less, a decoder is not worth its start
+)
 FILE_PATTERN = "slice-*.dcm"
 
 
@@ -67,8 +70,18 @@ class DicomSeries:
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()
 
-    def write(self, number: int, stored: NDArray[np.uint16]) -> None:
-        """Write one slice of stored values; not thread-safe."""
+    def compress(self, stored: NDArray[np.uint16]) -> bytes:
+        """Return the pixel data of one slice of stored values, as `write` takes them; thread-safe."""
+        if not self._is_compressed:
+            return stored.tobytes()
+        from jpeg_ls import encode_buffer
+        from pydicom.encaps import encapsulate
+
+        rows, columns = stored.shape
+        return encapsulate([bytes(encode_buffer(stored.tobytes(), rows, columns, 1, self._bits_stored))])
+
+    def write(self, number: int, pixels: bytes) -> None:
+        """Write the pixel data of one slice; not thread-safe."""
         from pydicom.dataelem import DataElement
         from pydicom.dataset import Dataset
         from pydicom.uid import UID
@@ -79,10 +92,11 @@ class DicomSeries:
         position = self._first_pixel_mm(number)
         own.ImagePositionPatient = [_format_decimal(value) for value in position]
         own.SliceLocation = _format_decimal(position[2])
-        own.add(DataElement("PixelData", "OW", stored.tobytes()))
+        own.add(DataElement("PixelData", "OB" if self._is_compressed else "OW", pixels))
+        own["PixelData"].is_undefined_length = self._is_compressed
         encoded = self._shared | _encode_elements(own)
         content = b"".join(
-            [bytes(PREAMBLE_BYTES), b"DICM", _encode_meta(own.SOPInstanceUID)]
+            [bytes(PREAMBLE_BYTES), b"DICM", _encode_meta(own.SOPInstanceUID, self._is_compressed)]
             + [encoded[tag] for tag in sorted(encoded)]
         )
         write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
@@ -133,11 +147,20 @@ class DicomSeries:
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
         data.Rows, data.Columns = protocol.rows, protocol.columns
         data.PixelSpacing = [_format_decimal(grid.pixel_mm)] * 2
-        bits = 16 if self._faults.extended_range else 12
+        bits = self._bits_stored
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
         data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
         return _encode_elements(data)
+
+    @property
+    def _is_compressed(self) -> bool:
+        grid = self._grid
+        return 2 * grid.rows * grid.columns * grid.slices >= COMPRESSED_BYTES
+
+    @property
+    def _bits_stored(self) -> int:
+        return 16 if self._faults.extended_range else 12
 
     def _make_uid(self, what: str) -> str:
         digest = hashlib.sha256(self._content + what.encode()).digest()
@@ -158,16 +181,16 @@ def _encode_elements(data: Dataset) -> dict[int, bytes]:
     return encoded
 
 
-def _encode_meta(instance: UID) -> bytes:
+def _encode_meta(instance: UID, is_compressed: bool) -> bytes:
     """Encode the file meta information for one slice."""
     from pydicom.dataset import FileMetaDataset
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_file_meta_info
-    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, JPEGLSLossless
 
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = CTImageStorage, instance
-    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    meta.TransferSyntaxUID = JPEGLSLossless if is_compressed else ExplicitVRLittleEndian
     stream = DicomBytesIO()
     stream.is_little_endian, stream.is_implicit_VR = True, False
     write_file_meta_info(stream, meta)

@@ -18,7 +18,7 @@ from painted_ct import SERIES_UID, Scan, write_series
 from pydicom.dataelem import RawDataElement
 from pydicom.encaps import encapsulate
 from pydicom.tag import Tag
-from pydicom.uid import JPEGLSLossless
+from pydicom.uid import JPEGLosslessSV1
 from spoiled_slices import every, only, setting
 from user_commands import in_this_process
 
@@ -222,9 +222,9 @@ SCOUT = setting(ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])
 IN_COLOUR = setting(SamplesPerPixel=3, PhotometricInterpretation="RGB", PlanarConfiguration=0)
 
 
-def as_jpeg_ls(data: pydicom.Dataset) -> None:
-    data.file_meta.TransferSyntaxUID = JPEGLSLossless
-    frame = struct.pack(">HHHBHHB", 0xFFD8, 0xFFF7, 11, 16, data.Rows, data.Columns, 1)  # T.87, annex C
+def as_lossless_jpeg(data: pydicom.Dataset) -> None:
+    data.file_meta.TransferSyntaxUID = JPEGLosslessSV1
+    frame = struct.pack(">HHHBHHB", 0xFFD8, 0xFFC3, 11, 16, data.Rows, data.Columns, 1)  # T.81, annex B
     data.PixelData = encapsulate([frame])
     data["PixelData"].VR = "OB"
     data["PixelData"].is_undefined_length = True
@@ -264,7 +264,7 @@ def test_bad_input_gives_one_clear_message_with_its_code(
     for path in sorted(write_series(tmp_path / "other", voxels, edit=every(ANOTHER_SERIES)).iterdir()):
         path.rename(both / f"other-{path.name}")
     colour = write_series(tmp_path / "colour", voxels, edit=every(IN_COLOUR))
-    compressed = write_series(tmp_path / "compressed", voxels, edit=every(as_jpeg_ls))
+    compressed = write_series(tmp_path / "compressed", voxels, edit=every(as_lossless_jpeg))
     scout = write_series(
         tmp_path / "scout", voxels, edit=only(0, setting(ImageType=["ORIGINAL", "LOCALIZER"]))
     )

@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
+from jpeg_ls import encode_buffer
 from pydicom.dataset import Dataset
+from pydicom.encaps import encapsulate
 from pydicom.uid import (
     DeflatedExplicitVRLittleEndian,
     ExplicitVRBigEndian,
     ImplicitVRLittleEndian,
+    JPEGLSLossless,
     RLELossless,
 )
 from spoiled_slices import every, only, setting
@@ -86,6 +89,20 @@ def test_every_lossless_syntax_without_a_plug_in_is_read(dicom_series: Write, sy
             data.PixelData = np.frombuffer(data.PixelData, "<i2").astype(">i2").tobytes()
 
     np.testing.assert_array_equal(read_series(dicom_series(HU, edit=every(change))).voxels, HU)
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_signed_values_in_a_jpeg_ls_frame_keep_their_sign(dicom_series: Write, bits: int) -> None:
+    def compress(data: Dataset) -> None:
+        data.BitsStored, data.HighBit = bits, bits - 1
+        stored = np.frombuffer(data.PixelData, "<u2") & np.uint16(2**bits - 1)
+        frame = encode_buffer(stored.tobytes(), data.Rows, data.Columns, 1, bits)
+        data.PixelData = encapsulate([bytes(frame)])
+        data["PixelData"].VR = "OB"
+        data.file_meta.TransferSyntaxUID = JPEGLSLossless
+
+    voxels = HU - np.int16(500)  # stored as HU + 1024: of either sign
+    np.testing.assert_array_equal(read_series(dicom_series(voxels, edit=every(compress))).voxels, voxels)
 
 
 def stored(values: np.ndarray, **attributes: object) -> Callable[[Dataset, int], None]:

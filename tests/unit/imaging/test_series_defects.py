@@ -334,8 +334,9 @@ def test_slices_compressed_by_dcmtk_are_read_or_refused_naming_the_missing_extra
     folder = dicom_series()
     for path in folder.iterdir():
         subprocess.run([program, lossless, str(path), str(path)], check=True, capture_output=True)
-    if decoder == "installed":
-        pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
+    if decoder == "installed" or syntax == "JPEG-LS":  # which needs no extra
+        if syntax != "JPEG-LS":
+            pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
         np.testing.assert_array_equal(read_series(folder).voxels, HU)
         return
     monkeypatch.setattr("procedures.imaging.series._can_decode", lambda syntax: False)

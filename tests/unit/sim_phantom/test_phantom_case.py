@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
+from pydicom.uid import JPEGLSLossless
 
+from procedures.imaging.series import read_series
 from sim.phantom.case import PhantomCase, write_case
+from sim.phantom.scanner import dicom_series
 from sim.world.scene.model import Scene
 
 
@@ -56,6 +59,21 @@ def test_the_series_is_a_ct_with_complete_geometry(case: PhantomCase) -> None:
         assert (float(one.RescaleIntercept), float(one.RescaleSlope)) == (-1024.0, 1.0)
         assert one.pixel_array.shape == (128, 128)
         assert one.pixel_array.max() <= 4095
+
+
+def test_a_long_series_is_stored_as_jpeg_ls_without_loss_and_every_time_alike(
+    coarse_scene: Scene, case: PhantomCase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dicom_series, "COMPRESSED_BYTES", 0)
+    small = write_case(coarse_scene, tmp_path / "a").series
+    write_case(coarse_scene, tmp_path / "b")
+    assert digest(tmp_path / "a") == digest(tmp_path / "b")
+    for path in sorted(small.glob("*.dcm")):
+        one, plain = pydicom.dcmread(path), pydicom.dcmread(case.series / path.name)
+        assert one.file_meta.TransferSyntaxUID == JPEGLSLossless
+        assert len(one.PixelData) < 0.6 * len(plain.PixelData)
+        np.testing.assert_array_equal(one.pixel_array, plain.pixel_array)
+    np.testing.assert_array_equal(read_series(small).voxels, read_series(case.series).voxels)
 
 
 def test_the_plan_matches_the_scene(coarse_scene: Scene, case: PhantomCase) -> None:
