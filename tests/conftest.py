@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import importlib
 import os
 import signal
 from collections.abc import Iterator
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import pytest
@@ -24,6 +27,20 @@ settings.register_profile("suite", deadline=None)  # how long an example takes s
 settings.load_profile("suite")
 
 gc.disable()  # while tests are collected, little is garbage
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Import a worker's own share of the test modules before all of them are collected.
+
+    Where there is no bytecode yet each worker would otherwise rewrite the assertions of every module.
+    """
+    if (worker := getattr(session.config, "workerinput", None)) is None:
+        return
+    root, own = session.config.rootpath, int(worker["workerid"].removeprefix("gw"))
+    files = sorted(chain.from_iterable((root / where).rglob("test_*.py") for where in session.config.args))
+    for file in files[own :: worker["workercount"]]:
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting it tells what is wrong
+            importlib.import_module(".".join(file.relative_to(root).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:

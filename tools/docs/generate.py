@@ -53,6 +53,7 @@ from sim.world.scene.model import Scene
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
+_RAISED = re.compile(r"(?<!class )\b([A-Z]\w*)(?:\.from_\w+)?\(")
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 
@@ -124,8 +125,8 @@ def list_errors_with_code() -> list[type[RonnaError]]:
 
 
 def _tabulate_error_codes() -> str:
-    sources = {
-        str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    raised = {
+        str(path.relative_to(ROOT)): set(_RAISED.findall(path.read_text(encoding="utf-8")))
         for package in PACKAGES
         for path in sorted((ROOT / package.__name__).rglob("*.py"))
     }
@@ -136,7 +137,7 @@ def _tabulate_error_codes() -> str:
                 error.code,
                 (error.__doc__ or "").strip().splitlines()[0],
                 error.action,
-                _name_places(error, sources),
+                _name_places(error, raised),
                 error.exit_code,
             )
             for error in list_errors_with_code()
@@ -144,10 +145,9 @@ def _tabulate_error_codes() -> str:
     )
 
 
-def _name_places(error: type[RonnaError], sources: Mapping[str, str]) -> str:
+def _name_places(error: type[RonnaError], raised: Mapping[str, set[str]]) -> str:
     """Name the modules that raise an error, at most `MOST_PLACES`."""
-    raised = re.compile(rf"(?<!class )\b{error.__name__}(?:\.from_\w+)?\(")
-    places = [f"`{name}`" for name, source in sources.items() if raised.search(source)]
+    places = [f"`{name}`" for name, errors in raised.items() if error.__name__ in errors]
     more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
     return ", ".join(places[:MOST_PLACES]) + more
 

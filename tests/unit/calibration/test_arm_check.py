@@ -51,7 +51,9 @@ def refused(changed: Sequence[ArmLooks]) -> list[bool]:
     return [not check_arm(one).passed for one in changed]
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [*SEEDS[:5], *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS[5:])]
+)
 def test_an_intact_arm_passes_and_one_that_changed_is_refused(seed: int) -> None:
     observed = seen_by(seed)
     check_arm(observed).require()
@@ -61,7 +63,7 @@ def test_an_intact_arm_passes_and_one_that_changed_is_refused(seed: int) -> None
         check_arm(changed[0]).require()
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_better_the_record_the_smaller_the_change_that_is_found(seed: int) -> None:
     arm = LookingArm.of(seed)
     result = calibrate_arm(arm.looks(90, 24, SPHERES_MM))

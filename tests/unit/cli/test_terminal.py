@@ -309,11 +309,14 @@ def test_a_process_started_by_exec_inherits_the_log_levels() -> None:
     ("arguments", "environment"),
     [("--log-level tracker=loud", ""), ("", "loud"), ("--log-level tacker=debug", ""), ("", "robots=debug")],
 )
-def test_an_unknown_level_or_logger_is_a_usage_error(arguments: str, environment: str) -> None:
-    done = spoken(arguments, environment)
-    assert done.returncode == 2
-    assert done.stderr.startswith("CLI-001: log level ")
-    assert len(done.stderr.splitlines()) == 1
+def test_an_unknown_level_or_logger_is_a_usage_error(
+    arguments: str, environment: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RONNA_LOG", environment)
+    assert terminal.exit_code_of(app_that(lambda: None), arguments.split()) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("CLI-001: log level ")
+    assert len(err.splitlines()) == 1
 
 
 def test_every_logger_in_the_sources_can_be_named() -> None:

@@ -19,8 +19,8 @@ Change = Callable[[tuple[bytes, ...]], bytes]
 FEW = 40
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
 ON_THE_WIRE = {  # parsers that take some microseconds
-    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 4000),
-    "Polaris text": 1000,
+    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 1000),
+    "Polaris text": 300,
 }
 
 

@@ -34,7 +34,7 @@ def test_an_unchanged_run_is_intact(finished: Path) -> None:
 
 
 @pytest.mark.hazard(39)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
     path = data.draw(st.sampled_from(files_in(finished)))

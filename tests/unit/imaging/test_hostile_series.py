@@ -85,12 +85,12 @@ from procedures.imaging.dicom import attributes, decoder_process
 
 def work(path):
     begun_s = time.process_time()
-    while path.name == "endless" or time.process_time() < begun_s + 0.6:
+    while path.name == "endless" or time.process_time() < begun_s + 0.4:
         pass
     raise ValueError("done")
 
 attributes.read_dicom = work
-decoder_process.SLICE_S = 2
+decoder_process.SLICE_S = 1
 decoder_process.main(sys.argv[1:])
 """
 

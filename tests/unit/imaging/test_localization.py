@@ -54,18 +54,20 @@ def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans
     [(GOOD, "post", 0.010), (POOR, "post", 0.025), (GOOD, "streaks", 0.035), (POOR, "streaks", 0.050)],
     ids=["good", "poor", "good with streaks", "poor with streaks"],
 )
+@pytest.mark.parametrize("scans", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_markers_on_posts_are_located_accurately_and_the_covariance_is_honest(
-    make_scan: Make, protocol: dict[str, Any], kind: str, limit_mm: float
+    make_scan: Make, protocol: dict[str, Any], kind: str, limit_mm: float, scans: int
 ) -> None:
-    error, covariance = pairs_of_markers(make_scan, protocol, kind, scans=5)
+    error, covariance = pairs_of_markers(make_scan, protocol, kind, scans)
     assert rms(error) <= limit_mm
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert 0.4 <= squared.mean() / 3.0 <= 2.5
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-def test_plain_balls_come_close_to_the_cramer_rao_bound(make_scan: Make) -> None:
-    error, _ = pairs_of_markers(make_scan, GOOD, "clean", scans=5)
+@pytest.mark.parametrize("scans", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_plain_balls_come_close_to_the_cramer_rao_bound(make_scan: Make, scans: int) -> None:
+    error, _ = pairs_of_markers(make_scan, GOOD, "clean", scans)
     voxel_mm3 = float(np.prod(GOOD["spacing_mm"]))
     information = voxel_mm3 * 2.0 * np.sqrt(np.pi) * BLUR_MM * 3.0 / (4.0 * np.pi * RADIUS_MM**2)
     bound_mm = np.sqrt(3.0) * GOOD["noise_hu"] / CONTRAST_HU * np.sqrt(information)

@@ -94,13 +94,13 @@ def test_a_cart_is_pushed_and_then_turned() -> None:
 @pytest.mark.hazard(48)
 def test_a_position_serves_exactly_where_the_path_check_passes() -> None:
     setting, known = _setting(), _known()
-    random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (20, 3))
+    random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (8, 3))
     moves = [CartMove(*numbers) for numbers in random.tolist()]
     passes = [
         choose_free_angles(_pushed(setting, move), (ALONG,), FIDUCIALS, SIGHT).check.passed for move in moves
     ]
     assert [_case(setting).judge(move, (known,)).serves for move in moves] == passes
-    assert 5 <= sum(passes) <= 15
+    assert 2 <= sum(passes) <= 6
 
 
 @pytest.mark.hazard(48)

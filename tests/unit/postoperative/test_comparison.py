@@ -77,6 +77,7 @@ def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Vo
         assert angle_deg < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(43)
 def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
     seed = 88  # strong ones; left unfitted they shift the tip by 0.24 mm

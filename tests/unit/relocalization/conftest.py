@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,7 +112,11 @@ class Renderer:
         margin = int(4 * look.blur_px) + 1
         inner = (slice(margin if top else None, -margin), slice(margin if left else None, -margin))
         radiance[top:bottom, left:right][inner] = soft[inner]
-        return self._exposed(radiance, look)
+        if scene is not None:
+            return self._exposed(radiance, look)
+        picture = _background(size, look.dark, look.noise, look.bits).copy()
+        picture[top:bottom, left:right] = self._exposed(radiance[top:bottom, left:right], look)
+        return picture
 
     def _obstructed(
         self,
@@ -147,6 +153,13 @@ class Renderer:
         top = 2**look.bits - 1
         grey = np.clip(np.rint(electrons * np.float32(top / 11_900.0)), 0, top)
         return grey.astype(np.uint8 if look.bits == 8 else np.uint16)
+
+
+@cache
+def _background(size: tuple[int, int], dark: float, noise: bool, bits: int) -> NDArray[Any]:
+    """An exposed picture of nothing. Its noise is drawn once: most of a picture is far from the sphere."""
+    width, height = size
+    return Renderer(seed=12)._exposed(np.full((height, width), dark), Look(noise=noise, bits=bits))
 
 
 class Head:

@@ -71,18 +71,19 @@ def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, dire
     assert np.linalg.norm(recorded_point(pose, residual) - SPHERE_MM) < 0.003
 
 
-def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest():
+@pytest.mark.parametrize("starts", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest(starts):
     """With 0.015 mm of repeatability per axis, 999 of 1,000 starts at 5 mm end within 8 steps."""
     generator = np.random.default_rng(11)
     steps = []
-    for _ in range(1000):
+    for _ in range(starts):
         state, commanded = ServoState(), Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=[5.0, 0.0, 0.0])
         while not state.converged:
             at_rest_mm = commanded.translation_mm + generator.normal(0.0, 0.015, 3)
             state = state.with_measurement(commanded, -at_rest_mm)  # the sphere is the origin
             commanded = state.next_pose(commanded)
         steps.append(state.step_count)
-    assert sum(count <= 8 for count in steps) >= 999
+    assert sum(count <= 8 for count in steps) >= 0.999 * starts
     assert np.mean(steps) < 2.25  # 2.3 with the last near looks alone
 
 

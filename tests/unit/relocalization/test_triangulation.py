@@ -114,7 +114,7 @@ def test_the_covariance_matches_repeated_noise(head):
     generator = np.random.default_rng(2)
     pair = exact_pair(head, np.array([1.0, 2.0, -1.0]))
     points = []
-    for _ in range(400):
+    for _ in range(200):
         noisy = [
             replace(side, centre_px=tuple(np.array(side.centre_px) + generator.normal(0, 0.01, 2)))
             for side in pair
@@ -200,7 +200,7 @@ def test_a_calibration_for_another_camera_is_refused(head):
 )
 def test_images_give_the_point_to_a_few_micrometres(renderer, head, look, changes, reach_mm, limit_um):
     errors = []
-    for _ in range(3):
+    for _ in range(2):
         point = renderer.random.uniform(-reach_mm, reach_mm, 3)
         pair = [
             measure_sphere(renderer.sphere(head.in_camera(side, point), look(**changes)))

@@ -32,7 +32,6 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
-from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.arm_history import MotionKind
 from ronna_hw.arm.pose import radians6
@@ -155,14 +154,14 @@ def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) 
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
-@pytest.mark.parametrize("strategy", [find_strategy("nos"), find_strategy("jdms")], ids=["nos", "jdms"])
+@pytest.mark.parametrize("strategy", ["nos", pytest.param("jdms", marks=pytest.mark.slow)])
 def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
-    tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, strategy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     first, *others = PLAN.trajectories
     changed = PLAN.model_copy(update={"trajectories": (far_away(first), *others)})
-    cell = ClinicalCell(tmp_path, strategy=strategy)
+    cell = ClinicalCell(tmp_path, strategy=find_strategy(strategy))
     engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
     engine.run_to()
     assert engine.machine.state == "finished"

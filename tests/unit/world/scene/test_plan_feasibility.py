@@ -41,7 +41,9 @@ def trajectories_of(scene: Scene) -> list[Trajectory]:
     return [Trajectory(t.identifier, t.entry_ct_mm, t.target_ct_mm) for t in scene.head.targets]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
+)
 @pytest.mark.parametrize(
     ("name", "markers", "targets"), [("default", 5, 3), ("default", 8, 6), ("mini", 3, 1)]
 )
