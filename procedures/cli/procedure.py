@@ -14,7 +14,7 @@ from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption, run
-from ronna_hw.host.process import suspend_garbage_collection
+from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -31,10 +31,13 @@ app = typer.Typer(
 @with_option_records
 def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption = False) -> None:
     """Run the whole case; ends with the errors at the targets and a report."""
-    suspend_garbage_collection()  # ends when the engine is built
-    from procedures.cli.case.display import follow_case
+    suspend_garbage_collection()  # until the engine is built
+    try:
+        from procedures.cli.case.display import follow_case
 
-    follow_case(case.request(), case.out, as_json=as_json, console=console.request())
+        follow_case(case.request(), case.out, as_json=as_json, console=console.request())
+    finally:
+        resume_garbage_collection()
 
 
 @app.command("step")

@@ -1,7 +1,8 @@
-"""A command runs linear algebra on one thread and refuses foreign packages under our names."""
+"""A command runs linear algebra on one thread, collects no garbage at its start, refuses foreign packages."""
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -9,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.host.process import OWN_PACKAGES, find_foreign_packages, require_own_packages
+from ronna_hw.host.process import (
+    OWN_PACKAGES,
+    find_foreign_packages,
+    require_own_packages,
+    resume_garbage_collection,
+    suspend_garbage_collection,
+)
 
 MULTIPLYING = """
 import os, typer
@@ -61,3 +68,18 @@ def test_foreign_packages_ahead_on_the_path_are_refused_by_name(tmp_path: Path) 
     )
     assert done.stdout.startswith("CFG-003: ")
     assert " and ".join(OWN_PACKAGES) in done.stdout
+
+
+def test_objects_are_exempted_from_collection_only_after_a_suspension() -> None:
+    exempt = gc.get_freeze_count()
+    resume_garbage_collection()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == exempt
+    suspend_garbage_collection()
+    try:
+        assert not gc.isenabled()
+        resume_garbage_collection()
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > exempt
+    finally:
+        gc.unfreeze()

@@ -9,9 +9,19 @@ import cv2
 import numpy as np
 import pytest
 from localized_spheres import as_volume
+from PIL import ImageColor
 
 from procedures.imaging import Volume, VoxelGeometry, localize
-from procedures.imaging.pictures import _PLANES, HALF_WIDTH_MM, _plane_name, _sample_planes, draw_markers
+from procedures.imaging.pictures import (
+    _PLANES,
+    HALF_WIDTH_MM,
+    RING_COLOUR,
+    UNSCANNED_COLOUR,
+    _plane_name,
+    _sample_planes,
+    _Sheet,
+    draw_markers,
+)
 
 
 def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
@@ -48,6 +58,20 @@ def test_unscanned_regions_are_not_shown_as_air(make_scan: Callable[..., Any]) -
     across = np.linspace(-HALF_WIDTH_MM, HALF_WIDTH_MM, len(along_columns))
     assert np.isnan(along_columns[:, across < -2.1]).all()
     assert np.isfinite(along_columns[:, across > -1.9]).all()
+
+
+def test_a_ring_shows_the_sphere_and_blue_what_was_not_scanned(make_scan: Callable[..., Any]) -> None:
+    near_the_edge = np.array([20.0, 2.0, 20.0])
+    sheet = _Sheet(volume_with_balls(make_scan))
+
+    def colours(picture: bytes) -> set[tuple[int, ...]]:
+        pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
+        assert pixels is not None
+        return set(map(tuple, pixels.reshape(-1, 3).tolist()))
+
+    ring, unscanned = ImageColor.getrgb(RING_COLOUR), ImageColor.getrgb(UNSCANNED_COLOUR)
+    assert {ring, unscanned} <= colours(sheet.draw(near_the_edge, 5.75, "marker"))
+    assert ring not in colours(sheet.draw(near_the_edge, None, "candidate"))
 
 
 def turned(degrees: float) -> np.ndarray:
