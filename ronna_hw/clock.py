@@ -53,7 +53,11 @@ class Clock(Protocol):
         ...
 
     def let_pass(self, duration_s: float) -> None:
-        """Let theatre time pass by `duration_s` without waiting for it."""
+        """Let theatre time pass by `duration_s` at most, until `hold_back`, without waiting for it."""
+        ...
+
+    def hold_back(self) -> None:
+        """Let theatre time pass no further unless somebody waits for it."""
         ...
 
 
@@ -74,6 +78,9 @@ class HostClock:
         time.sleep(max(0.0, duration_s))
 
     def let_pass(self, duration_s: float) -> None:
+        """Do nothing: host time passes anyway."""
+
+    def hold_back(self) -> None:
         """Do nothing: host time passes anyway."""
 
 
@@ -170,13 +177,17 @@ class SharedClock:
             time.sleep(WAIT_STEP_S)
 
     def let_pass(self, duration_s: float) -> None:
-        """Let a streaming device advance the time by `duration_s`, as for a motion that is about to begin."""
+        """Let a streaming device advance the time by `duration_s` at most, as while a motion is followed."""
         if self._paced:
             return
         moment_ns = self.now_ns() + round(duration_s * 1e9)
         if ALLOWED_NS.read(self._memory) < moment_ns:
             ALLOWED_NS.write(self._memory, moment_ns)
         self._wake_device()
+
+    def hold_back(self) -> None:
+        """Have a streaming device rest as soon as nobody waits; another thread's `let_pass` ends as well."""
+        ALLOWED_NS.write(self._memory, 0)
 
     def has_waiters(self) -> bool:
         """Whether any process is waiting for a future theatre time."""

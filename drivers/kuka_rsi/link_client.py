@@ -33,6 +33,9 @@ from ronna_hw.vectors import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
+# Theatre time that may pass while a state is awaited: more than lock-step can cover in a heartbeat of host
+# time, so that a waiting motion never finds the controller at rest.
+PASSING_S = 10.0
 END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and exit, once its input was closed
 LONGEST_MESSAGE = 4000
 ADDRESS_ADVICE = (
@@ -156,18 +159,21 @@ class LinkClient:
         Raises RSI-007 when the process has ended.
         """
         deadline = time.monotonic() + timeout_s
-        with self._changed:
-            while True:
-                state = self.state
-                if condition(state):
-                    return state
-                if not self.alive:
-                    raise self.death_error()
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0:
-                    return None
-                self._clock.let_pass(HEARTBEAT_S)
-                self._changed.wait(min(remaining_s, HEARTBEAT_S))
+        try:
+            with self._changed:
+                while True:
+                    state = self.state
+                    if condition(state):
+                        return state
+                    if not self.alive:
+                        raise self.death_error()
+                    remaining_s = deadline - time.monotonic()
+                    if remaining_s <= 0.0:
+                        return None
+                    self._clock.let_pass(PASSING_S)
+                    self._changed.wait(min(remaining_s, HEARTBEAT_S))
+        finally:
+            self._clock.hold_back()
 
     def death_error(self) -> LinkProcessDied:
         """Build the error for a process that terminated unexpectedly."""

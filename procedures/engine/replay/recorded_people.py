@@ -104,6 +104,9 @@ class RecordedClock:
     def let_pass(self, duration_s: float) -> None:
         """Do nothing: the time is that of the answers."""
 
+    def hold_back(self) -> None:
+        """Do nothing: the time is that of the answers."""
+
 
 def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
     """Build a stand-in with a device's public interface and recorded answers, without opening the device."""

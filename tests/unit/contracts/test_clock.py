@@ -112,6 +112,9 @@ def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str
         assert not robot.has_waiters()  # cycles still wait for the reader of a measurement
         robot.advance_cycle(CYCLE_NS)
         assert not robot.may_pass()
+        camera.let_pass(1.0)
+        camera.hold_back()
+        assert not robot.may_pass()
         with robot.rest(alarm):
             waiting = threading.Thread(target=camera.wait_until_ns, args=(3 * CYCLE_NS,), daemon=True)
             waiting.start()
