@@ -209,12 +209,14 @@ def _start_simulated(
             on_controller_message=observers.announce,
         )
     )
-    for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
-        importlib.import_module(module)  # a second of imports, meanwhile
+    with defer_interruption():  # NumPy can be imported only once, also by the report of an interrupted run
+        for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
+            importlib.import_module(module)  # a second of imports, meanwhile
+        if phantom is not None:
+            importlib.import_module("pydicom")  # for the first step; meanwhile, it costs no time
+            for driver in SIMULATED_DRIVERS:
+                load_driver(driver)
     if phantom is not None:
-        importlib.import_module("pydicom")  # for the first step; meanwhile, it costs no time
-        for driver in SIMULATED_DRIVERS:
-            load_driver(driver)
         observers.status("making the phantom CT")
         simulated.await_patient()
     observers.status("opening the theatre")
