@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections import deque
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,9 +54,15 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     voxels = np.empty(geometry.shape, dtype=np.int16)
     report = _scale_progress(progress, HEADER_SHARE, 1.0)
     with FrameDecoder() as decoder:
+        reading: Iterator[None] = iter(())
         for number, header in enumerate(slices):
-            read_pixels_into(voxels[number], header, decoder)
+            before, reading = reading, read_pixels(voxels[number], header, decoder)
+            next(reading, None)  # parsed and checked while the frame before it is decoded
+            next(before, None)
+            next(reading, None)
+            deque(before, maxlen=0)  # to its end
             report((number + 1) / len(slices))
+        deque(reading, maxlen=0)
     voxels.flags.writeable = False
     return Volume(
         voxels=voxels,
@@ -70,10 +78,12 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     )
 
 
-def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
+def read_pixels(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> Iterator[None]:
     """Read the HU of one slice into `target` (rows, columns).
 
-    Raises CT-005 (truncated), CT-013 (unsupported compression), CT-014 (not a CT slice).
+    Pauses before the decoder gets its frame, while the frame is decoded, and afterwards, so that other slices
+    are read meanwhile; the decoder takes one frame at a time. Raises CT-005 (truncated), CT-013
+    (unsupported compression), CT-014 (not a CT slice).
     """
     data = read_dicom(header.path)
     name = header.path.name
@@ -92,7 +102,7 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: Fr
     if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _read_integer(header, data, "BitsAllocated", 0) == 16:
         stored = _decode_16_bit(data, read_value(header.path, data, "PixelData"), header, target.shape)
     else:
-        stored = _decode_with_library(data, header, syntax, target.shape, decoder)
+        stored = yield from _decode_with_library(data, header, syntax, target.shape, decoder)
     _rescale_into(target, stored, header)
 
 
@@ -133,7 +143,7 @@ def _decode_16_bit(
 
 def _decode_with_library(
     data: FileDataset, header: SliceHeader, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
-) -> NDArray[np.integer]:
+) -> Generator[None, None, NDArray[np.integer]]:
     from pydicom import config
     from pydicom.encaps import get_frame
     from pydicom.uid import UID
@@ -148,7 +158,14 @@ def _decode_with_library(
             check_frame(stated, frame, shape, data.BitsAllocated // 8)
             bits = _read_integer(header, data, "BitsStored", 0)
             if stated == JPEG_LS and data.BitsAllocated == 16 and 8 < bits == read_jpeg_bits(frame):
-                return _decode_16_bit(data, decoder.decode_jpeg_ls(frame).tobytes(), header, shape)
+                yield
+                decoder.send_jpeg_ls(frame)
+                yield
+                pixels = decoder.receive().tobytes()
+                yield
+                return _decode_16_bit(data, pixels, header, shape)
+            yield
+            yield
             stored = decoder.decode(path)
         else:
             with warnings.catch_warnings():

@@ -60,6 +60,7 @@ class FrameDecoder:
         self._process: subprocess.Popen[bytes] | None = None
         self._is_for_frames = False
         self._answers = -1
+        self._deadline_s = 0.0  # host time
         self._buffer = bytearray()
 
     def __enter__(self) -> Self:
@@ -70,40 +71,53 @@ class FrameDecoder:
 
     def decode(self, path: Path) -> NDArray[Any]:
         """Return the stored values of a slice. Raises NotDecoded."""
-        return self._ask(json.dumps(str(path)).encode() + b"\n", is_frame=False)
+        self._send(json.dumps(str(path)).encode() + b"\n", is_frame=False)
+        return self.receive()
 
-    def decode_jpeg_ls(self, frame: bytes) -> NDArray[Any]:
-        """Return the pixels of a JPEG-LS frame as bytes, little endian. Raises NotDecoded."""
-        return self._ask(b"%d\n" % len(frame) + frame, is_frame=True)
+    def send_jpeg_ls(self, frame: bytes) -> None:
+        """Have a JPEG-LS frame decoded; `receive` must follow. Raises NotDecoded."""
+        self._send(b"%d\n" % len(frame) + frame, is_frame=True)
 
-    def _ask(self, request: bytes, *, is_frame: bool) -> NDArray[Any]:
+    def receive(self) -> NDArray[Any]:
+        """Return a slice's stored values, of a JPEG-LS frame as little-endian bytes. Raises NotDecoded."""
+        try:
+            header = json.loads(self._read_line(self._deadline_s))
+            if "problem" in header:
+                raise NotDecoded(header["problem"])
+            kind, shape = np.dtype(header["type"]), tuple(header["shape"])
+            pixels = self._read_bytes(kind.itemsize * math.prod(shape), self._deadline_s)
+        except (OSError, EOFError, ValueError) as problem:
+            raise self._give_up() from problem
+        return np.frombuffer(pixels, kind).reshape(shape)
+
+    def _send(self, request: bytes, *, is_frame: bool) -> None:
         if is_frame is not self._is_for_frames:
             self.close()
             self._is_for_frames = is_frame
         process = self._ensure_started()
         assert process.stdin is not None, "it was started with one"
-        deadline_s = time.monotonic() + LIMIT_S
+        self._deadline_s = time.monotonic() + LIMIT_S
+        place, rest = process.stdin.fileno(), memoryview(request)
         try:
-            process.stdin.write(request)
-            process.stdin.flush()
-            header = json.loads(self._read_line(deadline_s))
-            if "problem" in header:
-                raise NotDecoded(header["problem"])
-            kind, shape = np.dtype(header["type"]), tuple(header["shape"])
-            pixels = self._read_bytes(kind.itemsize * math.prod(shape), deadline_s)
-        except (OSError, EOFError, ValueError) as problem:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(END_LIMIT_S)
-            ending = "no answer" if process.returncode is None else describe_exit(process.returncode)
-            self.close()
-            raise NotDecoded(f"its decoder gave up: {ending}") from problem
-        return np.frombuffer(pixels, kind).reshape(shape)
+            while rest:
+                if not select.select([], [place], [], max(0.0, self._deadline_s - time.monotonic()))[1]:
+                    raise TimeoutError
+                rest = rest[os.write(place, rest) :]
+        except OSError as problem:
+            raise self._give_up() from problem
+
+    def _give_up(self) -> NotDecoded:
+        """End the process and return the error that says how it ended."""
+        assert self._process is not None, "it was asked"
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_LIMIT_S)
+        code = self._process.returncode
+        self.close()
+        return NotDecoded(f"its decoder gave up: {'no answer' if code is None else describe_exit(code)}")
 
     def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             self._answers, child_end = os.pipe()
-            with contextlib.suppress(OSError):  # a user's pipes may be limited to less
-                fcntl.fcntl(child_end, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
             self._buffer.clear()
             try:
                 with shield_children():
@@ -111,6 +125,7 @@ class FrameDecoder:
                         [sys.executable, "-P", "-m", PROCESS, str(child_end)]
                         + ["jpeg-ls"] * self._is_for_frames,
                         stdin=subprocess.PIPE,
+                        bufsize=0,
                         stdout=subprocess.DEVNULL,
                         stderr=subprocess.DEVNULL,  # decoders report damaged frames there
                         pass_fds=(child_end,),
@@ -118,6 +133,11 @@ class FrameDecoder:
                     )
             finally:
                 os.close(child_end)
+            assert self._process.stdin is not None, "it was started with one"
+            os.set_blocking(self._process.stdin.fileno(), False)  # a halted process takes nothing
+            for pipe in (self._answers, self._process.stdin.fileno()):
+                with contextlib.suppress(OSError):  # a user's pipes may be limited to less
+                    fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         return self._process
 
     def _read_line(self, deadline_s: float) -> bytes:

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import struct
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from procedures.engine.replay.recorded_answers import read_answers, read_in_orde
 from procedures.exchange.raw_readings import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
-from procedures.imaging.series import read_pixels_into
+from procedures.imaging.series import read_pixels
 from procedures.planning.proposed_place import ProposedPlace, read_place
 from procedures.reporting.calibration_figures import load_figures
 from procedures.reporting.ending import run_ending
@@ -304,7 +305,7 @@ def _compressed(folder: Path, syntax: int) -> tuple[tuple[bytes, ...], Take]:
         path.write_bytes(data)
         began_s = _spent_s(decoder)
         try:
-            return read_pixels_into(target, header, decoder)
+            return deque(read_pixels(target, header, decoder), maxlen=0)
         finally:
             spent_s = _spent_s(decoder) - began_s
             assert spent_s < LIMIT_S, f"{spent_s:.1f} s of its decoder"

@@ -111,6 +111,16 @@ def test_each_slice_may_take_its_decoder_some_processor_time_and_no_more(
     assert os.times().children_user - before.children_user < 15.0
 
 
+def test_a_decoder_that_takes_no_frame_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "halted_decoder.py").write_text("import signal\nsignal.pause()\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(frame_decoder, "PROCESS", "halted_decoder")
+    monkeypatch.setattr(frame_decoder, "LIMIT_S", 0.2)
+    monkeypatch.setattr(frame_decoder, "END_LIMIT_S", 0.0)
+    with frame_decoder.FrameDecoder() as decoder, pytest.raises(frame_decoder.NotDecoded, match="no answer"):
+        decoder.send_jpeg_ls(bytes(4 * frame_decoder.PIPE_BYTES))
+
+
 def test_a_slice_with_too_many_elements_is_refused(dicom_series: Write) -> None:
     folder = dicom_series()
     content = first(folder).read_bytes()

@@ -10,7 +10,7 @@ import pydicom
 import pytest
 from jpeg_ls import encode_buffer
 from pydicom.dataset import Dataset
-from pydicom.encaps import encapsulate
+from pydicom.encaps import encapsulate, get_frame
 from pydicom.uid import (
     DeflatedExplicitVRLittleEndian,
     ExplicitVRBigEndian,
@@ -21,6 +21,7 @@ from pydicom.uid import (
 from spoiled_slices import every, only, setting
 
 from procedures.imaging import read_series
+from procedures.imaging.errors import FileDamaged
 
 Write = Callable[..., Path]
 HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000  # what the fixture writes by default
@@ -91,8 +92,7 @@ def test_every_lossless_syntax_without_a_plug_in_is_read(dicom_series: Write, sy
     np.testing.assert_array_equal(read_series(dicom_series(HU, edit=every(change))).voxels, HU)
 
 
-@pytest.mark.parametrize("bits", [12, 16])
-def test_signed_values_in_a_jpeg_ls_frame_keep_their_sign(dicom_series: Write, bits: int) -> None:
+def in_jpeg_ls(bits: int) -> Callable[[Dataset], None]:
     def compress(data: Dataset) -> None:
         data.BitsStored, data.HighBit = bits, bits - 1
         stored = np.frombuffer(data.PixelData, "<u2") & np.uint16(2**bits - 1)
@@ -101,8 +101,38 @@ def test_signed_values_in_a_jpeg_ls_frame_keep_their_sign(dicom_series: Write, b
         data["PixelData"].VR = "OB"
         data.file_meta.TransferSyntaxUID = JPEGLSLossless
 
+    return compress
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_signed_values_in_a_jpeg_ls_frame_keep_their_sign(dicom_series: Write, bits: int) -> None:
     voxels = HU - np.int16(500)  # stored as HU + 1024: of either sign
-    np.testing.assert_array_equal(read_series(dicom_series(voxels, edit=every(compress))).voxels, voxels)
+    edit = every(in_jpeg_ls(bits))
+    np.testing.assert_array_equal(read_series(dicom_series(voxels, edit=edit)).voxels, voxels)
+
+
+def test_slices_of_one_series_may_differ_in_their_compression(dicom_series: Write) -> None:
+    def compress(data: Dataset, at: int) -> None:
+        if at in (0, 1, 3):
+            in_jpeg_ls(12)(data)
+        elif at == 2:
+            data.compress(RLELossless, generate_instance_uid=False)
+
+    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=compress)).voxels, HU)
+
+
+def test_a_frame_that_cannot_be_decoded_is_named_although_the_next_slice_is_read_by_then(
+    dicom_series: Write,
+) -> None:
+    def compress(data: Dataset, at: int) -> None:
+        in_jpeg_ls(12)(data)
+        if at == 2:
+            frame = get_frame(data.PixelData, 0, number_of_frames=1)
+            data.PixelData = encapsulate([frame[: len(frame) // 2]])
+            data["PixelData"].VR = "OB"
+
+    with pytest.raises(FileDamaged, match=r"CT-005: 0002\.dcm: its pixel data cannot be decoded"):
+        read_series(dicom_series(HU, edit=compress))
 
 
 def stored(values: np.ndarray, **attributes: object) -> Callable[[Dataset, int], None]:
