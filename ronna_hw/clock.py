@@ -207,9 +207,9 @@ class SharedClock:
 
     @contextmanager
     def rest(self, alarm: socket.socket, *, for_reader: bool = False) -> Iterator[None]:
-        """Have this cyclic device woken by its alarm once time may pass, or once `must_wait_for_reader` may end.
+        """Have this cyclic device woken by its alarm.
 
-        The condition is to be checked within, before sleeping.
+        What it sleeps for, `may_pass` or the end of `must_wait_for_reader`, is to be checked within first.
         """
         RESTING.write(self._memory, FOR_READER if for_reader else FOR_TIME_TO_PASS)
         try:
