@@ -95,7 +95,8 @@ STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a c
 WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
 UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
 ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although nobody waits for it
-RESTING = CLOCK.word("I")  # 1 while a cyclic device sleeps until it is woken
+RESTING = CLOCK.word("I")  # what a cyclic device sleeps for; 0 while it does not
+FOR_TIME_TO_PASS, FOR_READER = 1, 2
 # A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
 # seconds for a missing reply (see the robot simulator), so the limit is above that.
 STREAM_SILENCE_NS = 2_500_000_000
@@ -205,9 +206,12 @@ class SharedClock:
         return alarm
 
     @contextmanager
-    def rest(self, alarm: socket.socket) -> Iterator[None]:
-        """Have this cyclic device woken by its alarm; `may_pass` is to be checked within, before sleeping."""
-        RESTING.write(self._memory, 1)
+    def rest(self, alarm: socket.socket, *, for_reader: bool = False) -> Iterator[None]:
+        """Have this cyclic device woken by its alarm.
+
+        What it sleeps for, `may_pass` or the end of `must_wait_for_reader`, is to be checked within first.
+        """
+        RESTING.write(self._memory, FOR_READER if for_reader else FOR_TIME_TO_PASS)
         try:
             yield
         finally:
@@ -241,6 +245,8 @@ class SharedClock:
     def expect_reader(self, moment_ns: int) -> None:
         """Set when the next individually read measurement is due; 0 clears it."""
         UNREAD_NS.write(self._memory, moment_ns)
+        if RESTING.read(self._memory) == FOR_READER:
+            self._wake_device()
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
         """Whether the next cycle would reach a measurement that no reader is waiting for yet."""

@@ -45,8 +45,8 @@ def basler(
             ) from error
     keep_freed_memory()
     room = open_world(world, scene, faults, FAULTS_OF)
-    control = open_own_control_port(world, room, FAULTS_OF)
     pair = CameraPair(room, addresses)
+    control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)
     pair.serve()

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from ipaddress import IPv4Address
 
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_PORT, PENDING_PAYLOAD, GevStatus, GvcpCommand
-from sim.basler.camera.photographer import Photographer
+from sim.basler.camera.photographer import Photographer, PhotographerApart
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.privilege import Peer
 from sim.basler.device import Camera
@@ -42,16 +42,20 @@ class CameraPair:
     """Two cameras in one world, served until `end` is called."""
 
     def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
+        truths = (world.scene.left, world.scene.right)
+        # one board for the thread that takes images, another for the server's thread
+        seen = [CameraFaults(world, truth, side) for side, truth in zip(SIDES, truths, strict=True)]
+        self._apart = PhotographerApart(world, truths[1], seen[1])
+        sources = (Photographer(world, truths[0], seen[0]), self._apart)
         sockets = bind_pair(addresses)
         moments = TriggerMoments(world.clock)
         self._cameras = []
-        for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
-            # one board for the server's thread, one for the thread that takes images
-            faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
+        for side, truth, source, control in zip(SIDES, truths, sources, sockets, strict=True):
+            faults = CameraFaults(world, truth, side)
             self._cameras.append(
                 Camera(
                     Identity(control.getsockname()[0], truth.serial, side),
-                    Photographer(world, truth, seen),
+                    source,
                     world.clock,
                     moments,
                     faults=faults,
@@ -76,6 +80,7 @@ class CameraPair:
         finally:
             for camera in self._cameras:
                 camera.close()
+            self._apart.close()
 
     def end(self) -> None:
         """Make `serve` return soon."""

@@ -16,7 +16,6 @@ import select
 import socket
 import time
 
-from ronna_hw.clock import WAIT_STEP_S
 from ronna_hw.logs import logger
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.autostart import Autostart
@@ -245,7 +244,10 @@ class CycleLoop:
             if time.monotonic() > limit_s:
                 self._clock.expect_reader(0)  # it has stopped reading
                 break
-            time.sleep(WAIT_STEP_S)
+            assert self._alarm is not None
+            with self._clock.rest(self._alarm, for_reader=True):
+                if self._clock.must_wait_for_reader(cycle_ns):
+                    select.select([self._alarm], (), (), IDLE_WAIT_S)
         self._clock.advance_cycle(cycle_ns)
 
     def _update_display(self) -> None:

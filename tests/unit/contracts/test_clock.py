@@ -127,6 +127,29 @@ def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str
             assert not select.select([alarm], (), (), 0.0)[0]
 
 
+def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_measurement(path: str) -> None:
+    robot, tracker = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    with robot.open_alarm() as alarm:
+        tracker.expect_reader(2 * CYCLE_NS)
+        with robot.rest(alarm, for_reader=True):
+            assert robot.must_wait_for_reader(CYCLE_NS)
+            waiting = threading.Thread(target=tracker.wait_until_ns, args=(2 * CYCLE_NS,), daemon=True)
+            waiting.start()
+            assert select.select([alarm], (), (), 5.0)[0]
+        assert not robot.must_wait_for_reader(CYCLE_NS)
+        robot.advance_cycle(CYCLE_NS)
+        waiting.join(5.0)
+        with robot.rest(alarm, for_reader=True):
+            assert robot.must_wait_for_reader(CYCLE_NS)  # the measurement is not taken yet
+            tracker.expect_reader(4 * CYCLE_NS)
+            assert select.select([alarm], (), (), 5.0)[0]
+        assert not robot.must_wait_for_reader(CYCLE_NS)
+        with robot.rest(alarm):  # time may not pass for it
+            tracker.expect_reader(6 * CYCLE_NS)
+            assert not select.select([alarm], (), (), 0.0)[0]
+
+
 def test_time_that_may_pass_stands_still_while_nothing_streams(path: str) -> None:
     clock = SharedClock(path)
     clock.let_pass(1.0)

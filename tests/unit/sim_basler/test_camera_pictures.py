@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import psutil
 import pytest
 from camera_views import aim_at_first_sphere
 from numpy.typing import NDArray
 
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.basler.camera.photographer import Photographer, to_wire
+from sim.basler.camera.photographer import Photographer, PhotographerApart, to_wire
 from sim.basler.camera.photographer import ramp_image as ramp
 from sim.basler.camera.view import View
 from sim.basler.optics.canvas import Area
@@ -97,6 +98,20 @@ def test_the_same_trigger_number_gives_the_same_bytes() -> None:
     assert camera.triggered(frame(), 8) != first
     assert again.triggered(frame(), 7) == first
     assert Photographer(world, world.scene.right).triggered(frame(), 7) != first
+
+
+def test_a_process_of_its_own_takes_the_same_image_and_is_replaced_when_it_ends() -> None:
+    world = World.create(draw_scene("bench"), paced=False)
+    expected = Photographer(world, world.scene.right).triggered(frame(), 7)
+    apart = PhotographerApart(world, world.scene.right)
+    try:
+        assert apart.triggered(frame(), 7) == expected
+        (process,) = psutil.Process().children()
+        process.kill()
+        assert apart.triggered(frame(), 7) == expected
+    finally:
+        apart.close()
+    assert not process.is_running()
 
 
 def brightest(image: bytes) -> int:
