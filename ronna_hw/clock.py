@@ -97,6 +97,7 @@ UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker tha
 ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although nobody waits for it
 RESTING = CLOCK.word("I")  # what a cyclic device sleeps for; 0 while it does not
 FOR_TIME_TO_PASS, FOR_READER = 1, 2
+ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
 # A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
 # seconds for a missing reply (see the robot simulator), so the limit is above that.
 STREAM_SILENCE_NS = 2_500_000_000
@@ -217,7 +218,7 @@ class SharedClock:
         finally:
             RESTING.write(self._memory, 0)
             with contextlib.suppress(BlockingIOError):
-                while True:
+                for _ in range(ALARM_LIMIT):
                     alarm.recv(1)
 
     def _wake_device(self) -> None:

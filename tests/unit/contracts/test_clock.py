@@ -1,6 +1,7 @@
 import mmap
 import os
 import select
+import socket
 import threading
 from collections.abc import Iterator
 
@@ -148,6 +149,18 @@ def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_m
         with robot.rest(alarm):  # time may not pass for it
             tracker.expect_reader(6 * CYCLE_NS)
             assert not select.select([alarm], (), (), 0.0)[0]
+
+
+def test_a_strangers_call_wakes_a_resting_device_and_lets_no_time_pass(path: str) -> None:
+    robot = SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    with robot.open_alarm() as alarm, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        with robot.rest(alarm):
+            stranger.sendto(b"x" * 1000, alarm.getsockname())
+            assert select.select([alarm], (), (), 5.0)[0]
+            assert not robot.may_pass()
+        assert not select.select([alarm], (), (), 0.0)[0]
+    assert robot.now_ns() == CYCLE_NS
 
 
 def test_time_that_may_pass_stands_still_while_nothing_streams(path: str) -> None:
