@@ -23,7 +23,7 @@ from ronna_hw.host.child_process import ChildNotReady, descendants_of
 from ronna_hw.theatre import TheatreProcess
 
 README = Path(__file__).parents[3] / "README.md"
-SIMULATORS = 3  # tracker, controller, cameras
+SIMULATORS = 4  # robot, tracker, cameras, and what draws the pictures of the second camera
 TURN_RAD = 0.5
 SLOWLY = 0.001  # of the working speed: no test waits for the end of such a motion
 CLOSED_WITHIN_S = 15.0
