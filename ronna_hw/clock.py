@@ -179,7 +179,10 @@ class SharedClock:
             time.sleep(WAIT_STEP_S)
 
     def let_pass(self, duration_s: float) -> None:
-        """Let a streaming device advance the time by `duration_s` at most, as while a motion is followed."""
+        """Let a streaming device advance the time by `duration_s` at most, as while a motion is followed.
+
+        Without the lock: two that ask at once lose the shorter grant at most, and both ask again.
+        """
         if self._paced:
             return
         moment_ns = self.now_ns() + round(duration_s * 1e9)
@@ -189,6 +192,8 @@ class SharedClock:
 
     def hold_back(self) -> None:
         """Have a streaming device rest as soon as nobody waits; another thread's `let_pass` ends as well."""
+        if self._paced:
+            return
         ALLOWED_NS.write(self._memory, 0)
 
     def has_waiters(self) -> bool:
@@ -206,9 +211,16 @@ class SharedClock:
             alarm.bind(self._alarm_address)
         return alarm
 
+    @staticmethod
+    def silence(alarm: socket.socket) -> None:
+        """Take the calls from an alarm, so that the next wait is for a new one."""
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(ALARM_LIMIT):
+                alarm.recv(1)
+
     @contextmanager
     def rest(self, alarm: socket.socket, *, for_reader: bool = False) -> Iterator[None]:
-        """Have this cyclic device woken by its alarm.
+        """Have this cyclic device woken by its alarm, which is to be silenced after each wake.
 
         What it sleeps for, `may_pass` or the end of `must_wait_for_reader`, is to be checked within first.
         """
@@ -217,9 +229,6 @@ class SharedClock:
             yield
         finally:
             RESTING.write(self._memory, 0)
-            with contextlib.suppress(BlockingIOError):
-                for _ in range(ALARM_LIMIT):
-                    alarm.recv(1)
 
     def _wake_device(self) -> None:
         if not RESTING.read(self._memory):

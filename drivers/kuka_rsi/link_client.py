@@ -159,6 +159,7 @@ class LinkClient:
         Raises RSI-007 when the process has ended.
         """
         deadline = time.monotonic() + timeout_s
+        lets_time_pass = False
         try:
             with self._changed:
                 while True:
@@ -170,10 +171,12 @@ class LinkClient:
                     remaining_s = deadline - time.monotonic()
                     if remaining_s <= 0.0:
                         return None
+                    lets_time_pass = True
                     self._clock.let_pass(PASSING_S)
                     self._changed.wait(min(remaining_s, HEARTBEAT_S))
         finally:
-            self._clock.hold_back()
+            if lets_time_pass:
+                self._clock.hold_back()
 
     def death_error(self) -> LinkProcessDied:
         """Build the error for a process that terminated unexpectedly."""

@@ -1,11 +1,11 @@
 """Controller cycle loop, in real time or lock-step, serving the EKI channels between cycles.
 
 A single thread does everything: no locks, and no other thread competes for the interpreter. It waits in one
-`select` over the RSI socket and the channels.
+`select` over the RSI socket, or its alarm while it rests, and the channels.
 
 Real time: telegram k is sent at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram is sent
 once the reply has arrived. While the correction is unchanged, the controller rests until someone waits for
-theatre time, so that what a client finds does not depend on how long its host computed meanwhile. A resting
+theatre time, so that what a client finds hardly depends on how long its host computed meanwhile. A resting
 controller still runs a cycle now and then, for clients that only watch.
 """
 
@@ -54,7 +54,7 @@ class CycleLoop:
     ) -> None:
         self._controller = controller
         self._clock = world.clock
-        self._alarm: socket.socket | None = None
+        self._alarm = self._clock.open_alarm()
         self._client = client
         self._servers = (project_server, sdk_server)
         log = FaultLog(self._fault_time)
@@ -88,7 +88,6 @@ class CycleLoop:
     def run(self) -> None:
         """Serve until `end` is called."""
         self._autostart.begin()
-        self._alarm = self._clock.open_alarm()
         try:
             while not self._ending:
                 self._faults.poll()
@@ -165,10 +164,11 @@ class CycleLoop:
             self._unchanged = 0
         else:
             self._unchanged += 1
-        if self._unchanged >= UNCHANGED_CYCLES and self._alarm is not None:
+        if self._unchanged >= UNCHANGED_CYCLES:
             with self._clock.rest(self._alarm):
                 while self._may_rest(run) and (remaining_s := next_s - time.monotonic()) > 0.0:
-                    self._wait_once(remaining_s, self._alarm)
+                    if self._wait_once(remaining_s, self._alarm):
+                        self._clock.silence(self._alarm)
                     self._faults.poll()
         self._serve_timers(time.monotonic())
 
@@ -244,10 +244,10 @@ class CycleLoop:
             if time.monotonic() > limit_s:
                 self._clock.expect_reader(0)  # it has stopped reading
                 break
-            assert self._alarm is not None
             with self._clock.rest(self._alarm, for_reader=True):
                 if self._clock.must_wait_for_reader(cycle_ns):
                     select.select([self._alarm], (), (), IDLE_WAIT_S)
+                    self._clock.silence(self._alarm)
         self._clock.advance_cycle(cycle_ns)
 
     def _update_display(self) -> None:

@@ -39,7 +39,7 @@ LONGEST_ENDING_CYCLES = 250  # of sending Stop after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
 YIELD_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
-FOREIGN_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
+FOREIGN_AT_ONCE = 8  # taken at each look: a flood on the port must not delay the reply
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
 LOOK_EACH_CYCLES = 32  # of lock-step, for the processor of the sender and for foreign senders
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
@@ -233,7 +233,7 @@ class LinkLoop:
 
     def _is_time_to_look(self) -> bool:
         """Return whether system calls that lock-step needs only now and then are due; in a pace always."""
-        return self._lock_step_cycles % LOOK_EACH_CYCLES <= 1
+        return not self._lock_step_cycles or self._lock_step_cycles % LOOK_EACH_CYCLES == 1
 
     def _finish_cycle(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply and record the completed cycle."""

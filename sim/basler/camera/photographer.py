@@ -6,12 +6,14 @@ import os
 import signal
 import threading
 import time
+import traceback
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import NoReturn, Protocol
 
 import numpy as np
 
+from ronna_hw.host.process import resume_garbage_collection
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.basler.camera.view import Disturbances, Pose, View
 from sim.basler.faults import NO_FAULTS, CameraFaults
@@ -24,6 +26,7 @@ from sim.world.world import World
 
 RING_SIZE = 6  # so that consecutive frames never have the same noise
 REFRESH_PAUSE_S = 0.05  # between two images for the ring, so that drawing leaves time for the stream
+DRAWING_LIMIT_S = 2.0  # for one image (20 ms) on a busy computer, then the process counts as lost
 TRIGGERED_LANE, RING_LANE = 0, 1  # streams of noise
 
 
@@ -109,6 +112,7 @@ class PhotographerApart(Photographer):
     def __init__(self, world: World, camera: CameraTruth, faults: CameraFaults = NO_FAULTS) -> None:
         super().__init__(world, camera, faults)
         self._ordering = threading.Lock()
+        self._ended = False
         self._drawer, orders = Pipe()
         self._process_id = os.fork()
         if not self._process_id:
@@ -117,14 +121,19 @@ class PhotographerApart(Photographer):
         orders.close()
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
-        """Take the image of trigger `number`, here if the process has ended."""
+        """Take the image of trigger `number`, here if the process has ended or is halted."""
         pose = self._view.pose()
-        try:
-            with self._ordering:
-                self._drawer.send((frame, pose, number))
-                return self._drawer.recv_bytes()
-        except (EOFError, OSError):
-            return self.draw(frame, pose, number, TRIGGERED_LANE)
+        with self._ordering:
+            if not self._ended:
+                try:
+                    self._drawer.send((frame, pose, number))
+                    if self._drawer.poll(DRAWING_LIMIT_S):
+                        return self._drawer.recv_bytes()
+                except (EOFError, OSError):
+                    pass
+                self._ended = True  # a late image must not be taken for that of a later trigger
+                os.kill(self._process_id, signal.SIGKILL)
+        return self.draw(frame, pose, number, TRIGGERED_LANE)
 
     def close(self) -> None:
         """End the process once its current image is drawn."""
@@ -133,13 +142,19 @@ class PhotographerApart(Photographer):
         os.waitpid(self._process_id, 0)
 
     def _draw_as_ordered(self, orders: Connection) -> NoReturn:
+        status = 1
         try:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, whose end ends this
+            resume_garbage_collection()
             while True:
                 frame, pose, number = orders.recv()
                 orders.send_bytes(self.draw(frame, pose, number, TRIGGERED_LANE))
+        except (EOFError, OSError):  # the parent has closed its end, or has ended
+            status = 0
+        except Exception:
+            traceback.print_exc()
         finally:
-            os._exit(0)
+            os._exit(status)
 
 
 class ImageRing:

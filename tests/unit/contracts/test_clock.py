@@ -109,6 +109,7 @@ def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str
             assert not robot.may_pass()
             camera.let_pass(0.003)
             assert select.select([alarm], (), (), 5.0)[0]
+            robot.silence(alarm)
         assert robot.may_pass()
         assert not robot.has_waiters()  # cycles still wait for the reader of a measurement
         robot.advance_cycle(CYCLE_NS)
@@ -120,6 +121,7 @@ def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str
             waiting = threading.Thread(target=camera.wait_until_ns, args=(3 * CYCLE_NS,), daemon=True)
             waiting.start()
             assert select.select([alarm], (), (), 5.0)[0]
+            robot.silence(alarm)
         assert robot.may_pass()
         robot.advance_cycle(CYCLE_NS)
         waiting.join(5.0)
@@ -138,6 +140,7 @@ def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_m
             waiting = threading.Thread(target=tracker.wait_until_ns, args=(2 * CYCLE_NS,), daemon=True)
             waiting.start()
             assert select.select([alarm], (), (), 5.0)[0]
+            robot.silence(alarm)
         assert not robot.must_wait_for_reader(CYCLE_NS)
         robot.advance_cycle(CYCLE_NS)
         waiting.join(5.0)
@@ -145,6 +148,7 @@ def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_m
             assert robot.must_wait_for_reader(CYCLE_NS)  # the measurement is not taken yet
             tracker.expect_reader(4 * CYCLE_NS)
             assert select.select([alarm], (), (), 5.0)[0]
+            robot.silence(alarm)
         assert not robot.must_wait_for_reader(CYCLE_NS)
         with robot.rest(alarm):  # time may not pass for it
             tracker.expect_reader(6 * CYCLE_NS)
@@ -158,6 +162,7 @@ def test_a_strangers_call_wakes_a_resting_device_and_lets_no_time_pass(path: str
         with robot.rest(alarm):
             stranger.sendto(b"x" * 1000, alarm.getsockname())
             assert select.select([alarm], (), (), 5.0)[0]
+            robot.silence(alarm)
             assert not robot.may_pass()
         assert not select.select([alarm], (), (), 0.0)[0]
     assert robot.now_ns() == CYCLE_NS

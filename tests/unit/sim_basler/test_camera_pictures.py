@@ -100,14 +100,15 @@ def test_the_same_trigger_number_gives_the_same_bytes() -> None:
     assert Photographer(world, world.scene.right).triggered(frame(), 7) != first
 
 
-def test_a_process_of_its_own_takes_the_same_image_and_is_replaced_when_it_ends() -> None:
+@pytest.mark.parametrize("ending", ["kill", "suspend"])
+def test_a_process_of_its_own_takes_the_same_image_and_is_replaced_once_lost(ending: str) -> None:
     world = World.create(draw_scene("bench"), paced=False)
     expected = Photographer(world, world.scene.right).triggered(frame(), 7)
     apart = PhotographerApart(world, world.scene.right)
     try:
         assert apart.triggered(frame(), 7) == expected
         (process,) = psutil.Process().children()
-        process.kill()
+        getattr(process, ending)()
         assert apart.triggered(frame(), 7) == expected
     finally:
         apart.close()
