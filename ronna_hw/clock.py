@@ -98,6 +98,8 @@ ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although n
 RESTING = CLOCK.word("I")  # what a cyclic device sleeps for; 0 while it does not
 FOR_TIME_TO_PASS, FOR_READER = 1, 2
 ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
+# The longest time that a process asks for at once: one that was killed keeps time passing no longer.
+WISH_NS = 2_000_000_000
 # A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
 # seconds for a missing reply (see the robot simulator), so the limit is above that.
 STREAM_SILENCE_NS = 2_500_000_000
@@ -164,17 +166,21 @@ class SharedClock:
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
-        while self.now_ns() < moment_ns:
+        while (now_ns := self.now_ns()) < moment_ns:
+            wanted_ns = min(moment_ns, now_ns + WISH_NS)
             # Without the lock: the time only grows, and so does the latest time wanted.
-            if WANTED_NS.read(self._memory) < moment_ns or not self.is_streaming():
+            if (
+                WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
+                or not self.is_streaming()
+            ):
                 with self.hold_lock():
                     if self.now_ns() >= moment_ns:
                         return
                     if not self.is_streaming():
                         TIME_NS.write(self._memory, moment_ns)
                         return
-                    if WANTED_NS.read(self._memory) < moment_ns:
-                        WANTED_NS.write(self._memory, moment_ns)
+                    if WANTED_NS.read(self._memory) < wanted_ns:
+                        WANTED_NS.write(self._memory, wanted_ns)
                 self._wake_device()
             time.sleep(WAIT_STEP_S)
 

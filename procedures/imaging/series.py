@@ -17,7 +17,13 @@ from procedures.imaging.dicom.attributes import (
     read_optional_number,
     read_value,
 )
-from procedures.imaging.dicom.frame_decoder import JPEG_LS, FrameDecoder, check_frame, read_jpeg_bits
+from procedures.imaging.dicom.frame_decoder import (
+    JPEG_LS,
+    FrameDecoder,
+    NotDecoded,
+    check_frame,
+    read_jpeg_bits,
+)
 from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
@@ -39,6 +45,8 @@ _LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
 
 HEADER_SHARE = 0.4  # of the reading time
 AIR_BELOW_HU = -500  # every head is surrounded by air
+
+MAY_BE_SOUND = "The file may be sound: see that memory is free, and read it again."
 
 
 def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
@@ -178,7 +186,11 @@ def _decode_with_library(
     except Exception as problem:
         if not _can_decode(syntax):
             raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem
-        raise FileDamaged(f"{name}: its pixel data cannot be decoded ({problem})") from problem
+        sound = isinstance(problem, NotDecoded) and problem.from_outside
+        raise FileDamaged(
+            f"{name}: its pixel data cannot be decoded ({problem})",
+            action=MAY_BE_SOUND if sound else None,
+        ) from problem
     if stored.shape != shape or stored.dtype.kind not in "iu":
         raise PixelsUnusable(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
     return stored

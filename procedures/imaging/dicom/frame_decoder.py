@@ -12,6 +12,7 @@ import json
 import math
 import os
 import select
+import signal
 import struct
 import subprocess
 import sys
@@ -50,7 +51,14 @@ _RLE_HEADER = struct.Struct("<16I")
 
 
 class NotDecoded(Exception):
-    """A slice could not be decoded; the message is the decoder's, or says how its process ended."""
+    """A slice could not be decoded; the message is the decoder's, or says how its process ended.
+
+    `from_outside`: the process was killed or halted by somebody else, so the slice may be sound.
+    """
+
+    def __init__(self, problem: str, *, from_outside: bool = False) -> None:
+        super().__init__(problem)
+        self.from_outside = from_outside
 
 
 class FrameDecoder:
@@ -113,7 +121,10 @@ class FrameDecoder:
             self._process.wait(END_LIMIT_S)
         code = self._process.returncode
         self.close()
-        return NotDecoded(f"its decoder gave up: {'no answer' if code is None else describe_exit(code)}")
+        ending = "no answer" if code is None else describe_exit(code)
+        return NotDecoded(
+            f"its decoder gave up: {ending}", from_outside=code is None or code == -signal.SIGKILL
+        )
 
     def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:

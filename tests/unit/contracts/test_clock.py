@@ -101,6 +101,24 @@ def test_cycles_wait_for_the_reader_of_a_measurement_until_it_waits(path: str) -
     assert not robot.must_wait_for_reader(CYCLE_NS)
 
 
+def test_the_wish_of_an_interrupted_process_ends_by_itself(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+
+    def interrupt(_seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ronna_hw.clock.time.sleep", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        camera.wait_until_ns(10**15)
+    assert robot.has_waiters()
+    for _ in range(3_000_000_000 // CYCLE_NS):
+        robot.advance_cycle(CYCLE_NS)
+    assert not robot.has_waiters()
+
+
 def test_a_resting_device_is_woken_by_a_wait_and_by_time_that_may_pass(path: str) -> None:
     robot, camera = SharedClock(path), SharedClock(path)
     robot.advance_cycle(CYCLE_NS)
