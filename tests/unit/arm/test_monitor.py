@@ -1,12 +1,15 @@
 """The monitor trips on everything it watches, and on nothing that a good motion does."""
 
 import math
+from dataclasses import replace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, monitor_limits
+from ronna_hw.arm.monitor import FOLLOWING_RAD, RANGE_ROUNDING_RAD, Monitor, MonitorLimits, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.vectors import JointVector
@@ -196,3 +199,46 @@ def test_a_violation_states_axis_value_and_limit() -> None:
     assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith(
         "speed of axis 6: 14323.9 deg/s, limit 73.8 deg/s"
     )
+
+
+@pytest.mark.hazard(18)
+@settings(max_examples=300)
+@given(data=st.data())
+def test_next_to_every_limit_the_check_of_all_axes_says_what_the_rules_one_by_one_say(
+    data: st.DataObject,
+) -> None:
+    axis = data.draw(st.integers(1, 6))
+    i, draw = axis - 1, lambda *values: data.draw(st.sampled_from(values))
+    low, high = LIMITS.lower_rad[i], LIMITS.upper_rad[i]
+    speed, bend, twist = (
+        limits[i] for limits in (LIMITS.step_rad, LIMITS.second_difference_rad, LIMITS.third_difference_rad)
+    )
+    start = _with(axis, draw(START[i], 0.0, low, high))
+    # The total correction ends before the range does, at its end, or behind it.
+    limits = replace(
+        LIMITS,
+        correction_lower_rad=tuple(low - begun - draw(-1e-5, 0.0, 1e-5) for begun in start),
+        correction_upper_rad=tuple(high - begun + draw(-1e-5, 0.0, 1e-5) for begun in start),
+    )
+    monitor = Monitor(limits, start)
+    step, change = draw(0.0, speed, -speed, bend), draw(0.0, bend, -bend, twist)
+    for behind in (3.0 * step - 3.0 * change, 2.0 * step - change, step, 0.0):
+        monitor.sent(_with(axis, start[i] - behind, start))
+    latest, previous, earlier, _ = (sent[i] for sent in monitor.history_rad)
+    ends = [
+        *(end + by * RANGE_ROUNDING_RAD for end in (low, high) for by in (-1.0, -0.5, 0.0, 0.5, 1.0)),
+        *(
+            start[i] + end + by * RANGE_ROUNDING_RAD
+            for end in (limits.correction_lower_rad[i], limits.correction_upper_rad[i])
+            for by in (-1.0, -0.5, 0.0, 0.5, 1.0)
+        ),
+    ]
+    for sign in (-1.0, 1.0):
+        ends.append(latest + sign * speed)
+        ends.append(2.0 * latest - previous + sign * bend)
+        ends.append(3.0 * latest - 3.0 * previous + earlier + sign * twist)
+    for end in ends:
+        near = (end, math.nextafter(end, -math.inf), math.nextafter(end, math.inf))
+        for angle in (*near, latest, -0.0, math.nan, math.inf, -math.inf):
+            joints = _with(axis, angle, start)
+            assert repr(monitor.check(joints)) == repr(monitor._find_axis_violation(joints))

@@ -69,12 +69,13 @@ def _largest_difference(a: JointVector, b: JointVector) -> float:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
+@pytest.mark.parametrize("postures", [300, pytest.param(1000, marks=pytest.mark.slow)])
 @each_arm
 def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
-    arm: Kinematics,
+    arm: Kinematics, postures: int
 ) -> None:
     seen = set()
-    for joints in _postures(arm, 300, 1):
+    for joints in _postures(arm, postures, 1):
         pose = arm.forward(joints)
         found = arm.solutions(pose)
         assert min(_largest_difference(one.joints_rad, joints) for one in found) < 1e-6

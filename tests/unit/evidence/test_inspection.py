@@ -45,6 +45,14 @@ def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
             inspect_run(finished).require_whole()
 
 
+@pytest.mark.slow
+@pytest.mark.hazard(39)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_changed_byte_is_found_in_more_examples(finished: Path, data: st.DataObject) -> None:
+    test_any_changed_byte_is_found.hypothesis.inner_test(finished, data)
+
+
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("name", ["empty", "records/empty", "theatre/a/b"])
 def test_an_added_folder_is_named_although_it_is_empty(run: Path, name: str) -> None:

@@ -92,15 +92,16 @@ def test_a_cart_is_pushed_and_then_turned() -> None:
 
 
 @pytest.mark.hazard(48)
-def test_a_position_serves_exactly_where_the_path_check_passes() -> None:
+@pytest.mark.parametrize("places", [8, pytest.param(20, marks=pytest.mark.slow)])
+def test_a_position_serves_exactly_where_the_path_check_passes(places: int) -> None:
     setting, known = _setting(), _known()
-    random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (8, 3))
+    random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (places, 3))
     moves = [CartMove(*numbers) for numbers in random.tolist()]
     passes = [
         choose_free_angles(_pushed(setting, move), (ALONG,), FIDUCIALS, SIGHT).check.passed for move in moves
     ]
     assert [_case(setting).judge(move, (known,)).serves for move in moves] == passes
-    assert 2 <= sum(passes) <= 6
+    assert places / 4 <= sum(passes) <= places * 3 / 4
 
 
 @pytest.mark.hazard(48)

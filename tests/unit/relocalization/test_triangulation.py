@@ -110,11 +110,12 @@ def test_exact_outlines_give_the_exact_point(head, point):
     assert found.radius_mm == pytest.approx(RADIUS_MM, abs=1e-5)
 
 
-def test_the_covariance_matches_repeated_noise(head):
+@pytest.mark.parametrize("draws", [200, pytest.param(400, marks=pytest.mark.slow)])
+def test_the_covariance_matches_repeated_noise(head, draws):
     generator = np.random.default_rng(2)
     pair = exact_pair(head, np.array([1.0, 2.0, -1.0]))
     points = []
-    for _ in range(200):
+    for _ in range(draws):
         noisy = [
             replace(side, centre_px=tuple(np.array(side.centre_px) + generator.normal(0, 0.01, 2)))
             for side in pair
@@ -198,9 +199,10 @@ def test_a_calibration_for_another_camera_is_refused(head):
     ],
     ids=["centred", "stained", "defocused", "occluded"],
 )
-def test_images_give_the_point_to_a_few_micrometres(renderer, head, look, changes, reach_mm, limit_um):
+@pytest.mark.parametrize("pairs", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_images_give_the_point_to_a_few_micrometres(renderer, head, look, changes, reach_mm, limit_um, pairs):
     errors = []
-    for _ in range(2):
+    for _ in range(pairs):
         point = renderer.random.uniform(-reach_mm, reach_mm, 3)
         pair = [
             measure_sphere(renderer.sphere(head.in_camera(side, point), look(**changes)))

@@ -84,5 +84,6 @@ def test_a_right_tip_is_rejected_at_most_once_in_a_hundred_trials() -> None:
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("wrong", [{"bent_mm": (0.0, 0.0, 5.0)}, {"tilt_deg": (0.3, 0.0)}])
-def test_a_clearly_wrong_tool_is_always_caught(wrong: dict[str, object]) -> None:
-    assert all(refused(seed, **wrong) for seed in range(40))
+@pytest.mark.parametrize("trials", [40, pytest.param(TRIALS, marks=pytest.mark.slow)])
+def test_a_clearly_wrong_tool_is_always_caught(wrong: dict[str, object], trials: int) -> None:
+    assert all(refused(seed, **wrong) for seed in range(trials))

@@ -208,6 +208,14 @@ def test_every_executed_step_is_one_prepared_step_whatever_is_lost(before: int, 
     assert _arrived(controller)
 
 
+@pytest.mark.slow
+@pytest.mark.hazard(18)
+@settings(max_examples=60, deadline=None)
+@given(before=st.integers(0, AT_SPEED), losses=LOSSES)
+def test_every_executed_step_is_one_prepared_step_in_more_examples(before: int, losses: list[Loss]) -> None:
+    test_every_executed_step_is_one_prepared_step_whatever_is_lost.hypothesis.inner_test(before, losses)
+
+
 def test_a_point_too_far_from_the_held_one_is_not_sent_again() -> None:
     controller = _moving()
     points = controller.responder._points
@@ -284,6 +292,15 @@ def test_at_most_two_prepared_steps_act_at_once_when_losses_are_reported_one_tel
     controller.finish()
     assert controller.largest_share <= 2 * WORKING_SHARE * ROUNDING < TAKEN_SHARE
     assert _arrived(controller)
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(18)
+@settings(max_examples=100, deadline=None)
+@given(before=st.integers(0, AT_SPEED), losses=LOSSES)
+def test_at_most_two_prepared_steps_act_at_once_in_more_examples(before: int, losses: list[Loss]) -> None:
+    once = test_at_most_two_prepared_steps_act_at_once_when_losses_are_reported_one_telegram_late
+    once.hypothesis.inner_test(before, losses)
 
 
 def test_a_controller_that_never_reports_losses_gets_the_path_as_planned() -> None:

@@ -19,7 +19,17 @@ from responder_stand import (
 )
 
 from drivers.kuka_rsi.realtime.link_health import Losses
-from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Orders, Phase, Result
+from drivers.kuka_rsi.realtime.link_state import (
+    STOP_KIND_BITS,
+    CommandKind,
+    Fault,
+    LinkState,
+    Orders,
+    Phase,
+    Result,
+)
+from drivers.kuka_rsi.realtime.responder import SETTLE_CYCLES
+from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
@@ -276,3 +286,46 @@ def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     assert stand.responder.result is Result.DONE
     state = stand.responder.state(real_time=False, locked=False)
     assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
+
+
+@pytest.mark.parametrize("told", ["degraded", "moving", "settled", "real_time", "locked"])
+def test_the_state_reports_each_field_under_its_name(told: str) -> None:
+    """No two fields of one type have the same value; of the five flags one at a time is true."""
+    stand = moving() if told == "moving" else begun()
+    responder = stand.responder
+    responder.cycles, responder._ipoc, responder._received_ns = 11, 12, 13
+    responder.phase, responder.fault, responder.result = Phase.ENDING, Fault.BASE, Result.REFUSED_START
+    responder._losses.degraded = told == "degraded"
+    responder._settled_cycles = SETTLE_CYCLES if told == "settled" else SETTLE_CYCLES - 1
+    responder._command_number, responder._stop_word = 14, 15 << STOP_KIND_BITS
+    responder._losses.late, responder._losses.lost = 16, 17
+    responder.rejected, responder.dropped = 18, 19
+    responder.senders.count, responder.senders.host, responder.senders.disagreeing = 20, "10.0.0.3", 21
+    responder._measured, responder._base_rad = FAR, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    responder.violation = Violation(ViolationKind.JERK, 5, 0.7, 0.8)
+    assert responder.sent_rad not in (FAR, responder._base_rad)
+    assert responder.state(real_time=told == "real_time", locked=told == "locked") == LinkState(
+        **{told: True},
+        cycles=11,
+        IPOC=12,
+        received_ns=13,
+        phase=Phase.ENDING,
+        fault=Fault.BASE,
+        result=Result.REFUSED_START,
+        command_number=14,
+        stop_number=15,
+        late=16,
+        lost=17,
+        rejected=18,
+        dropped=19,
+        foreign=20,
+        foreign_host="10.0.0.3",
+        disagreeing=21,
+        measured_rad=FAR,
+        commanded_rad=responder.sent_rad,
+        base_rad=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+        violation_kind=ViolationKind.JERK,
+        violation_axis=5,
+        violation_value=0.7,
+        violation_limit=0.8,
+    )
