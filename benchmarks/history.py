@@ -96,7 +96,15 @@ def read_history(path: Path) -> dict[Key, list[Point]]:
     """Return the data points of each figure in date order, or an empty mapping before the first result."""
     points: dict[Key, list[Point]] = defaultdict(list)
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    for record in sorted(map(json.loads, lines), key=lambda one: str(one["date"])):
+    records = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            records.append(json.loads(line))
+        except json.JSONDecodeError as problem:
+            raise typer.BadParameter(
+                f"{path}, line {number} is not a result: {problem.msg}. Remove this line."
+            ) from problem
+    for record in sorted(records, key=lambda one: str(one["date"])):
         for group, figures in record["figures"].items():
             for one in figures:
                 points[Key(group, one["what"], one["who"], one.get("baseline", ""))].append(
@@ -119,6 +127,9 @@ def show(
     file: Annotated[Path, typer.Option(help="File of the results.")] = HISTORY,
 ) -> None:
     """Print every figure's values by date, and mark losses of 10 % and more."""
+    from benchmarks.run import require_measurements
+
+    require_measurements(only or [])
     history = {key: points for key, points in read_history(file).items() if not only or key.group in only}
     if not history:
         sys.stdout.write(f"no results in {file} yet: make bench adds one\n")
@@ -131,17 +142,21 @@ def show(
         for number, point in enumerate(points):
             change = point.change_since(points[number - 1]) if number else None
             is_loss = judged and point.is_loss(change)
-            sys.stdout.write(f"  {_format_point(point, key.baseline, change)}{'  LOSS' if is_loss else ''}\n")
+            elsewhere = bool(number) and change is None and point.machine != points[number - 1].machine
+            line = _format_point(point, key.baseline, change, elsewhere=elsewhere)
+            sys.stdout.write(f"  {line}{'  LOSS' if is_loss else ''}\n")
             if is_loss and number == len(points) - 1:
                 lost.append(f"{key.what}, {key.who}: {change:+.0%}")
     sys.stdout.write(f"\nlost {LOSS:.0%} or more since the result before: {len(lost) or 'none'}\n")
     sys.stdout.writelines(f"  {line}\n" for line in lost)
 
 
-def _format_point(point: Point, baseline: str, change: float | None) -> str:
+def _format_point(point: Point, baseline: str, change: float | None, *, elsewhere: bool) -> str:
     day, value = point.date[:10], f"{point.value:,.4g} {point.unit}"
     ratio = "" if point.ratio is None else f"{point.ratio:.3g} x {baseline}"
     changed = "" if change is None else f"{change:+.0%}"
+    if elsewhere:
+        changed = f"not compared: another machine ({point.machine})"
     return f"{day}  {point.commit:10} {value:>14}  {ratio:30} {changed}".rstrip()
 
 

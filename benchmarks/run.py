@@ -16,6 +16,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import metadata
@@ -64,6 +65,14 @@ PEERS = (
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
+def require_measurements(names: Sequence[str]) -> None:
+    """Raise typer.BadParameter for a name that is no measurement."""
+    if unknown := [name for name in names if name not in MEASUREMENTS]:
+        raise typer.BadParameter(
+            f"unknown measurement {', '.join(unknown)}; expected one of {', '.join(MEASUREMENTS)}"
+        )
+
+
 @app.command()
 def bench(
     only: Annotated[list[str] | None, typer.Option(help="One of: " + ", ".join(MEASUREMENTS))] = None,
@@ -81,10 +90,7 @@ def bench(
         sys.stdout.write(json.dumps([asdict(figure) for figure in figures]))
         return EXIT_DONE
     names = only or list(MEASUREMENTS)
-    if unknown := [name for name in names if name not in MEASUREMENTS]:
-        raise typer.BadParameter(
-            f"unknown measurement {', '.join(unknown)}; expected one of {', '.join(MEASUREMENTS)}"
-        )
+    require_measurements(names)
     figures_of: dict[str, list[Figure]] = {}
     failures: dict[str, str] = {}
     with message_console().status("measuring"):

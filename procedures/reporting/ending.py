@@ -38,14 +38,20 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
     if opened is None:
         return Ending("not begun", *_append_error("The run ended before its theatre was open.", error))
     if closed is None:
-        running = next((line for line in reversed(journal) if line["entry"] == Entry.INTENT), None)
-        where = (
-            f" during {running.get('step', 'a step')}" if running is not None and running is not last else ""
-        )
+        where = _describe_place(journal)
         return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
+
+
+def _describe_place(journal: Sequence[Line]) -> str:
+    """Say during or after which step a journal ends, as " during tool_check"; empty before the first step."""
+    told = (Entry.INTENT, *ENDS_A_STEP)
+    latest = next((line for line in reversed(journal) if line["entry"] in told), None)
+    if latest is None:
+        return ""
+    return f" {'during' if latest['entry'] == Entry.INTENT else 'after'} {latest.get('step', 'a step')}"
 
 
 def _describe_closed_run(

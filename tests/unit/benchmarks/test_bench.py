@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
-from benchmarks import figures, run
+from benchmarks import figures, history, run
 from benchmarks.robot import robot_link
 from drivers.kuka_rsi.realtime.link_state import Choice, RecordedCycle
 
@@ -140,3 +141,16 @@ def test_an_unknown_measurement_is_refused_and_the_known_ones_are_listed(tmp_pat
     assert done.returncode == 2
     assert "robot-link" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("only", "line", "said"),
+    [("nonsense", "", "unknown measurement nonsense"), ("ct", '{"torn": ', "line 1 is not a result")],
+)
+def test_the_history_refuses_an_unknown_measurement_and_a_torn_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], only: str, line: str, said: str
+) -> None:
+    file = tmp_path / "history.jsonl"
+    file.write_text(line + "\n" if line else "", encoding="utf-8")
+    with pytest.raises(typer.BadParameter, match=said):
+        history.show(only=[only], file=file)

@@ -140,6 +140,14 @@ def test_the_report_of_a_killed_run_names_the_step_it_was_in(cell: ClinicalCell)
     assert "Killed.</strong> The program ended during image without closing the run" in text
 
 
+@pytest.mark.hazard(41)
+def test_the_report_of_a_run_killed_between_two_steps_names_the_one_that_was_done(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_step(engine.order.find("image"))
+    text = write_report(cell.folder).read_text()
+    assert "Killed.</strong> The program ended after image without closing the run" in text
+
+
 def test_the_report_of_a_run_that_ended_before_its_theatre_was_open_gives_the_reason(tmp_path: Path) -> None:
     text = write_report(tmp_path, error=RunError(code="PRC-001", what="no theatre")).read_text()
     assert "before its theatre was open. no theatre (PRC-001)" in text
