@@ -198,9 +198,9 @@ def ask_verifier(folder: Path) -> Truth:
 
 def _import_report() -> None:
     """Import what the report needs, which follows the verifier."""
-    import jinja2  # noqa: F401
+    import jinja2  # noqa: F401 - only to have it loaded
 
-    import procedures.reporting.report  # noqa: F401
+    import procedures.reporting.report  # noqa: F401 - only to have it loaded
 
 
 def find_truth(folder: Path) -> Truth | None:

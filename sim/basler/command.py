@@ -45,7 +45,7 @@ def basler(
             ) from error
     keep_freed_memory()
     room = open_world(world, scene, faults, FAULTS_OF)
-    pair = CameraPair(room, addresses)
+    pair = CameraPair(room, addresses)  # forks: before the control port, which is a thread
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)

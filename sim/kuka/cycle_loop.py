@@ -315,9 +315,9 @@ class CycleLoop:
                 return
             self._wait_once(remaining_s, None)
 
-    def _wait_once(self, timeout_s: float, awaited: socket.socket | None) -> bool:
-        """Wait once while serving channels and timers, and return whether the awaited socket is readable."""
-        waiting: list[socket.socket] = [awaited] if awaited is not None else []
+    def _wait_once(self, timeout_s: float, wanted: socket.socket | None) -> bool:
+        """Wait once while serving channels and timers, and return whether `wanted` is readable."""
+        waiting: list[socket.socket] = [wanted] if wanted is not None else []
         for server in self._servers:
             waiting += server.sockets
         now_s = time.monotonic()
@@ -327,7 +327,7 @@ class CycleLoop:
             self._faults.poll()  # a fault that was given before a client connected acts on it
         is_readable = False
         for one in ready:
-            if one is awaited:
+            if one is wanted:
                 is_readable = True
                 continue
             for server in self._servers:

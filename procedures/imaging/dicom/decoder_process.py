@@ -62,7 +62,7 @@ def _load_jpeg_ls() -> Callable[[int], Decoded]:
 def _load_pydicom() -> Callable[[str], Decoded]:
     """Load the decoders of whole files in any syntax."""
     import numpy as np
-    import pydicom.pixels  # noqa: F401
+    import pydicom.pixels  # noqa: F401 - loads the decoders before memory is bounded
 
     from procedures.imaging.dicom.attributes import read_dicom
 

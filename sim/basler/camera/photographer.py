@@ -151,7 +151,7 @@ class PhotographerApart(Photographer):
                 orders.send_bytes(self.draw(frame, pose, number, TRIGGERED_LANE))
         except (EOFError, OSError):  # the parent has closed its end, or has ended
             status = 0
-        except Exception:
+        except Exception:  # the last frame of a process: nobody above would print it
             traceback.print_exc()
         finally:
             os._exit(status)

@@ -21,7 +21,7 @@ NUDGES = st.sampled_from([-inf, 0.0, inf])
 
 
 def nudged(value: float, towards: float) -> float:
-    """The same number, or the next one below or above it."""
+    """Neighbouring doubles of a number, and the number itself."""
     return nextafter(value, towards) if towards else value
 
 
