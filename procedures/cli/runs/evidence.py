@@ -103,9 +103,20 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     counts = Counter(result.verdict for result in results)
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
-        print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
+        methods = answers.opening.methods
+        print_json(
+            {
+                "run": run_folder.name,
+                "localizer": methods.localizer,
+                "matcher": methods.matcher,
+                **totals,
+                "records": [asdict(result) for result in results],
+            }
+        )
     else:
         rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
+        if methods := answers.opening.methods.describe():
+            say(methods)
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]
     if unconfirmed:
@@ -131,7 +142,13 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
-    clinical = ClinicalInput(resolve_path(opening.series), plan, strategy, opening.measure_targets)
+    clinical = ClinicalInput(
+        resolve_path(opening.series),
+        plan,
+        strategy,
+        opening.measure_targets,
+        methods=opening.methods,
+    )
     return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 
 

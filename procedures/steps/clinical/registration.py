@@ -143,7 +143,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
                 Topic.REGISTRATION,
                 f"accept the registration for {predicted.target}",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms, "
-                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
+                + (f"; {predicted.assumed}" if predicted.assumed else ""),
                 predicted.target,
                 evidence=(budget_table(predicted), two_way_table(two_way)),
             )
@@ -162,6 +163,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             left_out=left_out,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
+        + (f"; {worst.assumed}" if worst.assumed else "")
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out_spheres)
         + "".join(f"; without {name}" for name in left_out),
     )
@@ -279,6 +281,7 @@ def predict_tip_error(
         formula="covariance propagation, joint by joint",
         excluded=f"{NOT_PREDICTED}; one sphere moved since the CT: {worst.at_target_mm:.2f} mm "
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
+        assumed=context.result(LocalizedFiducials).assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
 

@@ -90,6 +90,9 @@ class Prediction(Values):
     formula: str = Field(description="Method of prediction.")
     budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
     excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
+    assumed: str = Field(
+        default="", description="Errors that a method does not state, and what stands for them."
+    )
 
 
 class FollowedMove(Values):
