@@ -18,6 +18,7 @@ from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Answer, Question, Task, Topic
+from procedures.engine.methods import CaseMethods
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
@@ -320,6 +321,7 @@ class RecordingCell:
     theatre: TheatreFile = field(default_factory=mini_theatre)
     operator: RecordingOperator = field(default_factory=RecordingOperator)
     strategy: Strategy = field(default_factory=lambda: find_strategy("ocs"))
+    methods: CaseMethods = field(default_factory=CaseMethods)
 
     def __post_init__(self) -> None:
         self.folder.mkdir(exist_ok=True)
@@ -361,7 +363,7 @@ class RecordingCell:
             room=self.room,
             settings=ProcedureSettings(),
             surroundings=self.theatre.cell,
-            clinical=ClinicalInput(self.series, self.plan, self.strategy),
+            clinical=ClinicalInput(self.series, self.plan, self.strategy, methods=self.methods),
         )
 
     def engine(self, order: CaseOrder) -> Engine:

@@ -20,6 +20,7 @@ from prepared_results import (
 from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
+from procedures.engine.methods import Localizer
 from procedures.guards.stability import Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
@@ -105,6 +106,23 @@ def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
     assert "common to a scan (scale, table feed, motion, hidden tilt)" in predicted.excluded
     (question,) = cell.operator.asked
     assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
+
+
+def test_the_step_says_whose_error_stands_for_that_of_a_localizer_that_states_none(
+    cell: ClinicalCell,
+) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    of_thesis = localized_fiducials().model_copy(update={"localizer": Localizer.THESIS_SPHERE})
+    done = cell.run(
+        *(relocalization(), correspondence(), of_thesis),
+        *(global_localization(), checked_plan(), checked_paths(cell)),
+        STEP,
+    )
+    assumed = done.result.prediction(FIRST).assumed
+    assert assumed.startswith("thesis-sphere states no error: its share CT is the 0.162 mm published for it")
+    (question,) = cell.operator.asked
+    assert question.value.endswith(f"; {assumed}")
+    assert question.evidence[0].rows[-1] == (f"assumed: {assumed}", "-")
 
 
 def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(
