@@ -13,12 +13,12 @@ import tomli_w
 
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
+from procedures.engine.methods import CaseMethods
 from procedures.engine.order import CaseOrder
 from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Answer, Question, Task, Topic
-from procedures.engine.methods import CaseMethods
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell

@@ -284,7 +284,7 @@ def test_the_thesis_matcher_leaves_a_missing_sphere_out_but_states_no_odds(cell:
 def test_the_thesis_matcher_may_drop_another_than_a_displaced_sphere_and_is_then_refused(
     cell: ClinicalCell,
 ) -> None:
-    with pytest.raises(NoUniqueMatch, match="4 pairs agree within e = 2.5 mm, but with residuals beyond"):
+    with pytest.raises(NoUniqueMatch, match=r"4 pairs agree within e = 2\.5 mm, but with residuals beyond"):
         match_five(by_thesis(cell), MISPLACED["displaced"])
 
 

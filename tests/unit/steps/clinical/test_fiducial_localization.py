@@ -81,7 +81,9 @@ def test_a_sphere_of_the_thesis_has_its_published_error_and_says_that_it_is_assu
     assert found.sigma_mm == pytest.approx(published_mm)
     assert COVARIANCE_ASSUMED in found.flags
     assert localized.localizer == localizer
-    assert f"{localizer} states no error: its share CT is the {published_mm:.3f} mm" in localized.assumed_error
+    assert (
+        f"{localizer} states no error: its share CT is the {published_mm:.3f} mm" in localized.assumed_error
+    )
 
 
 def test_the_summary_marks_a_localizer_of_the_thesis(cell: ClinicalCell, imported: ImportedCt) -> None:
