@@ -101,21 +101,20 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     with progress_bar(f"recomputing {len(run.records)} results") as show:
         results = replay(run, replay_input, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
+    methods = answers.opening.methods.describe()
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
-        methods = answers.opening.methods
         print_json(
             {
                 "run": run_folder.name,
-                "localizer": methods.localizer,
-                "matcher": methods.matcher,
+                "methods": methods,
                 **totals,
                 "records": [asdict(result) for result in results],
             }
         )
     else:
         rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
-        if methods := answers.opening.methods.describe():
+        if methods:
             say(methods)
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]

@@ -67,8 +67,8 @@ def coarse_match(
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
-    without_template = template_mm is None or plan.implanted != len(template_mm)
-    if without_template or methods.matcher is Matcher.THESIS:
+    is_thesis = methods.matcher is Matcher.THESIS
+    if is_thesis or template_mm is None or plan.implanted != len(template_mm):
         return match_by_distances(image, physical, prior, methods, expected=plan.implanted)
     return match_by_template(
         template_mm,
