@@ -11,9 +11,8 @@ from enum import StrEnum
 NOT_CLINICAL = "not for clinical use"
 
 E_RANGE_MM = (1.0, 6.0)  # as tried in the thesis, 5.3.1
-E_MM = (
-    2.5  # comes nearest to the thesis' figures for five to eight spheres; the thesis states no single value
-)
+# Comes nearest to the thesis' figures for five to eight spheres; the thesis states no single value.
+E_MM = 2.5
 REFUSED_SHARE_RANGE = (1e-6, 0.5)
 REFUSED_SHARE = 1e-3  # ours, as the thesis states no rule for its validation
 

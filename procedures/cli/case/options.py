@@ -171,11 +171,11 @@ class CaseOptions(TheatreOptions):
     ] = "ocs"
     localizer: Annotated[
         Localizer,
-        typer.Option(help="Finds the spheres in the CT. Those of the thesis are not for clinical use."),
+        typer.Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use."),
     ] = Localizer.OURS
     matcher: Annotated[
         Matcher,
-        typer.Option(help="Pairs the spheres of CT and room. That of the thesis is not for clinical use."),
+        typer.Option(help="Pairs the spheres of CT and room; the thesis matcher is not for clinical use."),
     ] = Matcher.OURS
     matcher_e_mm: Annotated[
         float | None,

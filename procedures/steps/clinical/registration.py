@@ -136,6 +136,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, trajectories, predictions)
+    methods = context.clinical.methods.describe()
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target not in left_out:
@@ -144,7 +145,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
                 f"accept the registration for {predicted.target}",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms, "
                 f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-                + (f"; {predicted.assumed}" if predicted.assumed else ""),
+                + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
                 predicted.target,
                 evidence=(budget_table(predicted), two_way_table(two_way)),
             )

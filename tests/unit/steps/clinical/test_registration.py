@@ -20,7 +20,7 @@ from prepared_results import (
 from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
-from procedures.engine.methods import Localizer
+from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.guards.stability import Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
@@ -123,6 +123,14 @@ def test_the_step_says_whose_error_stands_for_that_of_a_localizer_that_states_no
     (question,) = cell.operator.asked
     assert question.value.endswith(f"; {assumed}")
     assert question.evidence[0].rows[-1] == (f"assumed: {assumed}", "-")
+
+
+def test_the_operator_reads_the_mark_of_a_thesis_method_before_accepting(cell: ClinicalCell) -> None:
+    cell.methods = CaseMethods(matcher=Matcher.THESIS)
+    registered(cell)
+    (question,) = cell.operator.asked
+    assert question.value.endswith(f"; {cell.methods.describe()}")
+    assert question.value.endswith("not for clinical use")
 
 
 def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(
