@@ -68,8 +68,8 @@ def require_own_patient_frame(theatre: TheatreFile) -> None:
     }
     if shared := [key for key, tool in on_arm.items() if tool == frame]:
         raise ValueError(
-            f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: name the "
-            "frame on the head clamp, a tool of its own"
+            f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
+            "name the frame on the head clamp, a tool of its own"
         )
 
 

@@ -90,7 +90,11 @@ def theatre_content(
             "arm_error_mm": ARM_ERROR_MM,
             "tool_error_mm": TOOL_ERROR_MM,
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
-            **({} if scene.head.robot_from_patient_frame is None else {"patient_frame": _patient_frame(scene)}),
+            **(
+                {}
+                if scene.head.robot_from_patient_frame is None
+                else {"patient_frame": _patient_frame(scene)}
+            ),
         },
     }
     refer_to_tip(content)

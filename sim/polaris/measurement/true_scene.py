@@ -165,9 +165,7 @@ class TrueScene:
         tool, room = self._tools[PATIENT_FRAME_PART_NUMBER], disturbance.room
         pose = self._tracker_from(room) @ rigid_move(room.head_rad, room.head_mm)
         names = frozenset({tool.name, tool.part_number})
-        return _disturb(
-            names, pose @ self._robot_from_patient_frame, np.array(tool.markers_mm), disturbance
-        )
+        return _disturb(names, pose @ self._robot_from_patient_frame, np.array(tool.markers_mm), disturbance)
 
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance

@@ -95,8 +95,8 @@ class Head(Strict):
     )
     robot_from_patient_frame: PoseRecord | None = Field(
         default=None,
-        description="Pose robot <- patient's frame on the head clamp, which moves with the head (tracker tool "
-        "`patient_frame`); without it, none.",
+        description="Pose robot <- patient's frame on the head clamp, which moves with the head (tracker "
+        "tool `patient_frame`); without it, none.",
     )
     targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
         description="Trajectories of the plan."
