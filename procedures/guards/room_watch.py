@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.clamp_frame import FrameOnClamp, find_push
+from procedures.guards.clamp_frame import (
+    PUSH_AGREES_MM,
+    PUSH_AGREES_SHORTLY_MM,
+    FrameOnClamp,
+    find_push,
+)
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, PatientUnseen, RoomMoved
 from procedures.guards.room_reading import FRAMES, RoomReading, find_ghosts, read_room
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES
@@ -244,11 +249,12 @@ class RoomWatch:
         if self.on_clamp is None or reading.on_clamp is None:
             return None
         limit_mm = reading.head_limit_mm
-        apart_mm = self.on_clamp.apart_mm(reading.on_clamp, self.spheres_mm, reading.spheres_mm)
-        if apart_mm is None or apart_mm < limit_mm:
+        apart_mm = self.on_clamp.apart_mm(reading.on_clamp, head)
+        if apart_mm < limit_mm:
             return None
-        by_frame = self.on_clamp.shift(reading.on_clamp, self.spheres_mm)
-        if by_frame.rms_mm < limit_mm <= head.rms_mm:
+        if head.rms_mm >= limit_mm:
+            if self.on_clamp.shift(reading.on_clamp).rms_mm >= limit_mm:
+                return None  # both have moved, perhaps with the tracker
             if lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm) is not None:
                 return None  # told by its own name
             return PatientMoved.from_shift(
@@ -260,7 +266,7 @@ class RoomWatch:
         return FrameSlipped(
             "the patient's frame has moved on the head clamp since the localization, against the spheres",
             limit=f"{limit_mm:g} mm",
-            got=f"{format_against_limit(apart_mm, limit_mm, 2)} mm rms at the spheres",
+            got=f"{format_against_limit(apart_mm, limit_mm, 2)} mm rms",
         )
 
     def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
@@ -280,7 +286,10 @@ class RoomWatch:
             self.spheres_mm,
             reading.spheres_mm,
             arm_mm,
-            reading.head_limit_mm,
+            (
+                reading.head_limit_mm,
+                PUSH_AGREES_MM if reading.is_careful else PUSH_AGREES_SHORTLY_MM,
+            ),
         )
         if move is None:
             return reading, ()
@@ -304,7 +313,7 @@ class RoomWatch:
         """Return the shift of the head by the patient's frame alone, or None if that is not seen."""
         if self.on_clamp is None or reading.on_clamp is None:
             return None
-        return self.on_clamp.shift(reading.on_clamp, self.spheres_mm)
+        return self.on_clamp.shift(reading.on_clamp)
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
@@ -444,8 +453,8 @@ def _clamp_moved(
 ) -> PatientMoved:
     what = "the head clamp" if tracker_excluded else "the head clamp, or the tracker,"
     return PatientMoved.from_shift(
-        f"{what} has moved since the head was localized, by {_describe_way(head_mm)} at the spheres, "
-        "which are hidden: by the frame on the clamp",
+        f"{what} has moved since the head was localized, by {_describe_way(head_mm)}: by the "
+        "frame on it, as the spheres are hidden",
         head.rms_mm,
         limit_mm,
     )

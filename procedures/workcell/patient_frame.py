@@ -1,8 +1,9 @@
 """Tracker readings relative to the patient's frame, the rigid body on the head clamp.
 
-Frame by frame, everything that the tracker sees is expressed by where it is from the frame on the clamp. A
-push against the tracker during the reading then moves nothing: the frame on the arm and the spheres stay
-where they are against the clamp.
+A reading is divided into spells in which the tracker rests against the clamp, and each spell is expressed by
+where the frame on the clamp is. A push against the tracker during the reading then moves nothing: the frame
+on the arm and the spheres stay where they are against the clamp. Spells and not single frames: in one frame
+the rotation of the frame on the clamp has a noise that would move what is far from it.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
-# Rms of the frame's markers about their places while nothing moves: 0.2 mm, the tracker's noise in one frame.
-STILL_MM = 0.4
-LEAST_STILL = 15  # frames at the end of a reading, 0.25 s, in which the tracker must have come to rest
-# Of the frame on the arm against the clamp, before and after a push: over 600 mm, the rotation of the frame
-# on the clamp has a noise of 0.3 mm in 15 frames.
+# Rms of the frame's markers from their mean place within a spell: by the tracker's noise 0.2 mm in one frame,
+# twice that in sunlight.
+STILL_MM = 1.0
+LEAST_STILL = 15  # frames of a spell, 0.25 s; what is shorter is a movement
+# Of the frame on the arm against the clamp, from spell to spell: over 600 mm, the rotation of the frame on
+# the clamp has a noise of 0.3 mm in 15 frames.
 ARM_STILL_MM = 1.0
 OR_ANOTHER = "; if it is in view, its definition is that of another frame (ronna-rom check)"
 
@@ -55,14 +57,23 @@ def hold_to_patient_frame(
     """
     average_pose(frames, name)
     shown = [frame for frame in frames if frame.tool(name).validity is Validity.OK]
-    poses = [frame.tool(name).transform(Frame.TRACKER, Frame.PATIENT) for frame in shown]
-    places = np.array([pose.apply(markers_mm) for pose in poses])
-    still = _count_still(places)
-    pose = average_pose_of(shown[-still:], name)
-    held = [_seen_after(pose @ one.inverse(), frame) for one, frame in zip(poses, shown, strict=True)]
-    if still < len(held):
-        _require_arm_still(held[:-still], held[-still:], on_arm)
-    return held, pose
+    spells = _divide(shown, name, markers_mm)
+    if len(spells[-1]) < LEAST_STILL:
+        raise GateFailed(
+            "the tracker, or the frame on the head clamp, moved until the end of the reading",
+            limit=f"at rest within {STILL_MM:g} mm in the last {LEAST_STILL} frames",
+            got=f"in the last {len(spells[-1])}",
+            action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
+        )
+    pose = average_pose_of(spells[-1], name)
+    held: list[TrackerFrame] = []
+    for spell in spells[:-1]:
+        if len(spell) >= LEAST_STILL:
+            move = pose @ average_pose_of(spell, name).inverse()
+            moved = [_seen_after(move, frame) for frame in spell]
+            _require_arm_still(moved, spells[-1], on_arm)
+            held += moved
+    return [*held, *spells[-1]], pose
 
 
 def average_pose_of(frames: list[TrackerFrame], name: str) -> Transform:
@@ -86,22 +97,20 @@ def posed_markers(frame: TrackerFrame, name: str, markers_mm: ArrayLike) -> Sequ
     return places
 
 
-def _count_still(places_mm: Array) -> int:
-    """Return how many of the last frames show the markers (k, n, 3) at rest."""
-    count = len(places_mm)
-    while True:
-        last = places_mm[-count:]
-        spread_mm = float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=2).mean()))
-        if spread_mm <= STILL_MM:
-            return count
-        if count <= LEAST_STILL:
-            raise GateFailed(
-                "the tracker, or the frame on the head clamp, moved until the end of the reading",
-                limit=f"{STILL_MM:g} mm rms over {count} frames",
-                got=f"{format_against_limit(spread_mm, STILL_MM, 2)} mm",
-                action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
-            )
-        count = max(count // 2, LEAST_STILL)
+def _divide(frames: list[TrackerFrame], name: str, markers_mm: ArrayLike) -> list[list[TrackerFrame]]:
+    """Divide frames that show the patient's frame into spells in which its markers (n, 3) rest."""
+    spells: list[list[TrackerFrame]] = []
+    total = np.zeros(3)
+    for frame in frames:
+        places = np.asarray(posed_markers(frame, name, markers_mm))
+        away = places - total / max(1, len(spells[-1]) if spells else 1)
+        if spells and float(np.sqrt((away**2).sum(axis=1).mean())) <= STILL_MM:
+            spells[-1].append(frame)
+            total = total + places
+        else:
+            spells.append([frame])
+            total = places
+    return spells
 
 
 def _require_arm_still(before: list[TrackerFrame], after: list[TrackerFrame], on_arm: str) -> None:
