@@ -65,23 +65,24 @@ def find_push(
 ) -> Transform | None:
     """Return TRACKER now <- TRACKER before if nothing but the tracker has moved, else None.
 
-    Frame and visible spheres must have moved as one body, at least by the first of `limits_mm` (rms) and
+    Frame and visible spheres must each have moved by at least the first of `limits_mm` (rms), as one body
     within it, and the frame on the arm with them, within the second. `spheres_mm` (n, 3) are expected,
     `seen_mm` (m, 3) seen; `arm_mm` are the places (3,) of the frame on the arm, expected and seen.
     """
     limit_mm, arm_limit_mm = limits_mm
-    before, after = frame.places_mm, seen.apply(frame.markers_mm)
+    bodies = [(frame.places_mm, seen.apply(frame.markers_mm))]
     by_frame = (seen @ frame.pose.inverse()).apply(spheres_mm)
     if len(seen_mm):
         apart = np.linalg.norm(by_frame[:, None] - seen_mm[None], axis=2)
-        near = apart.min(axis=1) < NEAR_MM
-        before = np.vstack([before, spheres_mm[near]])
-        after = np.vstack([after, seen_mm[apart.argmin(axis=1)[near]]])
+        if (near := apart.min(axis=1) < NEAR_MM).any():
+            bodies.append((spheres_mm[near], seen_mm[apart.argmin(axis=1)[near]]))
+    if any(PointShift.of(now - then).rms_mm < limit_mm for then, now in bodies):
+        return None
+    before, after = (np.vstack(side) for side in zip(*bodies, strict=True))
     move = _fit(before, after)
     expected_mm, at_mm = arm_mm
     if (
-        PointShift.of(after - before).rms_mm < limit_mm
-        or PointShift.of(move.apply(before) - after).rms_mm >= limit_mm
+        PointShift.of(move.apply(before) - after).rms_mm >= limit_mm
         or float(np.linalg.norm(move.apply(expected_mm) - at_mm)) >= arm_limit_mm
     ):
         return None
