@@ -66,8 +66,10 @@ def find_push(
     """Return TRACKER now <- TRACKER before if nothing but the tracker has moved, else None.
 
     Frame and visible spheres must each have moved by at least the first of `limits_mm` (rms), as one body
-    within it, and the frame on the arm with them, within the second. `spheres_mm` (n, 3) are expected,
-    `seen_mm` (m, 3) seen; `arm_mm` are the places (3,) of the frame on the arm, expected and seen.
+    within it, and the frame on the arm with them, within the second. A push that would take the frame on the
+    arm by less than twice that is not decided here: a small move of the head would pass for it.
+    `spheres_mm` (n, 3) are expected, `seen_mm` (m, 3) seen; `arm_mm` are the places (3,) of the frame on the
+    arm, expected and seen.
     """
     limit_mm, arm_limit_mm = limits_mm
     bodies = [(frame.places_mm, seen.apply(frame.markers_mm))]
@@ -81,9 +83,11 @@ def find_push(
     before, after = (np.vstack(side) for side in zip(*bodies, strict=True))
     move = _fit(before, after)
     expected_mm, at_mm = arm_mm
+    pushed_mm = move.apply(expected_mm)
     if (
         PointShift.of(move.apply(before) - after).rms_mm >= limit_mm
-        or float(np.linalg.norm(move.apply(expected_mm) - at_mm)) >= arm_limit_mm
+        or float(np.linalg.norm(pushed_mm - at_mm)) >= arm_limit_mm
+        or float(np.linalg.norm(pushed_mm - expected_mm)) < 2.0 * arm_limit_mm
     ):
         return None
     return _fit(np.vstack([before, expected_mm]), np.vstack([after, at_mm]))  # one body, so all of it counts

@@ -17,8 +17,8 @@ from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames, PatientFrames
-from procedures.guards.room_reading import PATIENT_LIMIT_MM, read_room
-from procedures.guards.room_watch import RoomWatch
+from procedures.guards.room_reading import PATIENT_LIMIT_MM
+from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import posed_markers
@@ -131,7 +131,7 @@ class MotionWatch:
         found: RonnaError | None
         try:
             with self.beside():
-                found = room.compare(read_room(self.workcell, self.clock, room.robot_from_tracker)).moved
+                found = room.compare(read_watched(room, self.workcell, self.clock)).moved
         except RonnaError as problem:
             found = problem
         if isinstance(found, BaseShifted):

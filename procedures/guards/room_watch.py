@@ -309,6 +309,11 @@ class RoomWatch:
             self._localized_clamp = self._localized_clamp.moved_by(move)
             self.tracker_move = move @ self.tracker_move
 
+    def is_clamp_away(self, reading: RoomReading) -> bool:
+        """Return whether the patient's frame is seen out of its place."""
+        shift = self._shift_by_frame(reading)
+        return shift is not None and shift.rms_mm >= reading.head_limit_mm
+
     def _shift_by_frame(self, reading: RoomReading) -> PointShift | None:
         """Return the shift of the head by the patient's frame alone, or None if that is not seen."""
         if self.on_clamp is None or reading.on_clamp is None:
@@ -381,6 +386,14 @@ class RoomWatch:
         return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
+def read_watched(room: RoomWatch, workcell: Workcell, clock: Clock, count: int = FRAMES) -> RoomReading:
+    """Read the room with the arm at rest; carefully, if the frame on the clamp is out of its place."""
+    reading = read_room(workcell, clock, room.robot_from_tracker, count)
+    if reading.is_careful or not room.is_clamp_away(reading):
+        return reading
+    return read_room(workcell, clock, room.robot_from_tracker, CAREFUL_FRAMES)
+
+
 def check_now(
     room: RoomWatch,
     workcell: Workcell,
@@ -390,7 +403,7 @@ def check_now(
     count: int = FRAMES,
 ) -> RoomLook:
     """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
-    look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
+    look = room.compare(read_watched(room, workcell, clock, count), clock.now_s())
     if isinstance(look.moved, RoomMoved):
         void(look.moved)  # first: the watch goes on until this is written
         memory.drop(RoomWatch)  # the same move must not stop the way out
