@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from clinical_case import ClinicalCell
 
@@ -13,6 +15,11 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.world.scene.named_scenes import ROBOT_FRAME_MARKERS_MM
 
 TOOLS = {"robot_frame": ROBOT_FRAME_MARKERS_MM}
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path)
 
 
 def test_a_frame_of_its_own_is_accepted_and_none_need_be_there(cell: ClinicalCell) -> None:
