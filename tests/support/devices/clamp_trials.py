@@ -35,7 +35,7 @@ def scene_of(seed: int) -> Scene:
 def push(way_mm: ArrayLike, turn_rad: ArrayLike, about_mm: ArrayLike) -> Matrix:
     """A displacement of the tracker (4, 4) in the robot frame, turned about its own place."""
     rotation = rotation_from_vector(np.asarray(turn_rad, dtype=float))
-    return matrix_from(np.asarray(way_mm) + about_mm - rotation @ np.asarray(about_mm), rotation)
+    return matrix_from(np.asarray(way_mm) + np.asarray(about_mm) - rotation @ np.asarray(about_mm), rotation)
 
 
 @dataclass
@@ -95,8 +95,8 @@ class ClampedCase:
     def _see(
         self, frames: int, pushed: Matrix, head_mm: ArrayLike, clamp_mm: ArrayLike
     ) -> tuple[Transform, Array, Array]:
-        on_clamp = apply(self._clamp, self._on_clamp_mm) + clamp_mm
-        places = [on_clamp, self._spheres_mm + head_mm, apply(self._arm, self._on_arm_mm)]
+        on_clamp = np.add(apply(self._clamp, self._on_clamp_mm), clamp_mm)
+        places = [on_clamp, np.add(self._spheres_mm, head_mm), apply(self._arm, self._on_arm_mm)]
         points = apply(inverse(pushed @ self._robot_from_tracker), np.vstack(places))
         sight = self._optics.sight(points)
         seen = sight.measured(self.generator.standard_normal(points.shape) / math.sqrt(frames))

@@ -122,7 +122,9 @@ def test_places_followed_before_a_push_are_expected_where_the_pushed_tracker_see
 
 
 def test_hidden_spheres_are_reported_once(case: ClampedCase) -> None:
-    told = [case.watch.compare(case.read(FRAMES, hidden=hidden)).findings for hidden in (1, 1, 0, 1)]
+    told = [
+        case.watch.compare(case.read(FRAMES, hidden=hidden)).findings for hidden in (True, True, False, True)
+    ]
     assert [len(findings) for findings in told] == [1, 0, 0, 1]
     assert "the frame on its clamp is watched" in told[0][0]
 

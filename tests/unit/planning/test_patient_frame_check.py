@@ -28,7 +28,7 @@ def test_a_frame_of_its_own_is_accepted_and_none_need_be_there(cell: ClinicalCel
 
 
 def test_a_frame_that_the_tracker_does_not_know_is_refused(cell: ClinicalCell) -> None:
-    with pytest.raises(UnknownTool, match="DEV-003: .*names patient_frame.*expected robot"):
+    with pytest.raises(UnknownTool, match=r"DEV-003: .*names patient_frame.*expected robot"):
         check_patient_frame(NAME, cell.calibrations, TOOLS)
 
 
