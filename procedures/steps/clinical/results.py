@@ -109,7 +109,13 @@ class FollowedMove(Values):
     base_mm: float = Field(
         description="Motion between the frame on the arm and the tracker since the localization."
     )
-    spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
+    spheres_tracker_mm: tuple[Numbers3, ...] = Field(
+        description="All matched spheres now, in the tracker frame of the localization."
+    )
+    tracker_from_patient: FramedPose | None = Field(
+        default=None,
+        description="The frame on the head clamp now, in the same; null if not seen or not there.",
+    )
 
 
 class RegisteredRobot(StepResult, kind="registration"):
