@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from procedures.relocalization.centre_covariance import RimLight, centre_covariance
 from procedures.relocalization.circle_search import Circle, GreyImage
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
 
@@ -48,10 +49,6 @@ TOO_FAINT = "the sphere is too faint"
 FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
 FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
 FILLED_RINGS, FILLED_RAYS = 12, 36
-# Neighbouring rays share grain, uneven light and the edges of stains, so they carry less information than
-# independent ones. With this factor covariances are correct on rendered images; films and lights of the
-# hardware are unknown (U).
-SHARED_ERRORS = 2.3
 
 COARSE_RAYS = 180
 FINE_RAYS = 300
@@ -130,11 +127,12 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
     if fit is None or not _is_near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
         return None
-    return judge_outline(image, fit, edges, rim, inner)
+    clipped = _clipped_share(image, profiles, blur)
+    return judge_outline(image, fit, edges, clipped, rim, inner)
 
 
 def judge_outline(
-    image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
+    image: GreyImage, fit: EllipseFit, edges: RimEdges, clipped: Array, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
@@ -162,7 +160,9 @@ def judge_outline(
         / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
         / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
     )
-    covariance = SHARED_ERRORS * fit.centre_covariance_px2
+    ray = np.flatnonzero(rim)
+    light = RimLight(ray, len(rim), edges.dark_grey[ray], edges.step_grey[ray], clipped[ray], blur)
+    covariance, clipping_px = centre_covariance(fit, light)
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),
@@ -189,6 +189,11 @@ def _mark_dimmed(
     return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
 
 
+def _clipped_share(image, profiles, blur_px):
+    full = 255 if image.dtype == np.uint8 else 4095
+    return (profiles.grey[:, profiles.offset_px < -blur_px] > full-0.5).mean(axis=1)
+
+
 def _bright_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
     """Return the fraction of the interior brighter than the mid-level between both sides of the rim."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
@@ -199,7 +204,7 @@ def _bright_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDAr
     in_image = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
     if not in_image.any():
         return 0.0
-    half_way = float(np.median((edges.dark_grey + 0.5 * edges.step_grey)[rim]))
+    half_way = float(np.median(edges.dark_grey[rim]) + 0.5 * np.percentile(edges.step_grey[rim], 10))
     return float(np.mean(image[y[in_image], x[in_image]] > half_way))
 
 
