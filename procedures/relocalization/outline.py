@@ -162,7 +162,7 @@ def judge_outline(
     )
     ray = np.flatnonzero(rim)
     light = RimLight(ray, len(rim), edges.dark_grey[ray], edges.step_grey[ray], clipped[ray], blur)
-    covariance, clipping_px = centre_covariance(fit, light)
+    covariance = centre_covariance(fit, light)
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),
