@@ -40,10 +40,10 @@ LEAST_STEP_SHARE = 0.05  # of the median step
 RIM_WIDTH_PX = 0.07
 SIDE_RIM_WIDTH_PX = 0.16  # of light from elsewhere; fitted to path-traced images (U)
 OWN_EVENNESS = 1.1  # brightest over darkest film under the head's own lamps
-CLIPPED_SHIFT_BLURS = 0.5  # from film that is barely clipped to film about 1.6 times as bright
+CLIPPED_SHIFT_BLURS = 0.4  # from film that is barely clipped to film half again as bright
 # Clipped film moves the edge by 0.7 blurs per natural unit of brightness. A lamp that lights the film of one
 # side only does so with half of that in one cycle per turn.
-UNEVEN_SHIFT_BLURS = 0.35
+UNEVEN_SHIFT_BLURS = 0.3
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,18 @@ class RimLight:
     def smooth_dark_grey(self) -> Array:
         """Background (n,), averaged over neighbouring rays."""
         return self.smooth(self.dark_grey)
+
+    @property
+    def film_ratio(self) -> float:
+        """Brightest over darkest film around the rim."""
+        film = self.smooth_dark_grey + self.smooth_step_grey
+        return float(np.percentile(film, HIGH_PERCENTILE) / max(np.percentile(film, LOW_PERCENTILE), 1.0))
+
+    @property
+    def half_way_grey(self) -> float:
+        """Mid-level between the background and the film where that is darkest."""
+        film_over_dark = np.percentile(self.step_grey, LOW_PERCENTILE)
+        return float(np.median(self.dark_grey) + 0.5 * film_over_dark)
 
     def smooth(self, values: Array) -> Array:
         """Average values (n,) over neighbouring rays of the fit."""
