@@ -36,8 +36,8 @@ LONGEST_OVER_BLOCK = 1.8
 SMOOTHING_RAYS = 10  # to either side
 LOW_PERCENTILE, HIGH_PERCENTILE = 10.0, 95.0
 LEAST_STEP_SHARE = 0.05  # of the median step
-# Lamps 12 mm from the lens axis, 250 mm away, leave 0.07 px of a rim of 261 px unlit, on average.
-RIM_WIDTH_PX = 0.07
+# Lamps 14 mm from the lens axis, 250 mm away, leave 0.1 px of a rim of 261 px unlit, on average.
+RIM_WIDTH_PX = 0.10
 SIDE_RIM_WIDTH_PX = 0.16  # of light from elsewhere; fitted to path-traced images (U)
 OWN_EVENNESS = 1.1  # brightest over darkest film under the head's own lamps
 CLIPPED_SHIFT_BLURS = 0.4  # from film that is barely clipped to film half again as bright
@@ -96,7 +96,9 @@ def centre_covariance(fit: EllipseFit, light: RimLight) -> Array:
     shifts = [*_rim_shifts_px(fit, light), clipped_shift_px(fit, light)]
     hidden = sum((np.outer(shift, shift) for shift in shifts), np.zeros((2, 2)))
     unseen_px = UNEVEN_SHIFT_BLURS * light.blur_px * _uneven_light(light) * float(np.mean(light.clipped))
-    return np.asarray(_ratio_of_shared(fit, light) * fit.centre_covariance_px2 + hidden + unseen_px**2 * np.eye(2))
+    return np.asarray(
+        _ratio_of_shared(fit, light) * fit.centre_covariance_px2 + hidden + unseen_px**2 * np.eye(2)
+    )
 
 
 def clipped_shift_px(fit: EllipseFit, light: RimLight) -> Array:

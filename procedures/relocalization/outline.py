@@ -46,8 +46,8 @@ SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0
 TOO_FAINT = "the sphere is too faint"
-ONE_SIDED = "the light comes from one side and leaves the other dark"
-SATURATED_SIDE = "one side of the rim is saturated"
+ONE_SIDED = "only one side of the sphere is lit or in view"
+SATURATED_SIDE_OF_RIM = "one side of the rim is saturated"
 ONE_SIDED_RATIO = 2.5  # brightest over darkest film at the rim; the head's own lamps light it evenly
 RELIABLE_CLIPPED_SHIFT_PX = 0.1  # a pair is then uncertain by a quarter of the 10 um of a stained sphere
 FULL_SCALE_8_BIT, FULL_SCALE_12_BIT = 255.0, 4095.0
@@ -155,20 +155,24 @@ def judge_outline(
         return None
     ray = np.flatnonzero(rim)
     light = RimLight(ray, len(rim), edges.dark_grey[ray], edges.step_grey[ray], clipped[ray], blur)
-    is_filled = _bright_share(image, fit.ellipse, light.half_way_grey) >= FILLED_SHARE
-    is_one_sided = light.film_ratio > ONE_SIDED_RATIO
-    if not is_filled and not is_one_sided:
+    everywhere = np.ones(len(bright), dtype=np.bool_)
+    is_filled, is_filled_at_rim = (
+        _bright_share(image, fit.ellipse, light.half_way_grey, directions) >= FILLED_SHARE
+        for directions in (everywhere, bright | dim)
+    )
+    if not is_filled and not is_filled_at_rim:
         return None
     contrast_to_noise = step / max(noise, 1e-6)
     lacks_rim = rim_fraction < RELIABLE_RIM or supporting < CARRYING_RIM
     doubts = {
-        ONE_SIDED: is_one_sided and (lacks_rim or not is_filled),
+        ONE_SIDED: not is_filled or (lacks_rim and light.film_ratio > ONE_SIDED_RATIO),
         "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
         "too much of the rim is stained": supporting < CARRYING_RIM,
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
         TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
-        SATURATED_SIDE: float(np.linalg.norm(clipped_shift_px(fit, light))) > RELIABLE_CLIPPED_SHIFT_PX,
+        SATURATED_SIDE_OF_RIM: float(np.linalg.norm(clipped_shift_px(fit, light)))
+        > RELIABLE_CLIPPED_SHIFT_PX,
     }
     doubt = next((words for words, applies in doubts.items() if applies), "")
     quality = (
@@ -209,10 +213,13 @@ def _clipped_share(image: GreyImage, profiles: Profiles, blur_px: float) -> Arra
     return np.asarray((profiles.grey[:, profiles.offset_px < -blur_px] >= full).mean(axis=1))
 
 
-def _bright_share(image: GreyImage, ellipse: Ellipse, level_grey: float) -> float:
-    """Return the fraction of the interior brighter than a level."""
+def _bright_share(
+    image: GreyImage, ellipse: Ellipse, level_grey: float, directions: NDArray[np.bool_]
+) -> float:
+    """Return the fraction of the interior brighter than a level, in the marked of all directions (rays,)."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
-    angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
+    marked = directions[np.arange(FILLED_RAYS) * len(directions) // FILLED_RAYS]
+    angle: Array = np.flatnonzero(marked).astype(float) * (2.0 * np.pi / FILLED_RAYS)
     distance = radius * ellipse.radius_at(angle)
     x = np.rint(ellipse.centre_px[0] + distance * np.cos(angle)).astype(int)
     y = np.rint(ellipse.centre_px[1] + distance * np.sin(angle)).astype(int)
