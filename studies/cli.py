@@ -109,6 +109,12 @@ def correspondence(
     xframe: Annotated[
         bool, typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker.")
     ] = False,
+    wrong: Annotated[
+        bool,
+        typer.Option(
+            "--wrong", help="Only ours, with wrong assumptions: noise, strays, a tracker that distorts."
+        ),
+    ] = False,
     *,
     study_options: StudyOptions,
 ) -> None:
@@ -121,12 +127,12 @@ def correspondence(
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
 
-    if xframe + sweep + template > 1:
-        raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
-    if (xframe or sweep or template) and (methods or tolerances_mm or refused_share):
+    if xframe + sweep + template + wrong > 1:
+        raise UsageMistake("--sweep, --xframe, --template and --wrong are separate studies: give one of them")
+    if (xframe or sweep or template or wrong) and (methods or tolerances_mm or refused_share):
         raise UsageMistake(
-            "--method, --e and --refuse cannot be combined with --sweep, --xframe or --template, which have "
-            "their own"
+            "--method, --e and --refuse cannot be combined with --sweep, --xframe, --template or --wrong, "
+            "which have their own"
         )
     if xframe:
         _run_clinical(runs, study_options)
@@ -137,6 +143,16 @@ def correspondence(
 
         _run(
             template_study.TemplateStudy(runs, study_options.seed), template_study.tables, None, study_options
+        )
+        return
+    if wrong:
+        from studies.correspondence import wrong as wrong_study
+
+        _run(
+            wrong_study.WrongAssumptionsStudy(runs, study_options.seed),
+            wrong_study.tables,
+            None,
+            study_options,
         )
         return
     chosen, own = select_methods(methods or (), terminal.tell)
