@@ -282,13 +282,29 @@ def strategies(
             "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
         ),
     ] = False,
+    wrong: Annotated[
+        bool,
+        typer.Option(
+            "--wrong",
+            help="Only the prediction, on arms with effects that their model lacks; takes 20 arms well.",
+        ),
+    ] = False,
     methods: OwnOption = None,
     *,
     study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
-    if identified and methods:
-        raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
+    if (identified or wrong) and methods:
+        raise UsageMistake(
+            "--method cannot be combined with --identified or --wrong, which have their own strategies"
+        )
+    if identified and wrong:
+        raise UsageMistake("--identified and --wrong are separate studies: give one of them")
+    if wrong:
+        from studies.strategies import wrong as wrong_arms
+
+        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_arms.tables, None, study_options)
+        return
     if identified:
         from studies.strategies import identified as identified_arms
 

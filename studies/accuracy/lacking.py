@@ -48,6 +48,9 @@ class Lack(StrEnum):
     BUMP_AFTER = "flange bumped after the localization"
 
 
+BUMPS = (Lack.BUMP_BEFORE, Lack.BUMP_DURING, Lack.BUMP_AFTER)
+
+
 @dataclass(frozen=True)
 class LackingArms(RandomArms):
     """Random arms at planned poses, with joint angles and tools displaced at each: (p, 6) rad, (p, 3) mm."""
@@ -87,7 +90,7 @@ class LackingEffect:
             COMPLIANCE_RAD * np.abs(random.normal(size=AXES)) * (lack is Lack.COMPLIANCE),
             WARM_MM / math.sqrt(3.0) * random.normal(size=3) * (lack is Lack.WARMTH),
             WARM_RAD * random.normal(size=AXES) * (lack is Lack.WARMTH),
-            BUMP_MM / math.sqrt(3.0) * random.normal(size=3) * lack.startswith("flange bumped"),
+            BUMP_MM / math.sqrt(3.0) * random.normal(size=3) * (lack in BUMPS),
         )
 
     def shift_rad(self, chain: Chain, joints_rad: Array, points_mm: Array, moved_s: Array) -> Array:

@@ -225,7 +225,10 @@ def measure_looks(
     spheres_mm: Array,
     at_rest: Callable[[Array, Array, int], Array],
 ) -> LookArrays:
-    """Measure the planned looks with arm `number`; `at_rest` is its flange (4, 4) by joints, sides and row."""
+    """Measure the planned looks with arm `number`.
+
+    `at_rest` returns its flange (4, 4) by joints, sides and row.
+    """
     _, tool_error_mm = draw_numbered_arm(seed, number)
     generator = np.random.default_rng([seed, LOOKS_KEY, number])
     points_mm = np.empty_like(looks.points_mm)
@@ -308,8 +311,9 @@ def record_spheres_mm(
     _, seen = solve_joints(
         planned.localizations,
         lambda joints: believed.tool(joints, planned.arrival),
-        lambda joints, _: np.tile(spheres, (sets, 1))
-        - arm.tool_points_mm(joints[None], planned.arrival[None])[0],
+        lambda joints, _: (
+            np.tile(spheres, (sets, 1)) - arm.tool_points_mm(joints[None], planned.arrival[None])[0]
+        ),
         planned.localizations.joints_rad.shape,
     )
     recorded = seen.reshape(sets, len(spheres), AXES)
