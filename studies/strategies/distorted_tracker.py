@@ -95,5 +95,6 @@ def tabulate(sums: Mapping[str, Sums]) -> Table:
             if one["used"]
         ],
         f"Five spheres. The distortion is {DISTORTION_MM} mm rms with wavelengths of "
-        f"{WAVELENGTHS_MM[0]:g} to {WAVELENGTHS_MM[1]:g} mm. The error is what following adds at a target. {bounds.NOTE}",
+        f"{WAVELENGTHS_MM[0]:g} to {WAVELENGTHS_MM[1]:g} mm. The error is what following adds at a target. "
+        f"{bounds.NOTE}",
     )
