@@ -148,7 +148,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
                 Topic.REGISTRATION,
                 f"accept the registration for {predicted.target}",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms, "
-                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}{_tell_widening(predicted)}",
                 predicted.target,
                 evidence=(budget_table(predicted), two_way_table(two_way)),
             )
@@ -242,6 +242,7 @@ def predict_tip_error(
     """Predict the tip's error at a target from the errors of spheres, arm, guide and instrument.
 
     Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
+    If the spheres disagree by more than all of it states, the limit is widened.
     """
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
@@ -289,6 +290,12 @@ def predict_tip_error(
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
+
+
+def _tell_widening(predicted: Prediction) -> str:
+    if predicted.widening == 1.0:
+        return ""
+    return f", widened: the spheres disagree {predicted.widening:.2f} times as much as the errors stated"
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:
