@@ -30,10 +30,11 @@ GEAR_RAD = math.radians(0.008)  # as the second harmonic of set S
 COMPLIANCE_RAD = math.radians(0.03)  # as the sag of set S
 LEVERS_MM = np.array([600.0, 600.0, 400.0, 220.0, 220.0, 220.0])
 UNEVEN = 0.5  # share by which its stiffness varies over a turn
-WARM_MM = 0.3  # 3-D rms of the flange's drift when the arm is warm
+# Of the flange's drift when the arm is warm, and of a bump: as often in each octave, since small ones are as
+# telling as large ones: a case refuses what it sees, and only what it does not see reaches a target.
+SHIFTS_MM = (0.03, 0.5)
 WARM_RAD = math.radians(0.005)  # of each joint
 WARM_S = 1200.0  # of motion, until two thirds of the drift is reached: that of the simulated arm
-BUMP_MM = 0.3  # 3-D rms of the tool's displacement in the frame of the flange
 
 
 class Lack(StrEnum):
@@ -88,9 +89,9 @@ class LackingEffect:
             GEAR_RAD * random.normal(size=(orders, AXES)) * (lack is Lack.GEARS),
             random.uniform(0.0, 2.0 * math.pi, (orders + 1, AXES)),
             COMPLIANCE_RAD * np.abs(random.normal(size=AXES)) * (lack is Lack.COMPLIANCE),
-            WARM_MM / math.sqrt(3.0) * random.normal(size=3) * (lack is Lack.WARMTH),
+            _draw_shift_mm(random) * (lack is Lack.WARMTH),
             WARM_RAD * random.normal(size=AXES) * (lack is Lack.WARMTH),
-            BUMP_MM / math.sqrt(3.0) * random.normal(size=3) * (lack in BUMPS),
+            _draw_shift_mm(random) * (lack in BUMPS),
         )
 
     def shift_rad(self, chain: Chain, joints_rad: Array, points_mm: Array, moved_s: Array) -> Array:
@@ -107,6 +108,12 @@ class LackingEffect:
     def shift_mm(self, moved_s: Array) -> Array:
         """Return the drift (p, 3) of the flange in the robot frame, mm, after this motion."""
         return np.asarray(warmth(moved_s)[:, None] * self.warm_mm)
+
+
+def _draw_shift_mm(random: np.random.Generator) -> Array:
+    direction = random.normal(size=3)
+    length_mm = math.exp(random.uniform(*np.log(SHIFTS_MM)))
+    return np.asarray(length_mm * direction / np.linalg.norm(direction))
 
 
 def warmth(moved_s: Array) -> Array:
