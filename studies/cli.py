@@ -302,8 +302,9 @@ def strategies(
         raise UsageMistake("--identified and --wrong are separate studies: give one of them")
     if wrong:
         from studies.strategies import wrong as wrong_arms
+        from studies.strategies import wrong_tables
 
-        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_arms.tables, None, study_options)
+        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_tables.tables, None, study_options)
         return
     if identified:
         from studies.strategies import identified as identified_arms

@@ -255,9 +255,9 @@ def _tabulate_cells(sums: Mapping[str, Sums], method: Method) -> Table:
         counted[assumption, noise, int(count)][int(outliers)].update(_outcomes(content, method))
     columns = ("wrong", "noise", "fiducials", "runs a cell", *(f"{one} outliers" for one in OUTLIERS))
     rows: list[list[Cell]] = []
-    for (assumption, noise, count), cells in counted.items():
+    for (assumption, noise, fiducials), cells in counted.items():
         runs = next(iter(cells.values())).total()
-        rows.append([assumption, noise, count, runs, *(_format_cell(cells[one]) for one in OUTLIERS)])
+        rows.append([assumption, noise, fiducials, runs, *(_format_cell(cells[one]) for one in OUTLIERS)])
     return Table(
         f"Unsuccessful / false in per cent, {method}",
         columns,

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 RUNS = 400
 MOVES_KEY = 13  # of the random numbers
 FRAME_MM = 0.1  # noise of one frame, per axis
-GOAL = 0.90
+GOAL = 0.90  # of the errors within the 95 % limit
 
 
 class Tracker(StrEnum):

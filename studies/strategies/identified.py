@@ -223,7 +223,7 @@ def measure_looks(
     seed: int,
     number: int,
     spheres_mm: Array,
-    at_rest: Callable[[Array, Array, int], Array],
+    at_rest: Callable[[Sequence[float], Sequence[float], int], Array],
 ) -> LookArrays:
     """Measure the planned looks with arm `number`.
 
@@ -232,7 +232,9 @@ def measure_looks(
     _, tool_error_mm = draw_numbered_arm(seed, number)
     generator = np.random.default_rng([seed, LOOKS_KEY, number])
     points_mm = np.empty_like(looks.points_mm)
-    for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
+    for row, (joints, flanks) in enumerate(
+        zip(looks.joints_rad.tolist(), looks.flanks.tolist(), strict=True)
+    ):
         flange = at_rest(joints, flanks, row)
         away = spheres_mm[looks.sphere[row]] - flange[:3, 3]
         points_mm[row] = flange[:3, :3].T @ away - TOOL_MM - tool_error_mm

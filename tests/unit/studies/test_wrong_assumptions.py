@@ -17,10 +17,9 @@ from studies.correspondence import wrong as pairing
 from studies.correspondence.study import FALSE, LOST
 from studies.correspondence.wrong import Assumption, WrongAssumptionsStudy, draw_wrong_readings, told_factor
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
-from studies.strategies import distorted_tracker
-from studies.strategies import wrong as wrong_arms
+from studies.strategies import distorted_tracker, wrong_tables
 from studies.strategies.distorted_tracker import Tracker, follow_moves
-from studies.strategies.wrong import GAUGE, WrongArmsStudy
+from studies.strategies.wrong import ARMS, GAUGE, WrongArmsStudy
 
 JOINTS = np.array([ARM.home_rad])
 FLANKS = np.ones((1, 1, 6))
@@ -163,7 +162,7 @@ def test_a_bump_that_the_gauge_shows_is_refused_and_right_arms_are_within_their_
     bumps_mm = [np.linalg.norm(LackingEffect.draw(Lack.BUMP_AFTER, 47, one).bump_mm) for one in range(2)]
     shown = sum(one > 0.08 for one in bumps_mm)
     assert total[Lack.BUMP_AFTER, GAUGE] >= 0.45 * shown * total[Lack.BUMP_AFTER, "trials"]
-    table, _ = wrong_arms.tables({wrong_arms.ARMS: sums})
+    table, _ = wrong_tables.tables({ARMS: sums})
     assert {row[0] for row in table.rows} == {Lack.NOTHING, Lack.BUMP_AFTER}
 
 
