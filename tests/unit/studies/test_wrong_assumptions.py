@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 
 import numpy as np
 import pytest
@@ -153,7 +153,7 @@ def test_a_distortion_adds_to_the_error_of_a_followed_move() -> None:
 def test_a_bump_that_the_gauge_shows_is_refused_and_right_arms_are_within_their_limit() -> None:
     study = WrongArmsStudy(2, 47, (Lack.NOTHING, Lack.BUMP_AFTER))
     sums = study.run(study.units()[0])
-    total: Counter[tuple[str, str]] = Counter()
+    total: dict[tuple[str, str], float] = defaultdict(float)
     for key, value in sums.items():
         lack, *_, quantity = key.split("|")
         total[lack, quantity] += value
