@@ -89,6 +89,9 @@ class Prediction(Values):
     confidence: float = Field(description="Of that radius, 0 to 1.")
     formula: str = Field(description="Method of prediction.")
     budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
+    widening: float = Field(
+        default=1.0, description="Factor on the errors at the spheres in the limit, by too large a residual."
+    )
     excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
     assumed: str = Field(
         default="", description="Errors that a method does not state, and what stands for them."

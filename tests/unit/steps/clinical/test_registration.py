@@ -101,6 +101,22 @@ def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -
         assert shares_mm[f"unnoticed change: {subject}"] == pytest.approx(noticeable_mm / np.sqrt(3.0))
 
 
+def test_spheres_that_disagree_by_more_than_stated_widen_the_limit_and_the_operator_is_told(
+    cell: ClinicalCell,
+) -> None:
+    apart_mm = np.random.default_rng(0).normal(0.0, 0.15, SPHERES_MM.shape)  # the gate lets this pass
+    predicted = registered(cell, SPHERES_MM + apart_mm).result.prediction(FIRST)
+    assert predicted.widening > 2.0
+    assert predicted.limit_mm > 1.96 * predicted.rms_mm  # no covariance of that rms alone has this limit
+    assert np.linalg.norm([share.rms_mm for share in predicted.budget]) == pytest.approx(predicted.rms_mm)
+    (question,) = cell.operator.asked
+    assert f"widened: the spheres disagree {predicted.widening:.2f} times" in question.value
+
+
+def test_spheres_that_agree_do_not_widen_the_limit(cell: ClinicalCell) -> None:
+    assert registered(cell).result.prediction(FIRST).widening == 1.0
+
+
 def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     assert "common to a scan (scale, table feed, motion, hidden tilt)" in predicted.excluded
