@@ -18,8 +18,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
+import drjit as dr  # type: ignore[import-not-found]  # only in the environment that renders
+import mitsuba as mi  # type: ignore[import-not-found]
 import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
@@ -168,7 +168,7 @@ def lamps(
     return {"lamp": {"type": "disk", "to_world": shape, "emitter": {"type": "area", "radiance": radiance}}}
 
 
-def render_view(number: int, options: argparse.Namespace, folder: Path) -> dict[str, np.ndarray]:
+def render_view(number: int, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Render the parts of one view, all drawn from its number."""
     random = np.random.default_rng(number)
     ball = np.array([*random.uniform(-0.6, 0.6, 2), FOCUS_MM + random.uniform(-1.0, 1.0)])
@@ -265,7 +265,8 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         for number in range(options.first, options.first + options.views):
-            np.savez(options.folder / f"{number:04d}.npz", **render_view(number, options, Path(scratch)))
+            arrays = render_view(number, options, Path(scratch))
+            np.savez(options.folder / f"{number:04d}.npz", **arrays)
 
 
 if __name__ == "__main__":
