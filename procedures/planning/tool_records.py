@@ -94,14 +94,12 @@ class ToolRecords:
                 )
 
 
-def check_patient_frame(name: str | None, calibrations: Calibrations, markers_mm: Markers) -> None:
+def check_patient_frame(name: str, calibrations: Calibrations, markers_mm: Markers) -> None:
     """Check the patient's frame among the tracker's tools, whose markers are given by name.
 
     Raises DEV-003 if it is not one of them, TOOL-008 if it has the shape of the frame on the arm or of the
-    frame on the skull. Without a patient's frame, do nothing.
+    frame on the skull.
     """
-    if name is None:
-        return
     if name not in markers_mm:
         raise UnknownTool(
             f"[procedure] patient_frame names {name}, which is not among the tracker's tools",

@@ -165,7 +165,8 @@ def _check_records(
 
         def check_frames() -> None:
             ToolRecords.of(theatre).check_frames(calibrations, device.tools)
-            check_patient_frame(patient_frame, calibrations, markers_mm)
+            if patient_frame is not None:
+                check_patient_frame(patient_frame, calibrations, markers_mm)
 
         yield run_check(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
     if isinstance(device, StereoPair):

@@ -66,7 +66,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
     workcell.tools.check_frames(calibrations, workcell.tracker.tools)
-    check_patient_frame(workcell.patient_frame, calibrations, workcell.tracker.markers_mm)
+    if (on_clamp := workcell.patient_frame) is not None:
+        check_patient_frame(on_clamp, calibrations, workcell.tracker.markers_mm)
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):

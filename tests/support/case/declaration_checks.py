@@ -13,7 +13,8 @@ from procedures.journal.results import StepResult
 UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg", "_N")
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
-    *("quality", "odds", "confidence", "rim_fraction", "distortion"),
+    *("quality", "odds", "confidence", "rim_fraction", "distortion", "widening"),
+    "refused_share",
     "remaining",  # of an arm's record: a covariance of mm and rad
     "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }

@@ -17,6 +17,7 @@ from typing import Any, cast
 import pytest
 from user_commands import in_this_process
 
+import drivers.ndi_polaris
 from procedures.cli.doctor import inspection
 from procedures.cli.procedure import app
 from procedures.journal.journal import Journal
@@ -25,12 +26,14 @@ from procedures.workcell import Workcell
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_DONE, EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
+from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import load_driver
 from ronna_hw.theatre import Theatre
 
 STEREO_HEAD, GUIDE, NOTHING = 1, 2, 0
 MOST_TRIES = 5
+SKULL_FRAME = Path(drivers.ndi_polaris.__path__[0]) / "definitions" / "x_frame.rom"
 Change = Callable[[str], str]
 
 
@@ -109,11 +112,18 @@ def _with_another_definition(text: str) -> str:
     return re.sub(r'sha256 = "\w{64}"', f'sha256 = "{64 * "0"}"', text)
 
 
+def _with_the_frame_of_the_skull_on_the_clamp(text: str) -> str:
+    tool = "[[tracker.options.tools]]\n"
+    skull = f"{tool}name = \"on_clamp\"\nrom = '{SKULL_FRAME}'\nsha256 = '{sha256_of(SKULL_FRAME)}'\n\n"
+    with_it = text.replace(tool, skull + tool, 1)
+    return with_it.replace("[procedure]\n", '[procedure]\npatient_frame = "on_clamp"\n')
+
+
 def _optioned(table: str, line: str) -> Change:
     """With one more option of a device."""
     tools = "[[tracker.options.tools]]\n" if table == "tracker" else ""
     header = f"[{table}.options]\n"
-    return _replaced(tools or header, f"{header}{line}\n{tools}")
+    return lambda text: text.replace(tools or header, f"{header}{line}\n{tools}", 1)
 
 
 @dataclass(frozen=True)
@@ -148,6 +158,9 @@ TROUBLES = {
     "no record of the guide": Trouble("TOOL-002", change=_without("tools.guide")),
     "frame on the guide not tracked": Trouble(
         "DEV-003", change=_replaced('tool = "guide_frame"', 'tool = "pointer"')
+    ),
+    "patient's frame of the skull's shape": Trouble(
+        "TOOL-008", change=_with_the_frame_of_the_skull_on_the_clamp
     ),
     "no cameras": Trouble("DEV-007", "without stereo", EXIT_REFUSED, change=_without("stereo")),
     "clock gone": Trouble("CLK-001", change=_replaced("shm:///proc/", "shm:///proc/0")),

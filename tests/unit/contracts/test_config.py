@@ -35,7 +35,7 @@ def test_procedure_settings_survive_a_round_trip_through_the_theatre_file(
 ) -> None:
     settings = ProcedureSettings(watch_patient=watched, stand_mm=(500.0, 0.0, 300.0))
     path = tmp_path / "theatre.toml"
-    tables = {"schema": 1, "theatre": "lab", "procedure": settings.model_dump(mode="json")}
+    tables = {"schema": 1, "theatre": "lab", "procedure": settings.model_dump(mode="json", exclude_none=True)}
     path.write_text(tomli_w.dumps(tables))
     assert read_theatre_file(path).procedure == settings
 

@@ -22,9 +22,8 @@ def cell(tmp_path: Path) -> ClinicalCell:
     return ClinicalCell(tmp_path)
 
 
-def test_a_frame_of_its_own_is_accepted_and_none_need_be_there(cell: ClinicalCell) -> None:
+def test_a_frame_of_its_own_is_accepted(cell: ClinicalCell) -> None:
     check_patient_frame(NAME, cell.calibrations, {**TOOLS, NAME: MARKERS_MM})
-    check_patient_frame(None, cell.calibrations, TOOLS)
 
 
 def test_a_frame_that_the_tracker_does_not_know_is_refused(cell: ClinicalCell) -> None:
