@@ -21,6 +21,7 @@ from sim.world.scene.model import Scene
 
 # Of a cart of 200 kg that one person pushes and another steers: a slow walk. An assumption, not a measurement.
 PACE_MM_S, PACE_DEG_S = 500.0, 30.0
+SCRIPT_STEP_S = 0.001  # times are written with six decimals
 DONE_S = "0"  # time that a finished move still takes
 
 
@@ -34,15 +35,16 @@ class CartMove:
 
     @property
     def duration_s(self) -> float:
-        """Theatre time that the move takes."""
-        return max(math.hypot(*self.by_mm) / PACE_MM_S, abs(self.turn_deg) / PACE_DEG_S)
+        """Theatre time that the move takes, in whole steps of a script's time."""
+        takes_s = max(math.hypot(*self.by_mm) / PACE_MM_S, abs(self.turn_deg) / PACE_DEG_S)
+        return math.ceil(takes_s / SCRIPT_STEP_S) * SCRIPT_STEP_S
 
     def check_size(self) -> None:
         """Raise SIM-016 for no move, for one that is not finite, and for one beyond the room."""
         shift_mm = math.hypot(*self.by_mm)
         given = f"by {' '.join(f'{value:g}' for value in self.by_mm)} mm, turned by {self.turn_deg:g} deg"
         if not math.isfinite(shift_mm) or not math.isfinite(self.turn_deg):
-            raise BadCartMove("a cart is moved by finite numbers", got=given)
+            raise BadCartMove("the move is not finite", expected="finite numbers", got=given)
         if shift_mm > LARGEST_MOVE_MM or abs(self.turn_deg) > LARGEST_TURN_DEG:
             limit = f"{LARGEST_MOVE_MM:g} mm and {LARGEST_TURN_DEG:g} deg"
             raise BadCartMove("the cart would leave the room", limit=limit, got=given)
