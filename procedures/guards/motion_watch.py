@@ -142,7 +142,7 @@ class MotionWatch:
             found = problem
         if isinstance(found, BaseShifted):
             shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
-            shifted.cart = found.cart
+            shifted.cart, shifted.room_moved = found.cart, found.room_moved
             return shifted
         if isinstance(found, PatientMoved):
             return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)

@@ -43,6 +43,7 @@ class RoomReading:
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
     frame, `spheres_mm` (m, 3) are strays, `markers_mm` (k, 3) the markers of the frame and of other tools in
     view. `settled` says that the arm is at home, every joint having arrived from its usual side.
+    `robot_from_tracker` is by this reading of the frame alone.
     """
 
     robot_from_flange: Transform
@@ -51,6 +52,7 @@ class RoomReading:
     markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
     frames: int = 1
     settled: bool = False
+    robot_from_tracker: Transform | None = None
 
     @property
     def is_careful(self) -> bool:
@@ -102,6 +104,7 @@ def room_reading(
         np.vstack(markers),
         len(frames),
         workcell.settled_home,
+        None if seen is None else by_arm @ seen.inverse(),
     )
 
 

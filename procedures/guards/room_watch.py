@@ -172,6 +172,8 @@ class RoomWatch:
         agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
         moved = self._find_motion(reading, base, head, head_mm, agree=agree)
         findings: tuple[str, ...] = ()
+        if isinstance(moved, BaseShifted) and moved.cart and reading.robot_from_tracker is not None:
+            moved.room_moved = reading.robot_from_tracker @ self.robot_from_tracker.inverse()
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
                 findings = (f"the tracker was moved by {_describe_way(base.way_mm)}; arm and head agree",)

@@ -27,6 +27,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
 from procedures.workcell import MountedTool, Workcell
 from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.collision_config import BodyFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
@@ -195,3 +196,13 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
         context.void(LockedCart, moved)
     else:
         context.void(GlobalLocalization, moved)
+    if isinstance(moved, BaseShifted):
+        _shift_obstacles(context, moved)
+
+
+def _shift_obstacles(context: StepContext, moved: BaseShifted) -> None:
+    """Move head, clamp and spheres by what one look tells, for the clearance of the way home."""
+    if moved.room_moved is not None:
+        bodies = context.setting.surroundings.bodies
+        on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
+        context.workcell.shift_obstacles(moved.room_moved, on_cart)
