@@ -108,7 +108,9 @@ class BadCartMove(ConfigurationError):
     """The cart of an arm cannot be moved as asked: no such cart, or no such move."""
 
     code = "SIM-016"
-    action = "Give a cart of the theatre and a move within the room, such as: move cart 1 --by 60 -40 0 --turn 5."
+    action = (
+        "Give a cart of the theatre and a move within the room, such as: move cart 1 --by 60 -40 0 --turn 5."
+    )
 
 
 class InstrumentInGuide(RefusedError):

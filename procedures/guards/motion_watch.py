@@ -1,8 +1,9 @@
 """Tracking of patient and cart while the arm moves or an instrument is at its target.
 
-A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, when the frame on
-the arm is far from where the arm has it, or when a guide has approached the head unseen for too long. It reads every fourth frame, and every frame while in doubt. The
-moving thread reports the findings when the motion has ended.
+A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, when the frame
+on the arm is far from where the arm has it, or when a guide has approached the head unseen for too long. It
+reads every fourth frame, and every frame while in doubt. The moving thread reports the findings when the
+motion has ended.
 """
 
 from __future__ import annotations

@@ -242,8 +242,9 @@ class RoomWatch:
     def frame_off_arm_mm(self, seen: Transform, begin_mm: Array, end_mm: Array) -> float | None:
         """Return the distance of the frame on a moving arm from the arm's way, or None within the limit.
 
-        `seen` is its pose TRACKER <- MARKER in one tracker frame. The arm had it at `begin_mm` (3,) before and
-        at `end_mm` after that frame, robot frame. The limit grows by the way between: the arm may report late.
+        `seen` is its pose TRACKER <- MARKER in one tracker frame. The arm had it at `begin_mm` (3,) before
+        that frame and at `end_mm` after it, robot frame. The limit grows by the way between: the arm may
+        report late.
         """
         way_mm = end_mm - begin_mm
         seen_mm = (self.robot_from_tracker @ seen).translation_mm
@@ -254,12 +255,18 @@ class RoomWatch:
 
     def _gross_shift(self, reading: RoomReading) -> BaseShift | None:
         """Return a shift that is plain although no earlier reading is comparable, or None."""
-        framed = [one for one in self.references if one.frame_mm is not None]
-        if reading.frame_mm is None or not framed:
+        if reading.frame_mm is None:
             return None
         here = reading.robot_from_flange
-        nearest = min(framed, key=lambda one: _angle_between_rad(one.robot_from_flange, here))
-        shift = BaseShift(reading.frame_mm - nearest.frame_mm, GROSS_LIMIT_MM, exact=False)
+        framed = (
+            (_angle_between_rad(one.robot_from_flange, here), number, one.frame_mm)
+            for number, one in enumerate(self.references)
+            if one.frame_mm is not None
+        )
+        nearest = min(framed, default=None)
+        if nearest is None:
+            return None
+        shift = BaseShift(reading.frame_mm - nearest[2], GROSS_LIMIT_MM, exact=False)
         return shift if shift.moved_mm >= GROSS_LIMIT_MM else None
 
     def _count_unknown(self, reading: RoomReading) -> int:

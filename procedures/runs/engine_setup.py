@@ -246,8 +246,8 @@ class MovedCart:
         if (inside := engine.instrument_in) is not None:
             engine.find(
                 f"the case is held: {problem.summary}, while an instrument is or may be inside at {inside}. "
-                "Nothing moves: the surgeon judges the instrument first; then take it out, send the arm home and "
-                "continue from there",
+                "Nothing moves: the surgeon judges the instrument first; then take it out, send the arm "
+                "home and continue from there",
                 (inside,),
             )
             return False

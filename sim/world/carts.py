@@ -19,7 +19,7 @@ from sim.world.faults.room import DEVICE, LARGEST_MOVE_MM, LARGEST_TURN_DEG, MOV
 from sim.world.rigid import Matrix, matrix_from, rotation_from_vector
 from sim.world.scene.model import Scene
 
-# Of a cart of 200 kg that one person pushes and another steers: a slow walk. An assumption, not a measurement.
+# Of a heavy cart that one person pushes and another steers: a slow walk. An assumption, not a measurement.
 PACE_MM_S, PACE_DEG_S = 500.0, 30.0
 SCRIPT_STEP_S = 0.001  # times are written with six decimals
 DONE_S = "0"  # time that a finished move still takes

@@ -269,11 +269,11 @@ class Room:
             save_world(self._world, self._folder)
 
     def _move(self, request: dict[str, Any]) -> dict[str, Any]:
-        if DEVICE not in self._devices or not self._world.has_arm:
+        if set(self._devices) < set(DEVICES):  # a simulator alone
             raise TaskRefused("there is no arm on a cart here", "Give the control port of a theatre.")
         x, y, z = (_require_number(value) for value in request["by_mm"])
-        number = _require_number(request["cart"])
-        move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), _require_number(request["turn_deg"]))
+        number, turn_deg = _require_number(request["cart"]), _require_number(request["turn_deg"])
+        move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
         move.check(self._world.scene)
         if (inserted := self._staff.inserted) is not None and request.get("anyway") is not True:
             raise InstrumentInGuide(
@@ -301,10 +301,9 @@ class Room:
         if line is not None:
             self._world.set_fault_script(without_fault(text, str(line)))
             return
-        moves = {one.line for one in parse_faults(text) if one.kind is MOVE}  # a cart stays where it was wheeled
-        self._world.set_fault_script(
-            "\n".join(one for number, one in enumerate(text.split("\n"), 1) if number in moves)
-        )
+        moves = {one.line for one in parse_faults(text) if one.kind is MOVE}  # these carts stay there
+        kept = [one for number, one in enumerate(text.split("\n"), 1) if number in moves]
+        self._world.set_fault_script("\n".join(kept))
 
     def _add_to_script(self, line: str) -> None:
         _, text = self._world.fault_script()

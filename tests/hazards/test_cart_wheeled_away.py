@@ -1,4 +1,4 @@
-"""Hazard 13: the cart is wheeled away while the arm moves, looks or holds an instrument, and nothing goes wrong."""
+"""Hazard 13: the cart is wheeled away while the arm moves, looks or holds an instrument."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, ClinicalCell
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell, SeeingTracker, SeeingWorkcell
 from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
 from room_trials import TrackedCase
 from waiting import eventually
@@ -33,11 +33,17 @@ def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
 
 
+def leave_by(cell: ClinicalCell, way_mm: tuple[float, float, float]) -> None:
+    """The cart is wheeled away: the frame on the arm with it."""
+    assert isinstance(cell.tracker, SeeingTracker)
+    cell.tracker.frame_shift_mm = way_mm
+
+
 def cart_leaves(cell: ClinicalCell) -> Callable[[], None]:
     """The cart leaves, and the motion goes on until somebody stops it."""
 
     def leave() -> None:
-        cell.tracker.frame_shift_mm = AWAY_MM
+        leave_by(cell, AWAY_MM)
         eventually(lambda: cell.arm.stops > 0)
         cell.arm.interruptions = 1
 
@@ -59,12 +65,14 @@ def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
-    assert (before := cell.workcell.surroundings) is not None
-    cell.tracker.frame_shift_mm = AWAY_MM
+    before = cell.workcell.surroundings
+    assert before is not None
+    leave_by(cell, AWAY_MM)
     cell.arm.state = Lifecycle.ACTIVE
     with pytest.raises(BaseShifted), engine.checkpoint.watching("the next motion", True):
         eventually(lambda: cell.arm.stops > 0)
-    assert (after := cell.workcell.surroundings) is not None
+    after = cell.workcell.surroundings
+    assert after is not None
     ways = {
         one.name: np.subtract(other.capsule.start_mm, one.capsule.start_mm)
         for one, other in zip(before.obstacles, after.obstacles, strict=True)
@@ -77,7 +85,9 @@ def test_no_frame_within_reach_of_the_arms_report_is_taken_for_a_moved_cart() ->
     here, way = np.zeros(3), np.array([100.0, 0.0, 0.0])  # the arm moved by 100 mm during one frame
 
     def off_mm(place_mm: Sequence[float], end_mm: np.ndarray) -> float | None:
-        seen = watch.robot_from_tracker.inverse() @ Transform.of(Frame.ROBOT, Frame.MARKER, translation_mm=place_mm)
+        seen = watch.robot_from_tracker.inverse() @ Transform.of(
+            Frame.ROBOT, Frame.MARKER, translation_mm=place_mm
+        )
         return watch.frame_off_arm_mm(seen, here, end_mm)
 
     assert off_mm((0.0, GROSS_LIMIT_MM - 0.1, 0.0), here) is None
@@ -95,7 +105,7 @@ def test_a_plain_move_is_noticed_in_a_pose_that_was_never_seen_before() -> None:
     assert elsewhere.frame_mm is not None
     for moved_mm, noticed in ((8.0, False), (12.0, True)):
         reading = replace(
-            elsewhere, robot_from_flange=turned, frame_mm=elsewhere.frame_mm + (0.0, moved_mm, 0.0)
+            elsewhere, robot_from_flange=turned, frame_mm=np.add(elsewhere.frame_mm, (0.0, moved_mm, 0.0))
         )
         look = watch.compare(reading)
         assert isinstance(look.moved, BaseShifted) is noticed
@@ -109,8 +119,9 @@ def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_pa
     engine.run_to(engine.order.sequence[4])
 
     def leave(_start: object, _target: object) -> bool:
-        cell.tracker.frame_shift_mm = AWAY_MM
-        cell.stereo.hidden = True
+        leave_by(cell, AWAY_MM)
+        assert isinstance(cell.workcell, SeeingWorkcell)
+        cell.workcell.spheres_mm = np.add(SPHERES_MM, (0.0, 200.0, 0.0))
         return False
 
     cell.arm.blocked = leave

@@ -89,7 +89,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         try:
             sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:
-            check_room(context, f"without sight of sphere {item.fiducial + 1}")  # a moved cart loses it as well
+            check_room(context, f"without sight of sphere {item.fiducial + 1}")  # the cart may have left
             left_out.append(
                 _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
             )

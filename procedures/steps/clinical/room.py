@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.line_of_sight import TrackerSight
@@ -24,8 +24,9 @@ from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
-from procedures.workcell import MountedTool, Workcell
+from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.collision_config import BodyFrame
 from ronna_hw.errors import RonnaError
@@ -124,18 +125,6 @@ def room_watch(context: StepContext) -> RoomWatch:
     followed = partial(find_followed_registration, trajectory=context.key.trajectory)
     watch.follow(find_followed_spheres(context.result_among(RegisteredRobot, followed)))
     return watch
-
-
-def build_watch(
-    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
-) -> RoomWatch:
-    """Build the watch over a named localization, limited to the matched spheres if `pairs` are given."""
-    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
-    if pairs is not None:
-        spheres = spheres[[room for _, room in pairs]]
-    flange = workcell.flange_pose(localized.joints_rad)
-    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
 
 
 def find_followed_registration(

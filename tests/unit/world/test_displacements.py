@@ -114,7 +114,7 @@ def test_a_sphere_may_be_missing_displaced_or_on_the_base_of_another() -> None:
 
 
 def base_now(now: RoomShift) -> np.ndarray:
-    """Pose (4, 4) of the robot's base in the base before anything moved, by the head that stays where it is."""
+    """Pose (4, 4) of the robot's base in the base before anything moved, by the head that stays."""
     return inverse(rigid_move(now.head_rad, now.head_mm))
 
 
@@ -124,7 +124,8 @@ def test_a_wheeled_cart_moves_along_the_axes_of_the_robot_as_they_are_by_then() 
     )
     assert base_now(now)[:3, 3] == pytest.approx((100.0, 50.0, 0.0))
     assert now.tracker_rad == pytest.approx((0.0, 0.0, -math.pi / 2.0))
-    assert (now.head_mm, now.head_rad) == (pytest.approx(now.tracker_mm), pytest.approx(now.tracker_rad))
+    assert now.head_mm == pytest.approx(now.tracker_mm)
+    assert now.head_rad == pytest.approx(now.tracker_rad)
 
 
 def test_a_cart_rolls_evenly_until_it_has_arrived() -> None:
