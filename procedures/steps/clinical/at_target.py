@@ -87,6 +87,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     workcell.hold()
     with require_head_in_view(context), _watch_guide(context) as rest:
         work_so_far = work_progress(context)
+        rest.look(workcell, context.setting.clock)  # somebody may have moved the cart since the arm came here
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
             if stage.task not in work_so_far.done:
