@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from procedures.guards.clamp_frame import FrameOnClamp
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -21,4 +22,8 @@ def build_watch(
         spheres = spheres[[room for _, room in pairs]]
     flange = workcell.flange_pose(localized.joints_rad)
     begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+    on_clamp, frame = localized.tracker_from_patient, workcell.patient_frame
+    clamp = None
+    if on_clamp is not None and frame is not None:
+        clamp = FrameOnClamp(on_clamp.transform, np.array(workcell.tracker.markers_mm[frame]))
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun], on_clamp=clamp)
