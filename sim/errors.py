@@ -104,6 +104,22 @@ class StandNotReady(RefusedError):
     action = "Put the divot on the stand, mount the guide and bring its tip to the divot."
 
 
+class BadCartMove(ConfigurationError):
+    """The cart of an arm cannot be moved as asked: no such cart, or no such move."""
+
+    code = "SIM-016"
+    action = (
+        "Give a cart of the theatre and a move within the room, such as: move cart 1 --by 60 -40 0 --turn 5."
+    )
+
+
+class InstrumentInGuide(RefusedError):
+    """The cart would be moved with an instrument in the guide, and in the head."""
+
+    code = "SIM-017"
+    action = "Take it out first: ronna-sim work out. To rehearse exactly this accident, add --anyway."
+
+
 class TheatreRunning(ConnectError):
     """Another theatre is already running in this folder."""
 

@@ -6,6 +6,7 @@ import math
 from typing import Self
 
 from ronna_hw.errors import RefusedError
+from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
 
 
@@ -19,6 +20,7 @@ class BaseShifted(RefusedError):
         "first."
     )
     cart: bool = True  # else it was the tracker
+    room_moved: Transform | None = None  # against a moved cart, robot frame, as far as one look tells
 
 
 class InputChanged(RefusedError):

@@ -1,8 +1,9 @@
-"""Tracking of the patient while the arm moves or an instrument is at its target.
+"""Tracking of patient and cart while the arm moves or an instrument is at its target.
 
-A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, or when a guide
-has approached them unseen for too long. It reads every fourth frame, and every frame while in doubt. The
-moving thread reports the findings when the motion has ended.
+A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, when the frame
+on the arm is far from where the arm has it, or when a guide has approached the head unseen for too long. It
+reads every fourth frame, and every frame while in doubt. The moving thread reports the findings when the
+motion has ended.
 """
 
 from __future__ import annotations
@@ -13,22 +14,28 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames, PatientFrames
 from procedures.guards.room_reading import PATIENT_LIMIT_MM
-from procedures.guards.room_watch import RoomWatch, read_watched
+from procedures.guards.room_watch import GROSS_LIMIT_MM, RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import posed_markers
-from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres
+from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, summary_of
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
 
 SKIPPED_FRAMES = 3  # between two readings, unless in doubt
 SKIPPED_S = (SKIPPED_FRAMES - 0.5) * FRAME_S  # theatre time
@@ -36,9 +43,11 @@ LONGEST_UNSEEN_S = 5.0  # theatre time under way; beyond it is a finding
 FIRST_FRAME_S = 1.0  # host time to wait for the first frame; the motion then begins without it
 REPEATING_S = 1.0  # theatre time without a new frame, after which this is reported
 UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracker has failed
+FAR_FRAMES = 3  # in a row that show the frame on the arm elsewhere
 READ_LIMIT_S = 3.0  # host time: longer than a simulated controller waits for a reply
 
 MOVED = "the head, or the tracker, has moved"
+BASE_MOVED = "the cart of the robot, or the tracker, has moved"
 PUSHED = "the guide was pushed or pulled"
 LATE = "the head was watched late: the replies of the tracker were delayed"
 UNSEEN = "the tracker has not seen the head for too long"
@@ -92,7 +101,7 @@ class MotionWatch:
         except RonnaError as error:
             seen = thread.end()
             # After an early alarm the arm refuses the motion: the alarm must be reported.
-            if isinstance(error, MotionInterrupted | WrongState) or seen.moved_mm is not None:
+            if isinstance(error, MotionInterrupted | WrongState) or seen.has_moved:
                 self._conclude(seen, what)
             raise
         except BaseException:  # also an interruption: the arm comes to rest
@@ -110,8 +119,8 @@ class MotionWatch:
         return self.when is WatchPatient.ALWAYS
 
     def _conclude(self, seen: _WatchThread, what: str) -> None:
-        if seen.moved_mm is not None:
-            moved = self._identify_cause(seen.room, seen.moved_mm, what)
+        if seen.has_moved:
+            moved = self._identify_cause(seen, what)
             self.void(moved)  # first: the watch goes on until this is written
             self.memory.drop(RoomWatch)  # the same move must not stop the way out
             raise moved
@@ -126,8 +135,9 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
-    def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> RoomMoved:
+    def _identify_cause(self, seen: _WatchThread, what: str) -> RoomMoved:
         """Determine what has moved from a further reading at rest that includes the frame on the arm."""
+        room = seen.room
         found: RonnaError | None
         try:
             with self.beside():
@@ -136,7 +146,7 @@ class MotionWatch:
             found = problem
         if isinstance(found, BaseShifted):
             shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
-            shifted.cart = found.cart
+            shifted.cart, shifted.room_moved = found.cart, found.room_moved
             return shifted
         if isinstance(found, PatientMoved):
             return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
@@ -144,7 +154,11 @@ class MotionWatch:
             return FrameSlipped(f"{found.what}, during {what}", limit=found.limit, got=found.got)
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
-        return PatientMoved.from_shift(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
+        if seen.moved_mm is None:
+            return BaseShifted(
+                f"{BASE_MOVED} during {what}", limit=f"{GROSS_LIMIT_MM:g} mm", got=f"{seen.base_mm:.1f} mm"
+            )
+        return PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)
 
 
 @dataclass
@@ -159,6 +173,7 @@ class _WatchThread:
     what: str  # the motion or the wait
     tell: Callable[[str], object]
     moved_mm: float | None = None
+    base_mm: float | None = None  # the frame on the arm, from where the arm has it
     pushed_mm: float = 0.0  # the guide, at most
     late_s: float = 0.0  # longest delay of replies, if too long
     problem: str = ""  # why the thread no longer looks
@@ -171,11 +186,17 @@ class _WatchThread:
     guide: GuideAtRest | None = None  # as it was held, while somebody works through it
     _silence_reported: bool = False
     _pushed: bool = False
+    _far_frames: int = 0
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether head, cart or tracker have moved."""
+        return self.moved_mm is not None or self.base_mm is not None
 
     def begin(self) -> None:
         """Start the thread. Wait, within a limit, for its first frame and any stop triggered by it."""
@@ -216,6 +237,7 @@ class _WatchThread:
         tracker, new_s = self.workcell.tracker, self._seen_s
         while not self._ending.is_set():
             self._stop_again()
+            begin_mm = self._frame_by_arm_mm()
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
             except (LinkTimeout, ProtocolError) as problem:  # costs one frame
@@ -233,6 +255,7 @@ class _WatchThread:
                 continue
             self.head.add(add_frame_spheres(tracker, frame), self._on_clamp_mm(frame))
             self._check_push(frame)
+            self._check_base(frame, begin_mm)
             self._check_late()
             new_s = self.clock.now_s()
             if self.head.seen:
@@ -242,7 +265,7 @@ class _WatchThread:
                 self.moved_mm = self.head.moved_mm
                 self._raise_alarm(MOVED, stop=True)
             self._first.set()  # after the alarms: the motion begins with it
-            if self.head.doubtful:
+            if self.head.doubtful or self._far_frames:
                 continue
             if self.arm_moves:
                 self.clock.sleep(SKIPPED_S)
@@ -277,6 +300,23 @@ class _WatchThread:
         if pushed and not self._pushed:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
         self._pushed = pushed
+
+    def _check_base(self, frame: TrackerFrame, begin_mm: Array | None) -> None:
+        """Compare the frame on the arm with the arm, which had it at `begin_mm` (3,) before this frame."""
+        reading, end_mm = frame.tool(self.workcell.calibrations.tracker_frame.tool), self._frame_by_arm_mm()
+        if reading.validity is not Validity.OK or begin_mm is None or end_mm is None:
+            return
+        off_mm = self.room.frame_off_arm_mm(reading.transform(Frame.TRACKER, Frame.MARKER), begin_mm, end_mm)
+        self._far_frames = 0 if off_mm is None else self._far_frames + 1
+        if self.base_mm is None and self._far_frames == FAR_FRAMES:
+            self.base_mm = off_mm
+            self._raise_alarm(BASE_MOVED, stop=True)
+            self._far_frames = 0
+
+    def _frame_by_arm_mm(self) -> Array | None:
+        """Return the last known position (3,) of the frame on the arm, robot frame, or None."""
+        known = self.workcell.arm.observe().reading
+        return None if known is None else robot_from_marker(self.workcell, known.joints_rad).translation_mm
 
     def _raise_alarm(self, why: str, *, stop: bool) -> None:
         self._stop_wanted |= stop

@@ -44,8 +44,9 @@ class RoomReading:
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
     frame, `spheres_mm` (m, 3) are strays, `markers_mm` (k, 3) the markers of the frame and of other tools in
     view. `settled` says that the arm is at home, every joint having arrived from its usual side.
-    `arm_frame_mm` (3,) and `on_clamp` (TRACKER <- PATIENT) are the frame on the arm and the patient's frame
-    as the tracker sees them, None if not seen or not there.
+    `robot_from_tracker` is by this reading of the frame alone. `arm_frame_mm` (3,) and `on_clamp`
+    (TRACKER <- PATIENT) are the frame on the arm and the patient's frame as the tracker sees them, None if
+    not seen or not there.
     """
 
     robot_from_flange: Transform
@@ -54,6 +55,7 @@ class RoomReading:
     markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
     frames: int = 1
     settled: bool = False
+    robot_from_tracker: Transform | None = None
     arm_frame_mm: Array | None = None
     on_clamp: Transform | None = None
 
@@ -116,6 +118,7 @@ def room_reading(
         np.vstack(markers),
         len(frames),
         workcell.settled_home,
+        None if seen is None else by_arm @ seen.inverse(),
         None if seen is None else seen.translation_mm,
         None if clamp is None else as_patient(clamp),
     )

@@ -44,6 +44,9 @@ Array = NDArray[np.float64]
 BASE_LIMIT_MM = 0.85
 # In another pose of the same orientation arm and tracker err differently: 0.96 mm at most in 360 pairs.
 OTHER_POSE_LIMIT_MM = 1.3
+# In any pose: a mount 3.5 mm off its drawing makes twice that between opposite orientations, arm and tracker
+# some 1 mm.
+GROSS_LIMIT_MM = 10.0
 FEW_LIMIT_MM = 0.8  # of two spheres, not averaged by a rigid fit: the tracker's bias shows in each
 NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
@@ -185,11 +188,14 @@ class RoomWatch:
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
         reading, findings = self.follow_tracker(reading)
-        base, by_spheres = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
+        base = self.base_shift(reading) or self._gross_shift(reading)
+        by_spheres = measure_shift(self.spheres_mm, reading.spheres_mm)
         head = self._shift_by_frame(reading) if by_spheres is None else by_spheres
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
         moved = self._find_motion(reading, base, head, head_mm, by_spheres, agree=agree)
+        if isinstance(moved, BaseShifted) and moved.cart and reading.robot_from_tracker is not None:
+            moved.room_moved = reading.robot_from_tracker @ self.robot_from_tracker.inverse()
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
                 findings += (f"the tracker was moved by {_describe_way(base.way_mm)}; arm and head agree",)
@@ -355,6 +361,36 @@ class RoomWatch:
         ]
         return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
+    def frame_off_arm_mm(self, seen: Transform, begin_mm: Array, end_mm: Array) -> float | None:
+        """Return the distance of the frame on a moving arm from the arm's way, or None within the limit.
+
+        `seen` is its pose TRACKER <- MARKER in one tracker frame. The arm had it at `begin_mm` (3,) before
+        that frame and at `end_mm` after it, robot frame. The limit grows by the way between: the arm may
+        report late.
+        """
+        way_mm = end_mm - begin_mm
+        seen_mm = (self.robot_from_tracker @ seen).translation_mm
+        length_mm = float(np.linalg.norm(way_mm))
+        share = float((seen_mm - begin_mm) @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
+        off_mm = float(np.linalg.norm(seen_mm - begin_mm - min(1.0, max(0.0, share)) * way_mm))
+        return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
+
+    def _gross_shift(self, reading: RoomReading) -> BaseShift | None:
+        """Return a shift that is plain although no earlier reading is comparable, or None."""
+        if reading.frame_mm is None:
+            return None
+        here = reading.robot_from_flange
+        framed = (
+            (_angle_between_rad(one.robot_from_flange, here), number, one.frame_mm)
+            for number, one in enumerate(self.references)
+            if one.frame_mm is not None
+        )
+        nearest = min(framed, default=None)
+        if nearest is None:
+            return None
+        shift = BaseShift(reading.frame_mm - nearest[2], GROSS_LIMIT_MM, exact=False)
+        return shift if shift.moved_mm >= GROSS_LIMIT_MM else None
+
     def _count_unknown(self, reading: RoomReading) -> int:
         """Count points near the head at no known position, which may be displaced spheres.
 
@@ -437,7 +473,7 @@ def _moved_alike(
 def _base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
     # A moved cart displaces the frame alone; a moved tracker displaces frame and head alike.
     apart_mm = math.inf if head_mm is None else float(np.linalg.norm(head_mm - base.way_mm))
-    tracker = apart_mm < min(BASE_LIMIT_MM, base.moved_mm) / 2.0
+    tracker = apart_mm < min(max(BASE_LIMIT_MM, base.limit_mm), base.moved_mm) / 2.0
     way_mm = -base.way_mm if tracker else base.way_mm
     shifted = BaseShifted(
         f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_describe_way(way_mm)}",

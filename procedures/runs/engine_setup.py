@@ -226,7 +226,11 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
 
 
 class MovedCart:
-    """Handles a moved cart: the case continues if the operator agrees, once the arm is home."""
+    """Handles a moved cart: the case continues if the operator agrees, once the arm is home.
+
+    While an instrument is or may be inside the head, nobody is asked and nothing moves: the case is held, and
+    leaves the head by an order of its own.
+    """
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -239,6 +243,14 @@ class MovedCart:
         """
         engine = self._engine
         if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
+            return False
+        if (inside := engine.instrument_in) is not None:
+            engine.find(
+                f"the case is held: {problem.summary}, while an instrument is or may be inside at {inside}. "
+                "Nothing moves: the surgeon judges the instrument first; then take it out, send the arm "
+                "home and continue from there",
+                (inside,),
+            )
             return False
         self._moves += 1
         if (following := engine.upcoming) is None:

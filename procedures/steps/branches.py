@@ -202,11 +202,12 @@ REFERENCE_MOVED = Branch(
 )
 CART_MOVED = Branch(
     "the cart or the tracker has moved; whatever depends on its position is void",
-    "the frame on the arm according to tracker and arm, as above",
+    "the frame on the arm according to tracker and arm, as above; during motions with the guide and at the "
+    "target from 10 mm on",
     ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat", "confirmation"),
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
-    "goes home and the case ends",
+    "goes home and the case ends. While an instrument is or may be inside, nobody is asked and nothing moves",
     Ending.ASK,
     (BaseShifted,),
     Topic.CART_MOVED,

@@ -7,7 +7,7 @@ nothing moves at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -33,6 +33,7 @@ from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount, calibrated_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.pose import Pose
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
@@ -230,6 +231,16 @@ class Workcell:
         """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
         near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
+        self._arm.surround(self.surroundings)
+
+    def shift_obstacles(self, by: Transform, on_cart: Collection[str]) -> None:
+        """Move the obstacles in the room against a moved cart, except the bodies that it carries, by name."""
+        if (around := self.surroundings) is None:
+            return
+        moved = around.moved(Pose.from_matrix(by.as_matrix().tolist()))
+        pairs = zip(around.obstacles, moved.obstacles, strict=True)
+        obstacles = tuple(before if before.name in on_cart else after for before, after in pairs)
+        self.surroundings = replace(moved, obstacles=obstacles)
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:

@@ -36,6 +36,12 @@ class CycleMs(StrEnum):
     SLOW = "12"
 
 
+class Wheeled(StrEnum):
+    """Objects that staff can move."""
+
+    CART = "cart"
+
+
 class Speed(StrEnum):
     """Pace of theatre time."""
 
@@ -215,6 +221,51 @@ def stand(
     tell(f"on the stand: {holds.value}")
 
 
+def move(
+    _what: Annotated[Wheeled, typer.Argument(metavar="cart", help="Object to move: the cart of an arm.")],
+    by: Annotated[
+        tuple[float, float, float],
+        typer.Option(metavar="X Y Z", help="Way in mm, along the robot's present x, y and z."),
+    ] = (0.0, 0.0, 0.0),
+    turn: Annotated[
+        float, typer.Option(metavar="DEG", help="Turn in deg about the robot's z axis, through its base.")
+    ] = 0.0,
+    number: Annotated[int, typer.Argument(help="Number of the cart, one per arm.")] = 1,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Move it even with an instrument in the guide.")
+    ] = False,
+    control: Annotated[
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+    ] = None,
+) -> None:
+    """Wheel the cart of an arm to another place in a running theatre, as the staff would."""
+    from sim.world.carts import CartMove
+
+    CartMove(number, by, turn).check_size()  # JSON has no number for the values refused here
+    ask_control_port(
+        _require_control(control, "to move the cart"),
+        "move",
+        cart=number,
+        by_mm=list(by),
+        turn_deg=turn,
+        anyway=anyway,
+    )
+    x, y, z = by
+    tell(f"cart {number} was moved by {x:g} {y:g} {z:g} mm and turned by {turn:g} deg")
+
+
+def _require_control(control: str | None, purpose: str) -> str:
+    """Return the given control port, or raise CLI-001 saying where to find it."""
+    if control is None:
+        raise UsageMistake(
+            f"no control port {purpose}",
+            expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
+            action="Copy it from the output of ronna-procedure run --sim or step --sim, or from the READY "
+            "line.",
+        )
+    return control
+
+
 def work(
     task: Annotated[str, typer.Argument(help="Manual task, such as depth_stop, insert, out or gauge.")],
     control: ControlOption,
@@ -249,13 +300,7 @@ def fault(
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
         print_table("Faults that can be injected", ("fault", "", "effect"), rows)
         return
-    if control is None:
-        raise UsageMistake(
-            f"no control port for the fault {line!r}" if line else "no control port to clear faults",
-            expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
-            action="Copy it from the output of ronna-procedure run --sim or step --sim, or from the READY "
-            "line.",
-        )
+    control = _require_control(control, f"for the fault {line!r}" if line else "to clear faults")
     if clear:
         ask_control_port(control, "clear_faults", **({} if line is None else {"line": line}))
         say("all faults cleared" if line is None else f"cleared: {line}")

@@ -10,6 +10,8 @@ Each further line is a request, with one answer:
 - `{"do": "fault", "line": "now: ..."}`;
 - `{"do": "clear_faults"}`, with a `line` only that fault;
 - `{"do": "missed_faults"}`, answered with `missed`: faults that began too late to have an effect, and why;
+- `{"do": "move", "cart": 1, "by_mm": [60, -40, 0], "turn_deg": 5}`, answered once the cart has arrived; with
+  `"anyway": true` also if an instrument is in the guide;
 - `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
   inserting an instrument samples the truth at that target.
 """
@@ -36,6 +38,8 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import printable
 from ronna_hw.wire.room_tasks import DEPTH_STOP
+from sim.errors import InstrumentInGuide
+from sim.world.carts import CartMove
 from sim.world.faults import (
     DEVICES,
     FaultBoard,
@@ -47,12 +51,13 @@ from sim.world.faults import (
     without_fault,
 )
 from sim.world.faults.fault import Fault
-from sim.world.faults.room import DEVICE, MISSED_TASK, WRONG_STOP, WRONG_TOOL, tool_numbers
+from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
 from sim.world.options import OnStand
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
 
+TAKES_S = "takes_s"  # theatre time from a request to its answer
 LONGEST_REASON = 500  # characters: it may quote the request
 MOST_MISSED = 20  # faults listed in one answer
 
@@ -204,6 +209,7 @@ class Room:
             "work": self._work,
             "mount": self._mount,
             "stand": self._stand,
+            "move": self._move,
             "fault": self._fault,
             "clear_faults": self._clear_faults,
             "missed_faults": self._list_missed_faults,
@@ -214,6 +220,7 @@ class Room:
         try:
             with self._one_at_a_time:
                 more = action(request) or {}
+            self._world.clock.sleep(more.pop(TAKES_S, 0.0))  # meanwhile, others may ask
         except TaskRefused as error:
             return _refusal(error, error.advice)
         except RonnaError as error:
@@ -261,6 +268,21 @@ class Room:
         if self._folder is not None:
             save_world(self._world, self._folder)
 
+    def _move(self, request: dict[str, Any]) -> dict[str, Any]:
+        if set(self._devices) < set(DEVICES):  # a simulator alone
+            raise TaskRefused("there is no arm on a cart here", "Give the control port of a theatre.")
+        x, y, z = (_require_number(value) for value in request["by_mm"])
+        number, turn_deg = _require_number(request["cart"]), _require_number(request["turn_deg"])
+        move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
+        move.check(self._world.scene)
+        if (inserted := self._staff.inserted) is not None and request.get("anyway") is not True:
+            raise InstrumentInGuide(
+                f"cart {move.number} is not moved: an instrument is in the guide at {inserted}",
+                expected="no instrument in the guide",
+            )
+        self._add_to_script(begin_now(move.line, self._world.clock.now_s()))
+        return {TAKES_S: move.duration_s}
+
     def _stand(self, request: dict[str, Any]) -> None:
         self._world.put_on_stand(OnStand(str(request["holds"])))
 
@@ -269,15 +291,23 @@ class Room:
         fault = parse_request(line)
         loaded = None if self._loaded is None else self._loaded()
         check_faults([fault], self._world.scene, self._devices, loaded)
-        _, text = self._world.fault_script()
         line = begin_now(line, self._world.clock.now_s())
-        self._world.set_fault_script(f"{text}\n{line}" if text else line)
+        self._add_to_script(line)
         return {"effect": parse_faults(line)[0].effect}
 
     def _clear_faults(self, request: dict[str, Any]) -> None:
         line = request.get("line")
         _, text = self._world.fault_script()
-        self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
+        if line is not None:
+            self._world.set_fault_script(without_fault(text, str(line)))
+            return
+        moves = {one.line for one in parse_faults(text) if one.kind is MOVE}  # these carts stay there
+        kept = [one for number, one in enumerate(text.split("\n"), 1) if number in moves]
+        self._world.set_fault_script("\n".join(kept))
+
+    def _add_to_script(self, line: str) -> None:
+        _, text = self._world.fault_script()
+        self._world.set_fault_script(f"{text}\n{line}" if text else line)
 
     def _list_missed_faults(self, _request: dict[str, Any]) -> dict[str, Any]:
         missed = []

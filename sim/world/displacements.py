@@ -13,14 +13,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.world.carts import cart_pose
 from sim.world.faults import Fault, FaultBoard
-from sim.world.faults.room import CART, DEVICE, GUIDE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
+from sim.world.faults.room import (
+    CART,
+    DEVICE,
+    GUIDE,
+    HEAD,
+    LOOSEN,
+    MOVE,
+    PUSH,
+    SHIFT,
+    TRACKER,
+    TURN,
+    UNLOCKED,
+)
 from sim.world.noise import noise
 from sim.world.rigid import (
     Matrix,
     Point,
     apply,
     as_point,
+    inverse,
     matrix_from,
     matrix_of,
     rotation_from_vector,
@@ -77,23 +91,26 @@ class ShiftedRoom:
             return NOTHING_MOVED
         shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
         pushes, loose = self._board.active(PUSH.name), self._board.active(LOOSEN.name)
-        cart_mm = _add_up(
-            [_sum_arguments(shifts, CART), *list_cart_rolls_mm(self._board, self._world.clock.now_s())]
-        )
+        now_s = self._world.clock.now_s()
+        cart_mm = _add_up([_sum_arguments(shifts, CART), *list_cart_rolls_mm(self._board, now_s)])
         push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
-        # Relative to a turned cart, all else turns back.
-        back = rotation_from_vector(np.radians(_sum_arguments(turns, CART))).T
+        knocked = matrix_from(cart_mm, rotation_from_vector(np.radians(_sum_arguments(turns, CART))))
+        wheeled = cart_pose([one for one in self._board.acting_since() if one[0].kind is MOVE], now_s)
+        # Relative to a moved cart, all else moves back.
+        from_cart = inverse(knocked @ wheeled)
+        back = from_cart[:3, :3]
         head_turn = rotation_from_vector(np.radians(_sum_arguments(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
+        head_mm = swing_mm + _sum_arguments(shifts, HEAD)
         return RoomShift(
-            head_mm=as_point(back @ (np.subtract(_sum_arguments(shifts, HEAD), cart_mm) + swing_mm)),
-            tracker_mm=as_point(back @ np.subtract(_sum_arguments(shifts, TRACKER), cart_mm)),
+            head_mm=as_point(apply(from_cart, head_mm)),
+            tracker_mm=as_point(apply(from_cart, _sum_arguments(shifts, TRACKER))),
             head_rad=as_point(vector_from_rotation(back @ head_turn)),
             tracker_rad=as_point(vector_from_rotation(back)),
-            guide_mm=as_point(np.divide(push_N, self._stiffness_N_mm)),
-            guide_rad=as_point(np.radians(_sum_arguments(turns, GUIDE))),
+            guide_mm=as_point(back @ np.divide(push_N, self._stiffness_N_mm)),
+            guide_rad=as_point(back @ np.radians(_sum_arguments(turns, GUIDE))),
             spheres_mm=tuple(
-                (int(number), _sum_arguments(loose, number))
+                (int(number), as_point(back @ np.array(_sum_arguments(loose, number))))
                 for number in sorted({one.argument for one in loose})
             ),
         )

@@ -23,11 +23,12 @@ from ronna_hw.calibration import Strict
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
 from sim.errors import BadSavedWorld, TheatreRunning
+from sim.world.carts import finished
 from sim.world.displacements import list_cart_rolls_mm
 from sim.world.faults import parse_faults
 from sim.world.faults.board import FaultBoard, format_beginning
 from sim.world.faults.camera import TWIST
-from sim.world.faults.room import CART, PUSH, ROOM_FAULTS
+from sim.world.faults.room import CART, MOVE, PUSH, ROOM_FAULTS
 from sim.world.faults.room import DEVICE as ROOM
 from sim.world.faults.tracker import DISPLACED_TOOLS
 from sim.world.scene.model import Numbers6, Scene
@@ -128,7 +129,8 @@ def standing_faults(world: World) -> str:
             if fault.kind in STANDING:
                 remaining_s = onset_s + fault.duration_s - now_s
                 end = "" if math.isinf(remaining_s) else f" for {remaining_s:.6f} s"
-                lines.append(f"{format_beginning(now_s)}: {fault.phrase}{end}")
+                stands = finished(fault) if fault.kind is MOVE else fault
+                lines.append(f"{format_beginning(now_s)}: {stands.phrase}{end}")
     return "\n".join(lines)
 
 

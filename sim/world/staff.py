@@ -32,7 +32,7 @@ from ronna_hw.wire.room_tasks import (
     TOUCH,
 )
 from sim.errors import StandNotReady
-from sim.world.displacements import ShiftedRoom
+from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.world.noise import noise
@@ -72,6 +72,7 @@ class Staff:
         self._guide = TrueGuide(world)
         self._board = FaultBoard(world, DEVICE)
         self._stop_mm: float | None = None
+        self.inserted: str | None = None  # trajectory at which an instrument is in the guide
         self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
@@ -85,7 +86,7 @@ class Staff:
             **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
-            OUT: nothing,
+            OUT: self._take_out,
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
             TOUCH: lambda: self._touch(numbers),
@@ -110,6 +111,11 @@ class Staff:
         sample = sample_instrument(self._world, self._guide, trajectory, self._stop_mm, again)
         if self._folder is not None:
             append_sample(sample, self._folder)
+        self.inserted = trajectory
+        return ()
+
+    def _take_out(self) -> Readings:
+        self.inserted = None
         return ()
 
     def _push_cart(self) -> Readings:
@@ -140,7 +146,8 @@ class Staff:
         """Return where a pointer touches the given side of the patient's head, in the robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
         skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
-        place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
+        room = ShiftedRoom(self._world).now()
+        place = apply(rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct), skin_ct)
         place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)
         return tuple(_round_to_scale(float(value), 1.0) for value in place)
 

@@ -86,6 +86,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     _check_room_again(context)
     workcell.hold()
     with require_head_in_view(context), _watch_guide(context) as rest:
+        rest.look(workcell, context.setting.clock)  # the cart may have been moved since the arm came here
+        context.progress(0.0, f"the guide is looked at before the work at {trajectory}")
         work_so_far = work_progress(context)
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:

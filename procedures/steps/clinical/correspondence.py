@@ -10,6 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL, Matcher
 from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.guards.errors import BaseShifted
+from procedures.guards.room_reading import read_room
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus
@@ -17,9 +19,11 @@ from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.coarse_match import coarse_match, match_by_distances, mirror_images, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import LeftOutSphere
 from procedures.steps.conditions import needs_guide_unmounted
@@ -83,7 +87,11 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
     mirrored = mirror_images(image[pairs[:, 0]], physical[pairs[:, 1]], prior)
-    touched = _touch_if_mirrored(context, transform, mirrored, prior)
+    try:
+        touched = _touch_if_mirrored(context, transform, mirrored, prior)
+    except HeadElsewhere:
+        _require_base_in_place(context, room)
+        raise
     table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
     residuals = np.linalg.norm(physical[pairs[:, 1]] - transform.apply(image[pairs[:, 0]]), axis=1)
     is_thesis = methods.matcher is Matcher.THESIS
@@ -151,6 +159,16 @@ def _touch_if_mirrored(
         off_mm=off_mm,
         mirrored_mm=landmark.apart_mm,
     )
+
+
+def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> None:
+    """Raise PRO-019 if a point was touched elsewhere because the cart or the tracker was moved meanwhile."""
+    watch = build_watch(context.workcell, context.identifier(GlobalLocalization), room, None)
+    seen = read_room(context.workcell, context.setting.clock, watch.robot_from_tracker)
+    moved = watch.compare(seen).moved
+    if isinstance(moved, BaseShifted):
+        context.void(LockedCart if moved.cart and context.stands(LockedCart) else GlobalLocalization, moved)
+        raise moved
 
 
 def _format_point(point_mm: ArrayLike) -> str:

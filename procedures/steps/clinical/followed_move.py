@@ -23,8 +23,9 @@ from procedures.registration.movement import RigidMove, fit_rigid_move, identify
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.results import FollowedMove
-from procedures.steps.clinical.room import MOST_FOLLOWED_MM, build_watch, find_frame_at_home
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM, find_frame_at_home
 from procedures.workcell.tracker_look import FRAMES, read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform

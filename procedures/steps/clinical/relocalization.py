@@ -89,6 +89,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         try:
             sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:
+            check_room(context, f"without sight of sphere {item.fiducial + 1}")  # the cart may have left
             left_out.append(
                 _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
             )
@@ -99,7 +100,13 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         offset_mm = sphere.point_mm - coarse.translation_mm
         offsets_mm.append(offset_mm)
         spheres.append(sphere)
-        _check_last(offsets_mm, [one.fiducial for one in spheres], context)
+        if len(spheres) == 1:  # the reference for this orientation: at home, the arm stands in another
+            check_room(context, "over the first sphere")
+        try:
+            _check_last(offsets_mm, [one.fiducial for one in spheres], context)
+        except GateFailed:
+            check_room(context, f"over sphere {item.fiducial + 1}")  # names a cart or head that has moved
+            raise
     gaps_mm = tuple(sphere.ray_gap_mm for sphere in spheres)
     radii_mm = tuple(sphere.radii_mm for sphere in spheres)
     stated_mm = workcell.calibrations.stereo_head.stated_error_mm

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.guards.clamp_frame import FrameOnClamp
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.line_of_sight import TrackerSight
@@ -25,9 +24,11 @@ from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
-from procedures.workcell import MountedTool, Workcell
+from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.collision_config import BodyFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -131,22 +132,6 @@ def room_watch(context: StepContext) -> RoomWatch:
     return watch
 
 
-def build_watch(
-    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
-) -> RoomWatch:
-    """Build the watch over a named localization, limited to the matched spheres if `pairs` are given."""
-    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
-    if pairs is not None:
-        spheres = spheres[[room for _, room in pairs]]
-    flange = workcell.flange_pose(localized.joints_rad)
-    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
-    on_clamp, frame = localized.tracker_from_patient, workcell.patient_frame
-    clamp = None
-    if on_clamp is not None and frame is not None:
-        clamp = FrameOnClamp(on_clamp.transform, np.array(workcell.tracker.markers_mm[frame]))
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun], on_clamp=clamp)
-
-
 def find_followed_registration(
     registrations: Sequence[RegisteredRobot], trajectory: str | None
 ) -> RegisteredRobot | None:
@@ -211,3 +196,13 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
         context.void(LockedCart, moved)
     else:
         context.void(GlobalLocalization, moved)
+    if isinstance(moved, BaseShifted):
+        _shift_obstacles(context, moved)
+
+
+def _shift_obstacles(context: StepContext, moved: BaseShifted) -> None:
+    """Move head, clamp and spheres by what one look tells, for the clearance of the way home."""
+    if moved.room_moved is not None:
+        bodies = context.setting.surroundings.bodies
+        on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
+        context.workcell.shift_obstacles(moved.room_moved, on_cart)

@@ -16,7 +16,13 @@ WHOLE_PERCENT = 100.0
 
 # Arguments as terminals of the grammar, and as shown in usage and examples.
 USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
-EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))
+EXAMPLE = (
+    ("INT bytes", "1500 bytes"),
+    ("cart INT", "cart 1"),
+    ("INT", "2"),
+    ("NUMBER", "5"),
+    ("SIGNED", "-1.5"),
+)
 EXAMPLE_NAME = "robot_frame"  # a tool
 TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 

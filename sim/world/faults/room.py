@@ -6,6 +6,7 @@ frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from sim.world.faults.fault import Arguments, DeviceFaults, OneOf, fiducial_number, unless_known
@@ -15,6 +16,8 @@ DEVICE = "room"
 HEAD, CART, TRACKER, GUIDE = "head", "cart", "tracker", "guide"
 ROOM = DeviceFaults(DEVICE)
 declare_lasting = ROOM.declare_lasting
+# Twice the reach of the arm: from there, no head that was within reach is still within it.
+LARGEST_MOVE_MM, LARGEST_TURN_DEG = 2000.0, 90.0
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:
@@ -26,11 +29,32 @@ def _check_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from unless_known("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
 
 
+def cart_numbers(_scene: Scene) -> tuple[int, ...]:
+    """Return the numbers of the carts in the room, one per arm."""
+    return (1,)
+
+
+def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    number, *by_mm, turn_deg, _ = arguments
+    yield from unless_known("cart", [str(known) for known in cart_numbers(scene)], number)
+    if math.hypot(*map(float, by_mm)) > LARGEST_MOVE_MM or abs(float(turn_deg)) > LARGEST_TURN_DEG:
+        got = f"{' '.join(by_mm)} mm {turn_deg} deg"
+        yield f"expected at most {LARGEST_MOVE_MM:g} mm and {LARGEST_TURN_DEG:g} deg, got {got}"
+
+
 SHIFT = declare_lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
     "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
     OneOf("to move the", (HEAD, CART, TRACKER)),
+)
+MOVE = declare_lasting(
+    "move",
+    "move cart INT SIGNED SIGNED SIGNED mm SIGNED deg in NUMBER s",
+    "The cart of an arm is wheeled along the robot's x, y and z as they are by then, and turned about its z "
+    "axis, within that time. It stays there when all faults are cleared. `ronna-sim move cart` does the same "
+    "at once.",
+    _check_cart,
 )
 UNLOCKED = declare_lasting(
     "unlocked",
@@ -91,6 +115,7 @@ MISSED_TASK = {WRONG_TOOL.name: "no tool was mounted", WRONG_STOP.name: "no dept
 """Faults that act only while the staff do a task, and why one had no effect."""
 ROOM_FAULTS = (
     SHIFT,
+    MOVE,
     UNLOCKED,
     LOOSEN,
     PUSH,

@@ -22,6 +22,7 @@ MINI = ("--sim", "--scene", "mini", "--seed", "3", "--targets", "2")
 CONTROL = re.compile(r"control port (\S+)")
 ROLLS = "room unlocked cart 4 -3 0 mm per min"
 MOVES = "room shift cart 1.5 2 0 mm"
+WHEELED = "room move cart 1 60 -40 0 mm 6 deg in 0.2 s"
 LARGEST_ERROR_MM = 0.6
 KEPT = {"ct_import", "fiducial_localization", "plan_check", "set_up", "head_clamp"}
 
@@ -112,6 +113,40 @@ def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targ
     registrations = [one for one in export_run(run_folder, tmp_path / "out") if one.match("reg*.dcm")]
     frames = {dcmread(one).FrameOfReferenceUID for one in registrations}
     assert len(frames) == (2 if step == "at_target:T2" else 1)  # before and after a move: two
+
+
+@pytest.mark.hazard(13)
+@pytest.mark.hazard(50)
+@pytest.mark.branch("CART_MOVED")
+@pytest.mark.parametrize(
+    "moment",
+    ["positioning:T2 after 2.2 s", "relocalization:T1 after 9 s"],
+    ids=["during a motion", "in a look"],
+)
+def test_after_a_cart_was_wheeled_away_the_case_registers_again_and_reaches_its_targets(
+    commands: Commands, tmp_path: Path, moment: str
+) -> None:
+    ran = run(commands, tmp_path, f"since step == {moment}: {WHEELED}")
+    assert ran.returncode == 0, ran.stderr
+    outcome = json.loads(ran.stdout)
+    assert [target["id"] for target in outcome["targets"]] == ["T1", "T2"]
+    assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
+    failed = [line for line in journal(tmp_path) if line["entry"] == "failed"]
+    assert [(line["step"], line["code"]) for line in failed] == [(moment.split()[0], "PRO-019")]
+
+
+@pytest.mark.hazard(13)
+def test_a_cart_wheeled_away_with_an_instrument_inside_leaves_the_arm_where_it_is(
+    commands: Commands, tmp_path: Path
+) -> None:
+    ran = run(commands, tmp_path, f"since step == at_target:T2 after 2.2 s: {WHEELED}")
+    assert ran.returncode == EXIT_REFUSED
+    assert "PRO-019" in ran.stderr
+    lines = journal(tmp_path)
+    inside = [number for number, line in enumerate(lines) if line.get("inside")][-1]
+    assert "motion" not in {line["entry"] for line in lines[inside:]}
+    assert "cart_moved" not in {line.get("topic") for line in lines}
+    assert any("T2 in doubt" in line["text"] for line in lines if line["entry"] == "finding")
 
 
 @pytest.mark.hazard(50)

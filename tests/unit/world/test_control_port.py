@@ -1,5 +1,6 @@
 import contextlib
 import json
+import math
 import socket
 import struct
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from user_commands import in_this_process, one_error
 
@@ -19,11 +21,14 @@ from ronna_hw.control_port import (
     ask_control_port,
 )
 from ronna_hw.endpoints import BadEndpoint
+from ronna_hw.errors import EXIT_USAGE
 from sim.cli import app as ronna_sim
 from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
+from sim.world.displacements import NOTHING_MOVED, ShiftedRoom
 from sim.world.faults import parse_faults
+from sim.world.saved_world import SavedWorld
 from sim.world.scene.named_scenes import draw_scene
-from sim.world.world import World
+from sim.world.world import ArmState, World
 
 RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset
 GUIDE = draw_scene("mini").mount.tool_number_guide
@@ -270,3 +275,89 @@ def test_an_answer_sent_in_drips_is_given_up_after_the_time_of_one_answer(
         with pytest.raises(ControlPortSilent, match="timed out"):
             ControlPortClient(f"tcp://127.0.0.1:{server.getsockname()[1]}?token=a")
         assert dripping.result() < 20
+
+
+MOVE = ("move", "cart", "--by", "60", "-40", "0", "--turn", "5")
+
+
+@pytest.fixture
+def theatre(world: World, port: ControlPort) -> str:
+    """The control port of a room with an arm."""
+    world.publish_arm(ArmState((0.0,) * 6, np.eye(4), 0, at_rest=True))
+    return port.endpoint
+
+
+def test_staff_move_the_cart_of_the_arm_and_the_time_that_it_takes_passes(theatre: str, world: World) -> None:
+    assert in_this_process(ronna_sim, *MOVE, "--control", theatre).returncode == 0
+    head = ShiftedRoom(world).now()
+    assert head.head_rad == pytest.approx((0.0, 0.0, -math.radians(5.0)))
+    assert np.linalg.norm(head.head_mm) == pytest.approx(math.hypot(60.0, 40.0))
+    assert world.clock.now_s() == pytest.approx(5.0 / 30.0, abs=1e-3)
+
+
+def test_a_moved_cart_stays_where_it_is_when_faults_are_cleared_and_the_theatre_ends(
+    theatre: str, world: World
+) -> None:
+    in_this_process(ronna_sim, *MOVE, "--control", theatre)
+    there = ShiftedRoom(world).now()
+    ask_control_port(theatre, "fault", line="room shift head 0 3 0 mm")
+    ask_control_port(theatre, "clear_faults")
+    assert ShiftedRoom(world).now() == there
+    continued = SavedWorld.from_world(world).restore(world.scene, paced=False)
+    assert ShiftedRoom(continued).now() == there
+
+
+def test_a_cart_is_moved_with_an_instrument_in_the_guide_only_anyway(theatre: str, world: World) -> None:
+    ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
+    ask_control_port(theatre, "work", task="insert", trajectory="T1")
+    shown = one_error(in_this_process(ronna_sim, *MOVE, "--control", theatre).stderr)
+    assert "SIM-017" in shown[0]
+    assert "T1" in shown[0]
+    assert ShiftedRoom(world).now() is NOTHING_MOVED
+    assert in_this_process(ronna_sim, *MOVE, "--anyway", "--control", theatre).returncode == 0
+    ask_control_port(theatre, "work", task="out", trajectory="T1")
+    assert in_this_process(ronna_sim, *MOVE, "--control", theatre).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("cart", "2", "--by", "60", "0", "0"), "there is no such cart; expected cart 1, got cart 2"),
+        (("cart", "--by", "nan", "0", "0"), "expected finite numbers, got by nan 0 0 mm"),
+        (("cart", "--by", "60", "0", "0", "--turn", "inf"), "turned by inf deg"),
+        (("cart", "--by", "2000", "1", "0"), "limit 2000 mm and 90 deg, got by 2000 1 0 mm"),
+        (("cart", "--turn", "-91"), "got by 0 0 0 mm, turned by -91 deg"),
+        (("cart",), "would stay where it is"),
+    ],
+)
+def test_a_move_that_cannot_be_made_is_refused_with_its_value(
+    theatre: str, world: World, options: tuple[str, ...], said: str
+) -> None:
+    done = in_this_process(ronna_sim, "move", *options, "--control", theatre)
+    assert done.returncode == EXIT_USAGE
+    shown = " ".join(one_error(done.stderr))
+    assert "SIM-016" in shown
+    assert said in shown
+    assert ShiftedRoom(world).now() is NOTHING_MOVED
+
+
+def test_no_cart_is_moved_without_a_theatre_or_with_the_token_of_another(
+    theatre: str, world: World, port: ControlPort
+) -> None:
+    where = ControlAddress.parse(port.endpoint).endpoint
+    for control, code in (
+        (("--control", f"{where}?token=of-another-theatre"), "CTL-002"),
+        (("--control", "tcp://127.0.0.1:9?token=x"), "CTL-001"),
+        ((), "CLI-001"),
+    ):
+        done = in_this_process(ronna_sim, *MOVE, *control)
+        assert done.returncode != 0
+        assert one_error(done.stderr)[0].startswith(code)
+    assert ShiftedRoom(world).now() is NOTHING_MOVED
+
+
+def test_a_device_alone_has_no_cart_to_move(world: World) -> None:
+    answer = Room(world, None, ("tracker", "room")).answer(
+        {"do": "move", "cart": 1, "by_mm": [60, 0, 0], "turn_deg": 0}
+    )
+    assert answer["reason"] == "there is no arm on a cart here"

@@ -111,3 +111,36 @@ def test_a_sphere_may_be_missing_displaced_or_on_the_base_of_another() -> None:
     assert np.subtract(three.centre_ct_mm, third.centre_ct_mm) == pytest.approx(shorter)
     assert (two.worn_percent, three.worn_percent) == (30.0, 0.0)  # a film goes with its base
     assert rest == list(others)
+
+
+def base_now(now: RoomShift) -> np.ndarray:
+    """Pose (4, 4) of the robot's base in the base before anything moved, by the head that stays."""
+    return inverse(rigid_move(now.head_rad, now.head_mm))
+
+
+def test_a_wheeled_cart_moves_along_the_axes_of_the_robot_as_they_are_by_then() -> None:
+    _, now = room(
+        "at 0 s: room move cart 1 100 0 0 mm 90 deg in 0 s\nat 0 s: room move cart 1 50 0 0 mm 0 deg in 0 s"
+    )
+    assert base_now(now)[:3, 3] == pytest.approx((100.0, 50.0, 0.0))
+    assert now.tracker_rad == pytest.approx((0.0, 0.0, -math.pi / 2.0))
+    assert now.head_mm == pytest.approx(now.tracker_mm)
+    assert now.head_rad == pytest.approx(now.tracker_rad)
+
+
+def test_a_cart_rolls_evenly_until_it_has_arrived() -> None:
+    world, _ = room("at 1 s: room move cart 1 40 0 0 mm 4 deg in 2 s")
+    for now_s, share in ((1.0, 0.0), (1.5, 0.25), (3.0, 1.0), (9.0, 1.0)):
+        world.clock.sleep(now_s - world.clock.now_s())
+        base = base_now(ShiftedRoom(world).now())
+        assert base[0, 3] == pytest.approx(40.0 * share)
+        assert math.degrees(math.atan2(base[1, 0], base[0, 0])) == pytest.approx(4.0 * share)
+
+
+def test_a_loosened_sphere_stays_beside_its_screw_when_the_cart_turns() -> None:
+    loose = "at 0 s: room loosen marker 1 0 2 0 mm"
+    _, before = room(loose)
+    _, now = room(f"{loose}\nat 0 s: room move cart 1 30 0 0 mm 60 deg in 0 s")
+    places = np.zeros((1, 3))
+    seen_by_robot = apply(base_now(now), now.displace_spheres_mm(places, (1,)))
+    assert seen_by_robot == pytest.approx(before.displace_spheres_mm(places, (1,)))

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SCENE, SPHERES_MM, TRACKER_MM, ClinicalCell
+from clinical_case import (
+    CENTRES_CT_MM,
+    ROBOT_FROM_CT,
+    SCENE,
+    SPHERES_MM,
+    TRACKER_MM,
+    ClinicalCell,
+    SeeingTracker,
+)
 from numpy.typing import NDArray
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
@@ -12,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.engine.methods import CaseMethods, Matcher
+from procedures.guards.errors import BaseShifted
 from procedures.imaging.thesis_localizer import REPORTED_FLE_MM
 from procedures.operator.question import Topic
 from procedures.planning.plan_model import FiducialKind, PatientPosition
@@ -194,6 +203,17 @@ def test_a_head_touched_where_a_mirror_image_has_it_stops_the_case(cell: Clinica
     ) as refused:
         match_beside(cell)
     assert refused.value.exit_code == EXIT_REFUSED
+
+
+@pytest.mark.hazard(13)
+def test_a_head_touched_elsewhere_because_the_cart_was_moved_is_no_mirrored_ct(cell: ClinicalCell) -> None:
+    assert isinstance(cell.tracker, SeeingTracker)
+    cell.tracker.spheres_mm = BESIDE_MM
+    cell.tracker.frame_shift_mm = (60.0, -40.0, 0.0)
+    cell.room.touched = lambda _side: (760.0, 0.0, 500.0)
+    with pytest.raises(BaseShifted, match="PRO-019: the cart"):
+        match_beside(cell)
+    assert cell.entries("voided") == [("voided", "global_localization")]
 
 
 @pytest.mark.hazard(7)

@@ -1,0 +1,29 @@
+"""Watch over the room as the global localization found it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from procedures.guards.clamp_frame import FrameOnClamp
+from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_watch import RoomWatch
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.workcell import Workcell
+
+
+def build_watch(
+    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
+) -> RoomWatch:
+    """Build the watch over a named localization, limited to the matched spheres if `pairs` are given."""
+    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
+    if pairs is not None:
+        spheres = spheres[[room for _, room in pairs]]
+    flange = workcell.flange_pose(localized.joints_rad)
+    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
+    on_clamp, frame = localized.tracker_from_patient, workcell.patient_frame
+    clamp = None
+    if on_clamp is not None and frame is not None:
+        clamp = FrameOnClamp(on_clamp.transform, np.array(workcell.tracker.markers_mm[frame]))
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun], on_clamp=clamp)

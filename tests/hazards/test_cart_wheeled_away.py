@@ -1,0 +1,143 @@
+"""Hazard 13: the cart is wheeled away while the arm moves, looks or holds an instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell, SeeingTracker, SeeingWorkcell
+from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
+from room_trials import TrackedCase
+from waiting import eventually
+from watched_case import findings, on_the_way, positioned, watched
+
+from procedures.guards.errors import BaseShifted
+from procedures.guards.room_watch import GROSS_LIMIT_MM
+from procedures.operator.question import Topic
+from procedures.runs.engine_setup import MovedCart
+from procedures.steps.clinical import relocalization
+from procedures.workcell import MountedTool
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.frames import Frame, Transform
+
+pytestmark = pytest.mark.hazard(13)
+
+AWAY_MM = (60.0, -40.0, 0.0)
+
+
+@pytest.fixture(autouse=True)
+def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+
+
+def leave_by(cell: ClinicalCell, way_mm: tuple[float, float, float]) -> None:
+    """The cart is wheeled away: the frame on the arm with it."""
+    assert isinstance(cell.tracker, SeeingTracker)
+    cell.tracker.frame_shift_mm = way_mm
+
+
+def cart_leaves(cell: ClinicalCell) -> Callable[[], None]:
+    """The cart leaves, and the motion goes on until somebody stops it."""
+
+    def leave() -> None:
+        leave_by(cell, AWAY_MM)
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.interruptions = 1
+
+    return leave
+
+
+@pytest.mark.branch("CART_MOVED")
+def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    on_the_way(cell, cart_leaves(cell))
+    with pytest.raises(BaseShifted, match=r"the cart .* was moved by 72\.11 mm .*, during the motion 'go'"):
+        positioned(engine)
+    assert cell.arm.motions == []  # it has not arrived
+    assert engine.machine.state == "held"
+
+
+def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    before = cell.workcell.surroundings
+    assert before is not None
+    leave_by(cell, AWAY_MM)
+    cell.arm.state = Lifecycle.ACTIVE
+    with pytest.raises(BaseShifted), engine.checkpoint.watching("the next motion", True):
+        eventually(lambda: cell.arm.stops > 0)
+    after = cell.workcell.surroundings
+    assert after is not None
+    ways = {
+        one.name: np.subtract(other.capsule.start_mm, one.capsule.start_mm)
+        for one, other in zip(before.obstacles, after.obstacles, strict=True)
+    }
+    assert ways["head"] == pytest.approx(np.negative(AWAY_MM), abs=1e-6)
+
+
+def test_no_frame_within_reach_of_the_arms_report_is_taken_for_a_moved_cart() -> None:
+    watch = TrackedCase(3).begin()
+    here, way = np.zeros(3), np.array([100.0, 0.0, 0.0])  # the arm moved by 100 mm during one frame
+
+    def off_mm(place_mm: Sequence[float], end_mm: np.ndarray) -> float | None:
+        seen = watch.robot_from_tracker.inverse() @ Transform.of(
+            Frame.ROBOT, Frame.MARKER, translation_mm=place_mm
+        )
+        return watch.frame_off_arm_mm(seen, here, end_mm)
+
+    assert off_mm((0.0, GROSS_LIMIT_MM - 0.1, 0.0), here) is None
+    assert off_mm((0.0, GROSS_LIMIT_MM + 0.1, 0.0), here) == pytest.approx(GROSS_LIMIT_MM + 0.1)
+    assert off_mm((0.5 * way).tolist(), way) is None
+    assert off_mm((2.0 * way).tolist(), way) is None  # reported one frame late
+    assert off_mm((2.2 * way).tolist(), way) == pytest.approx(120.0)
+
+
+def test_a_plain_move_is_noticed_in_a_pose_that_was_never_seen_before() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    elsewhere = case.reading(watch, case.home_rad)
+    turned = Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(300.0, 300.0, 300.0))
+    assert elsewhere.frame_mm is not None
+    for moved_mm, noticed in ((8.0, False), (12.0, True)):
+        reading = replace(
+            elsewhere, robot_from_flange=turned, frame_mm=np.add(elsewhere.frame_mm, (0.0, moved_mm, 0.0))
+        )
+        look = watch.compare(reading)
+        assert isinstance(look.moved, BaseShifted) is noticed
+        assert (look.base is not None) is noticed  # what is not plain is not compared
+
+
+def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
+    engine = cell.begin(*before, relocalization.STEP)
+    engine.run_to(engine.order.sequence[4])
+
+    def leave(_start: object, _target: object) -> bool:
+        leave_by(cell, AWAY_MM)
+        assert isinstance(cell.workcell, SeeingWorkcell)
+        cell.workcell.spheres_mm = np.add(SPHERES_MM, (0.0, 200.0, 0.0))
+        return False
+
+    cell.arm.blocked = leave
+    with pytest.raises(BaseShifted):
+        engine.run_to()
+    assert Topic.SPHERE not in [question.topic for question in cell.operator.asked]
+
+
+def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    engine.goes_on = MovedCart(engine).continues_by_consent
+    positioned(engine)
+    cell.workcell.instrument.record_insertion(FIRST)
+    motions = list(cell.arm.motions)
+    assert not engine.goes_on(BaseShifted("the cart of the robot was moved by 72.11 mm"))
+    assert Topic.CART_MOVED not in [question.topic for question in cell.operator.asked]
+    assert cell.arm.motions == motions
+    assert "an instrument is or may be inside at T1. Nothing moves" in findings(cell)[-1]
