@@ -382,6 +382,15 @@ ROWS = (
     # the last one cannot tell when the cart was moved.
     Row("room shift tracker 1.0 1.4 0 mm", "retreat", "PRO-020", theatre_s=10, begins=SINCE),
     Row("room shift cart 1.0 1.4 0 mm", "retreat", DONE, begins=SINCE, in_doubt=True),
+    Row(  # wheeled away, not pushed: the home is elsewhere too
+        "room move cart 1 40 -20 0 mm 3 deg in 0.1 s",
+        "path_check relocalization positioning at_target",
+        "done PRO-019",
+        theatre_s=5,
+        begins=SINCE,
+        branch="CART_MOVED",
+        asks=Topic.CART_MOVED,
+    ),
     *(
         Row(f"room unlocked cart {fault}", steps, ends, theatre_s=20, begins=SINCE, branch=branch)
         for fault in ("0 40 0 mm per min",)

@@ -71,10 +71,10 @@ def test_every_stage_is_confirmed_and_the_instrument_is_out_at_the_end(cell: Cli
     assert engine.instrument_in is None
 
 
-def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
+def test_the_guide_is_looked_at_before_the_work_and_once_for_each_stage(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its reference, taken in the step before, is fresh: a head may be hidden for ten seconds in all."""
+    """Its reference, taken in the step before, is fresh, and the guide hides the head: ten seconds in all."""
     engine = before_the_entry(cell)
     monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 1.0)
     looks, look = [], GuideAtRest.look
@@ -85,7 +85,7 @@ def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
 
     monkeypatch.setattr(GuideAtRest, "look", counted)
     work(engine)
-    assert len(looks) == len(STAGES)
+    assert len(looks) == 1 + len(STAGES)
 
 
 @pytest.mark.hazard(45)
