@@ -1,4 +1,4 @@
-"""Every row of `docs/reference/thesis.md` names modules that import, commands that parse, links that resolve."""
+"""Every row of `docs/reference/thesis.md` names modules that import, and commands and links that exist."""
 
 from __future__ import annotations
 
