@@ -114,6 +114,7 @@ class CaseView:
     theatre: str = ""
     banner: str | None = None  # None: not reported yet; empty: hardware
     strategy: str = ""
+    methods: str = ""  # localizer and matcher, unless both are ours
     state: str = "opening"
     reason: str = ""
     steps: tuple[StepRow, ...] = ()
@@ -300,6 +301,7 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
             "theatre": str(line.get("theatre") or ""),
             "banner": str(line.get("banner") or ""),
             "strategy": str(line.get("strategy") or ""),
+            "methods": str(line.get("methods") or ""),
         }
     elif entry == CLOSED:
         changes["outcome"] = str(line.get("outcome") or "")

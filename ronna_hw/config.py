@@ -56,6 +56,23 @@ def require_expiry(theatre: TheatreFile) -> None:
         )
 
 
+def require_own_patient_frame(theatre: TheatreFile) -> None:
+    """Raise ValueError if the patient's frame is also named as one on the arm, which moves with the arm."""
+    frame = theatre.procedure.patient_frame
+    if frame is None or theatre.calibration is None:
+        return
+    on_arm = {"calibration.tracker_frame.tool": theatre.calibration.tracker_frame.tool} | {
+        f"tools.{name}.frame.tool": tool.frame.tool
+        for name, tool in theatre.tools.items()
+        if tool.frame is not None
+    }
+    if shared := [key for key, tool in on_arm.items() if tool == frame]:
+        raise ValueError(
+            f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
+            "name the frame on the head clamp, a tool of its own"
+        )
+
+
 def require_outside_hand(theatre: TheatreFile) -> None:
     """Raise ValueError if a tool or guide axis is inside the arm's hand, a sign of wrong units."""
     if theatre.calibration is None:
@@ -250,6 +267,11 @@ class ProcedureSettings(Strict):
         default=WatchPatient.INSTRUMENT,
         description="Motions in which the tracker watches the spheres on the head; a shift stops the arm.",
     )
+    patient_frame: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="Tracker's name for the reference frame on the head clamp, `patient_frame` for the one "
+        "whose definition is shipped; default: none is used.",
+    )
     recline_deg: Recline = Field(
         default=(0.0, 60.0),
         description="Least and largest angle by which the table raises the upper body from lying flat.",
@@ -314,6 +336,7 @@ class TheatreFile(Strict):
     def _records_are_plausible(self) -> Self:
         require_expiry(self)
         require_outside_hand(self)
+        require_own_patient_frame(self)
         return self
 
     @property

@@ -33,6 +33,7 @@ class Frame(StrEnum):
     CAMERA_RIGHT = "camera_right"
     TRACKER = "tracker"  # origin at the sensor, everything tracked has negative z
     MARKER = "marker"  # reference frame M on the tool, seen by the tracker
+    PATIENT = "patient"  # reference frame on the head clamp, seen by the tracker
 
 
 class FrameMismatch(DataError):

@@ -109,6 +109,12 @@ def correspondence(
     xframe: Annotated[
         bool, typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker.")
     ] = False,
+    wrong: Annotated[
+        bool,
+        typer.Option(
+            "--wrong", help="Only ours, with wrong assumptions: noise, strays, a tracker that distorts."
+        ),
+    ] = False,
     *,
     study_options: StudyOptions,
 ) -> None:
@@ -121,12 +127,12 @@ def correspondence(
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
 
-    if xframe + sweep + template > 1:
-        raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
-    if (xframe or sweep or template) and (methods or tolerances_mm or refused_share):
+    if xframe + sweep + template + wrong > 1:
+        raise UsageMistake("--sweep, --xframe, --template and --wrong are separate studies: give one of them")
+    if (xframe or sweep or template or wrong) and (methods or tolerances_mm or refused_share):
         raise UsageMistake(
-            "--method, --e and --refuse cannot be combined with --sweep, --xframe or --template, which have "
-            "their own"
+            "--method, --e and --refuse cannot be combined with --sweep, --xframe, --template or --wrong, "
+            "which have their own"
         )
     if xframe:
         _run_clinical(runs, study_options)
@@ -137,6 +143,16 @@ def correspondence(
 
         _run(
             template_study.TemplateStudy(runs, study_options.seed), template_study.tables, None, study_options
+        )
+        return
+    if wrong:
+        from studies.correspondence import wrong as wrong_study
+
+        _run(
+            wrong_study.WrongAssumptionsStudy(runs, study_options.seed),
+            wrong_study.tables,
+            None,
+            study_options,
         )
         return
     chosen, own = select_methods(methods or (), terminal.tell)
@@ -266,13 +282,30 @@ def strategies(
             "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
         ),
     ] = False,
+    wrong: Annotated[
+        bool,
+        typer.Option(
+            "--wrong",
+            help="Only the prediction, on arms with effects that their model lacks; takes 20 arms well.",
+        ),
+    ] = False,
     methods: OwnOption = None,
     *,
     study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
-    if identified and methods:
-        raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
+    if (identified or wrong) and methods:
+        raise UsageMistake(
+            "--method cannot be combined with --identified or --wrong, which have their own strategies"
+        )
+    if identified and wrong:
+        raise UsageMistake("--identified and --wrong are separate studies: give one of them")
+    if wrong:
+        from studies.strategies import wrong as wrong_arms
+        from studies.strategies import wrong_tables
+
+        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_tables.tables, None, study_options)
+        return
     if identified:
         from studies.strategies import identified as identified_arms
 

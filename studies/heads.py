@@ -7,6 +7,7 @@ sites, takes a random subset, adds noise and outliers on both sides, and shuffle
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -67,6 +68,15 @@ def draw_noise(
     return np.asarray(direction * random.normal(size=(*shape[:-1], 1)) * sigma_mm)
 
 
+def draw_strays(
+    points: Array, outliers: int, to_frame: Callable[[Array], Array], random: np.random.Generator
+) -> Array:
+    """Draw outliers (runs, outliers, 3) uniformly from a ball about the centre of points (runs, k, 3)."""
+    runs = len(points)
+    strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
+    return np.asarray(points.mean(axis=1, keepdims=True) + strays)
+
+
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
     """Convert a standard deviation to one per axis."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
@@ -79,6 +89,11 @@ def variance_from_thesis_mm2(noise: NoiseReading) -> float:
 
 def draw_pose(random: np.random.Generator) -> RigidTransform:
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))
+
+
+NoiseOf = Callable[[tuple[int, ...], float, NoiseReading, np.random.Generator], Array]
+# Outliers for points (runs, k, 3), their number, the map of the head's frame to that of the points.
+StraysOf = Callable[[Array, int, Callable[[Array], Array], np.random.Generator], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,30 +117,35 @@ def draw_readings(
     runs: int,
     random: np.random.Generator,
     displaced_mm: float = DISPLACED_MM,
+    *,
+    noise_of: NoiseOf = draw_noise,
+    strays_of: StraysOf = draw_strays,
+    distort: Callable[[Array, np.random.Generator], Array] | None = None,
 ) -> Readings:
-    """Draw `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers in both sets."""
+    """Draw `runs` readings of `count` fiducials at displaced sites (s, 3), with outliers in both sets.
+
+    `distort` returns where the tracker sees points (runs, k, 3) of its own frame, before its noise.
+    """
     sites = len(sites_mm)
     displaced = sites_mm + uniform_in_ball(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
     chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
     points = np.take_along_axis(displaced, chosen[:, :, None], axis=1)
     rotations, shifts = Rotation.random(runs, rng=random), random.normal(size=(runs, 1, 3)) * AWAY_MM
-    turned = points @ rotations.as_matrix().swapaxes(1, 2) + shifts
-    image, image_order = _shuffle_with_outliers(
-        points + draw_noise(points.shape, IMAGE_SIGMA_MM, noise, random), outliers, random
-    )
-    physical, physical_order = _shuffle_with_outliers(
-        turned + draw_noise(points.shape, PHYSICAL_SIGMA_MM, noise, random), outliers, random
-    )
+
+    def to_room(in_head: Array) -> Array:
+        return np.asarray(in_head @ rotations.as_matrix().swapaxes(1, 2) + shifts)
+
+    imaged = points + noise_of(points.shape, IMAGE_SIGMA_MM, noise, random)
+    image, image_order = _shuffle(imaged, strays_of(imaged, outliers, np.asarray, random), random)
+    placed = to_room(points) if distort is None else distort(to_room(points), random)
+    tracked = placed + noise_of(points.shape, PHYSICAL_SIGMA_MM, noise, random)
+    physical, physical_order = _shuffle(tracked, strays_of(tracked, outliers, to_room, random), random)
     columns = [np.argsort(order, axis=1)[:, :count] for order in (image_order, physical_order)]
     return Readings(image, physical, np.stack(columns, axis=2), rotations)
 
 
-def _shuffle_with_outliers(
-    points: Array, outliers: int, random: np.random.Generator
-) -> tuple[Array, NDArray[np.intp]]:
-    """Add outliers around the points' centre, shuffle, and return the points with the permutation."""
-    runs, count, _ = points.shape
-    strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
-    everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)
-    order = random.permuted(np.tile(np.arange(count + outliers), (runs, 1)), axis=1)
+def _shuffle(points: Array, strays: Array, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
+    """Append the strays, shuffle, and return the points with the permutation."""
+    everything = np.concatenate([points, strays], axis=1)
+    order = random.permuted(np.tile(np.arange(everything.shape[1]), (len(points), 1)), axis=1)
     return np.take_along_axis(everything, order[:, :, None], axis=1), order

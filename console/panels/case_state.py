@@ -35,7 +35,8 @@ def banner(view: CaseView) -> str:
 def case_line(view: CaseView) -> str:
     """Show the run with its theatre and strategy."""
     run = tag("b", text(view.run or "no run yet"))
-    more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
+    strategy = view.strategy and f"strategy {view.strategy}"
+    more = ", ".join(part for part in (view.theatre, strategy, view.methods) if part)
     ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""
     return tag("div", f'{run}{ended}<div class="dim">{text(more)}</div>', class_="case")
 

@@ -86,7 +86,9 @@ class CasePage:
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
             self._add(banner, lambda view: view.banner)
-            self._add(case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
+            self._add(
+                case_line, lambda view: (view.run, view.theatre, view.strategy, view.methods, view.outcome)
+            )
             self._add(mode, lambda view: view.mode)
             self._clock = ui.html("", sanitize=False)
             self._seat = SeatPanel(self._give_order, may_operate=may_operate)

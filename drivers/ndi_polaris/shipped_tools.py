@@ -1,4 +1,4 @@
-"""Tool definitions shipped with the driver: robot reference frame M and the x-shaped fiducial frame.
+"""Tool definitions shipped with the driver: robot reference frame M, the x-shaped and the patient's frame.
 
 `python -P -m drivers.ndi_polaris.shipped_tools` regenerates them; a test compares the committed files.
 """
@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition, make_planar_tool
-from ronna_hw import x_frame
+from ronna_hw import patient_frame, x_frame
 
 FOLDER = Path(__file__).parent / "definitions"
 MANUFACTURER = "RONNA"
@@ -29,7 +29,17 @@ def build_shipped_definitions() -> dict[str, ToolDefinition]:
         manufacturer=MANUFACTURER,
         made_on=date(2025, 1, 7),
     )
-    return {"robot_frame.rom": robot_frame, f"{x_frame.NAME}.rom": fiducials}
+    on_clamp = make_planar_tool(
+        patient_frame.PART_NUMBER,
+        patient_frame.MARKERS_MM,
+        manufacturer=MANUFACTURER,
+        made_on=date(2025, 1, 8),
+    )
+    return {
+        "robot_frame.rom": robot_frame,
+        f"{x_frame.NAME}.rom": fiducials,
+        f"{patient_frame.NAME}.rom": on_clamp,
+    }
 
 
 def find_definition(path: Path, folder: Path | None = None) -> Path:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
+from procedures.engine.methods import CaseMethods
 from procedures.operator.question import Operator, Room
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
@@ -45,13 +46,14 @@ class CaseMemory:
 
 @dataclass(frozen=True)
 class ClinicalInput:
-    """CT, plan and strategy of a clinical case."""
+    """CT, plan, strategy and methods of a clinical case."""
 
     series: Path  # folder of the CT series
     plan: Path
     strategy: Strategy
     measure_targets: bool = False  # on a phantom
     plan_sha256: str | None = None  # of the plan as it was held when the case was opened
+    methods: CaseMethods = field(default_factory=CaseMethods)
 
     @property
     def place(self) -> Path:

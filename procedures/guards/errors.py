@@ -31,6 +31,16 @@ class InputChanged(RefusedError):
     )
 
 
+class FrameSlipped(RefusedError):
+    """The patient's frame has moved on the head clamp: the spheres have not moved with it."""
+
+    code = "PRO-051"
+    action = (
+        "Fasten it to the clamp, then register again: run global_localization. With the guide mounted, send "
+        "the arm home first."
+    )
+
+
 class PatientUnseen(RefusedError):
     """The tracker cannot see the head, so the guide may not move towards it."""
 
@@ -60,3 +70,6 @@ class PatientMoved(RefusedError):
         )
         moved.moved_mm = moved_mm
         return moved
+
+
+RoomMoved = BaseShifted | PatientMoved | FrameSlipped  # after any of them the localization does not hold

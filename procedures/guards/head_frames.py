@@ -51,7 +51,10 @@ class HeadFrames:
 
     def add_frame(self, frame: TrackerFrame) -> None:
         """Add a tracker frame."""
-        places = [one.position_mm for one in frame.strays if one.validity is Validity.OK]
+        self.add_places([one.position_mm for one in frame.strays if one.validity is Validity.OK])
+
+    def add_places(self, places: Sequence[Sequence[float]]) -> None:
+        """Add the points that one frame shows, tracker frame."""
         displacements = _displacements(self.spheres_mm, places)
         near = np.isfinite(displacements[:, 0])
         self.seen = bool(near.sum() >= LEAST_POINTS)
@@ -84,6 +87,42 @@ class HeadFrames:
         means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]
         return math.sqrt(float(squares.mean()))
+
+
+@dataclass
+class PatientFrames:
+    """Recent readings of the spheres and of the patient's frame on the head clamp, if there is one.
+
+    Each is judged by itself, so that neither hides what the other shows; either one seen is enough.
+    """
+
+    spheres: HeadFrames
+    clamp: HeadFrames | None = None
+
+    def add(self, frame: TrackerFrame, on_clamp_mm: Sequence[Sequence[float]]) -> None:
+        """Add a tracker frame, and the markers of the patient's frame by its pose in it."""
+        self.spheres.add_frame(frame)
+        if self.clamp is not None:
+            self.clamp.add_places(on_clamp_mm)
+
+    @property
+    def moved_mm(self) -> float | None:
+        """Larger rms displacement of the two; None while undecided."""
+        return max((one.moved_mm for one in self._both if one.moved_mm is not None), default=None)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the very next frame is wanted."""
+        return any(one.doubtful for one in self._both)
+
+    @property
+    def seen(self) -> bool:
+        """Whether the last frame showed enough of either."""
+        return any(one.seen for one in self._both)
+
+    @property
+    def _both(self) -> tuple[HeadFrames, ...]:
+        return (self.spheres,) if self.clamp is None else (self.spheres, self.clamp)
 
 
 def _displacements(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:

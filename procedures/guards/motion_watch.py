@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
-from procedures.guards.head_frames import HeadFrames
-from procedures.guards.room_reading import PATIENT_LIMIT_MM, read_room
-from procedures.guards.room_watch import RoomWatch
+from procedures.guards.head_frames import HeadFrames, PatientFrames
+from procedures.guards.room_reading import PATIENT_LIMIT_MM
+from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.patient_frame import posed_markers
 from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
@@ -56,7 +57,7 @@ class MotionWatch:
     void: Callable[[RonnaError], None]
     beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while the moving thread reads
     _room: RoomWatch | None = None
-    _head: HeadFrames = field(init=False)
+    _head: PatientFrames = field(init=False)
     _unseen_s: float = 0.0
 
     @contextmanager
@@ -70,8 +71,10 @@ class MotionWatch:
             self.find(f"the head was not watched during {what}: the tracker is {state}")
             yield
             return
-        if self._room is not room or self._head.spheres_mm is not room.spheres_mm:
-            self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
+        if self._room is not room or self._head.spheres.spheres_mm is not room.spheres_mm:
+            clamp = None if room.on_clamp is None else HeadFrames(room.on_clamp.places_mm)
+            self._room, self._unseen_s = room, 0.0
+            self._head = PatientFrames(HeadFrames(room.spheres_mm), clamp)
         thread = _WatchThread(
             self.workcell,
             self.clock,
@@ -123,12 +126,12 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
-    def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
+    def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> RoomMoved:
         """Determine what has moved from a further reading at rest that includes the frame on the arm."""
         found: RonnaError | None
         try:
             with self.beside():
-                found = room.compare(read_room(self.workcell, self.clock, room.robot_from_tracker)).moved
+                found = room.compare(read_watched(room, self.workcell, self.clock)).moved
         except RonnaError as problem:
             found = problem
         if isinstance(found, BaseShifted):
@@ -137,6 +140,8 @@ class MotionWatch:
             return shifted
         if isinstance(found, PatientMoved):
             return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
+        if isinstance(found, FrameSlipped):
+            return FrameSlipped(f"{found.what}, during {what}", limit=found.limit, got=found.got)
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
         return PatientMoved.from_shift(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
@@ -150,7 +155,7 @@ class _WatchThread:
     clock: Clock
     arm_moves: bool
     room: RoomWatch
-    head: HeadFrames
+    head: PatientFrames
     what: str  # the motion or the wait
     tell: Callable[[str], object]
     moved_mm: float | None = None
@@ -226,7 +231,7 @@ class _WatchThread:
                     self._report_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
-            self.head.add_frame(add_frame_spheres(tracker, frame))
+            self.head.add(add_frame_spheres(tracker, frame), self._on_clamp_mm(frame))
             self._check_push(frame)
             self._check_late()
             new_s = self.clock.now_s()
@@ -243,6 +248,10 @@ class _WatchThread:
                 self.clock.sleep(SKIPPED_S)
             else:  # host time: waiting in theatre time would hurry a simulated arm at rest
                 self._ending.wait(SKIPPED_S)
+
+    def _on_clamp_mm(self, frame: TrackerFrame) -> Sequence[Sequence[float]]:
+        name, clamp = self.workcell.patient_frame, self.room.on_clamp
+        return () if name is None or clamp is None else posed_markers(frame, name, clamp.markers_mm)
 
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()

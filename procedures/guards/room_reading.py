@@ -9,7 +9,7 @@ marker and on the other sensor's line to another.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.workcell import Workcell
+from procedures.workcell.patient_frame import as_patient
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
@@ -43,6 +44,8 @@ class RoomReading:
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
     frame, `spheres_mm` (m, 3) are strays, `markers_mm` (k, 3) the markers of the frame and of other tools in
     view. `settled` says that the arm is at home, every joint having arrived from its usual side.
+    `arm_frame_mm` (3,) and `on_clamp` (TRACKER <- PATIENT) are the frame on the arm and the patient's frame
+    as the tracker sees them, None if not seen or not there.
     """
 
     robot_from_flange: Transform
@@ -51,6 +54,16 @@ class RoomReading:
     markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
     frames: int = 1
     settled: bool = False
+    arm_frame_mm: Array | None = None
+    on_clamp: Transform | None = None
+
+    def seen_by_moved(self, turn: Transform, now: Transform) -> RoomReading:
+        """Return the reading after the tracker was found moved: ROBOT <- TRACKER was `turn`, and is `now`."""
+        if self.frame_mm is None or self.arm_frame_mm is None:
+            return self
+        return replace(
+            self, frame_mm=self.frame_mm + now.apply(self.arm_frame_mm) - turn.apply(self.arm_frame_mm)
+        )
 
     @property
     def is_careful(self) -> bool:
@@ -95,6 +108,7 @@ def room_reading(
         other = None if name == on_arm else mean_pose(frames, name, least)
         if other is not None:
             markers.append(other.apply(places_mm))
+    clamp = None if workcell.patient_frame is None else mean_pose(frames, workcell.patient_frame, least)
     return RoomReading(
         workcell.flange_pose(joints),
         frame_mm,
@@ -102,6 +116,8 @@ def room_reading(
         np.vstack(markers),
         len(frames),
         workcell.settled_home,
+        None if seen is None else seen.translation_mm,
+        None if clamp is None else as_patient(clamp),
     )
 
 

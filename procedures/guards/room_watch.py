@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.clamp_frame import (
+    PUSH_AGREES_MM,
+    PUSH_AGREES_SHORTLY_MM,
+    FrameOnClamp,
+    find_push,
+)
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, PatientUnseen, RoomMoved
 from procedures.guards.room_reading import FRAMES, RoomReading, find_ghosts, read_room
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES
 from procedures.registration.movement import (
@@ -28,7 +34,7 @@ from procedures.registration.movement import (
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Transform
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_count
 
 Array = NDArray[np.float64]
@@ -75,7 +81,7 @@ class RoomLook:
     head_mm: float | None
     base: BaseShift | None
     findings: tuple[str, ...] = ()
-    moved: BaseShifted | PatientMoved | PatientUnseen | None = None
+    moved: RoomMoved | PatientUnseen | None = None
 
     @property
     def in_place(self) -> bool:
@@ -86,7 +92,7 @@ class RoomLook:
         """Return the findings. Raises `moved` if set.
 
         Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
-        head is at no known position.
+        head is at no known position, PRO-051 if the patient's frame has slipped on the clamp.
         """
         if self.moved is not None:
             raise self.moved
@@ -107,7 +113,11 @@ class Approach:
 
 @dataclass
 class RoomWatch:
-    """Watch over the spheres and frame of one global localization, with all later readings."""
+    """Watch over the spheres and frames of one global localization, with all later readings.
+
+    With the patient's frame (`on_clamp`) a pushed tracker is followed: `tracker_move` is TRACKER now <-
+    TRACKER at the localization.
+    """
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
@@ -115,13 +125,24 @@ class RoomWatch:
     references: list[RoomReading] = field(default_factory=list)
     seen_s: float = 0.0  # theatre time at which the head was last seen in its place
     approach: Approach | None = None
+    on_clamp: FrameOnClamp | None = None
+    tracker_move: Transform = field(default_factory=lambda: Transform.of(Frame.TRACKER, Frame.TRACKER))
 
     def __post_init__(self) -> None:
-        self._localized_mm = self.spheres_mm
+        self._localized_mm, self._localized_clamp = self.spheres_mm, self.on_clamp
+        self._by_frame_only = False  # as told last
 
-    def follow(self, spheres_mm: Array | None) -> None:
-        """Set the expected sphere positions (n, 3), or restore the localized ones with None."""
-        expected_mm = self._localized_mm if spheres_mm is None else spheres_mm
+    def follow(self, spheres_mm: Array | None, on_clamp: Transform | None = None) -> None:
+        """Set the expected sphere positions (n, 3), or restore the localized ones with None.
+
+        They, and the pose of the patient's frame, are as seen from where the tracker was at the localization.
+        """
+        expected_mm, clamp = self._localized_mm, self._localized_clamp
+        if spheres_mm is not None:
+            expected_mm = spheres_mm if clamp is None else self.tracker_move.apply(spheres_mm)
+            if clamp is not None and on_clamp is not None:
+                clamp = replace(clamp, pose=self.tracker_move @ on_clamp)
+        self.on_clamp = clamp
         if not np.array_equal(expected_mm, self.spheres_mm):
             self.spheres_mm = expected_mm
 
@@ -163,16 +184,19 @@ class RoomWatch:
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
-        base, head = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
+        reading, findings = self.follow_tracker(reading)
+        base, by_spheres = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
+        head = self._shift_by_frame(reading) if by_spheres is None else by_spheres
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
-        moved = self._find_motion(reading, base, head, head_mm, agree=agree)
-        findings: tuple[str, ...] = ()
+        moved = self._find_motion(reading, base, head, head_mm, by_spheres, agree=agree)
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
-                findings = (f"the tracker was moved by {_describe_way(base.way_mm)}; arm and head agree",)
+                findings += (f"the tracker was moved by {_describe_way(base.way_mm)}; arm and head agree",)
                 self._localized_mm = self._localized_mm + head.mean_mm  # both are compared from here on
                 self.spheres_mm, self.references = self.spheres_mm + head.mean_mm, []
+                self._move_clamp(Transform.of(Frame.TRACKER, Frame.TRACKER, translation_mm=head.mean_mm))
+            findings += self._tell_by_frame(hidden=by_spheres is None and head is not None)
             if reading.frame_mm is not None:
                 self.references.append(reading)
             if head is not None:
@@ -185,26 +209,124 @@ class RoomWatch:
         base: BaseShift | None,
         head: PointShift | None,
         head_mm: Array | None,
+        by_spheres: PointShift | None,
         *,
         agree: bool,
-    ) -> BaseShifted | PatientMoved | PatientUnseen | None:
+    ) -> RoomMoved | PatientUnseen | None:
         """Return the error for a movement or for hidden spheres, or None if nothing has moved.
 
-        `head_mm` (3,) is the displacement of the head in the robot frame. If arm and head `agree`, only the
-        tracker has moved.
+        `head` is by the spheres or, while those are hidden, by the patient's frame; `head_mm` (3,) is its
+        displacement in the robot frame. If arm and head `agree`, only the tracker has moved.
         """
         if base is not None and base.moved_mm >= (BASE_LIMIT_MM if agree else base.limit_mm):
             return _base_shifted(base, head_mm)
+        if by_spheres is None:
+            few = self._find_motion_by_few(reading, tracker_excluded=base is not None)
+            if few is not None:
+                return few
         if head is None or head_mm is None:
-            return self._find_motion_by_few(reading, tracker_excluded=base is not None)
+            return None
         limit_mm = reading.head_limit_mm
+        if (
+            by_spheres is not None
+            and (parted := self._find_parting(reading, by_spheres, head_mm)) is not None
+        ):
+            return parted
         if head.rms_mm < limit_mm or (base is not None and base.exact and agree):
             return None
         alone_mm = lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
         if alone_mm is not None:
             return _screw_moved(head, alone_mm, limit_mm)
         apart = base is not None and (base.exact or float(np.linalg.norm(head_mm)) >= base.limit_mm)
+        if by_spheres is None:
+            return _clamp_moved(head, head_mm, limit_mm, tracker_excluded=apart)
         return _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
+
+    def _find_parting(
+        self, reading: RoomReading, head: PointShift, head_mm: Array
+    ) -> FrameSlipped | PatientMoved | None:
+        """Return the error for a frame that slipped on the clamp, or a head that slipped in it, or None."""
+        if self.on_clamp is None or reading.on_clamp is None:
+            return None
+        limit_mm = reading.head_limit_mm
+        apart_mm = self.on_clamp.apart_mm(reading.on_clamp, head)
+        if apart_mm < limit_mm:
+            return None
+        if head.rms_mm >= limit_mm:
+            if self.on_clamp.shift(reading.on_clamp).rms_mm >= limit_mm:
+                return None  # both have moved, perhaps with the tracker
+            if lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm) is not None:
+                return None  # told by its own name
+            return PatientMoved.from_shift(
+                f"the head has moved in its clamp since it was localized, by {_describe_way(head_mm)}: the "
+                "frame on the clamp is in its place",
+                head.rms_mm,
+                limit_mm,
+            )
+        return FrameSlipped(
+            "the patient's frame has moved on the head clamp since the localization, against the spheres",
+            limit=f"{limit_mm:g} mm",
+            got=f"{format_against_limit(apart_mm, limit_mm, 2)} mm rms",
+        )
+
+    def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
+        """If only the tracker was moved, move with it.
+
+        Return the reading as seen from its new place, and the finding.
+        """
+        base = self.base_shift(reading)
+        if self.on_clamp is None or reading.on_clamp is None or base is None or reading.arm_frame_mm is None:
+            return reading, ()
+        before = self.robot_from_tracker
+        way_mm = before.rotation_matrix.T @ base.way_mm
+        arm_mm = (reading.arm_frame_mm - way_mm, reading.arm_frame_mm)
+        move = find_push(
+            self.on_clamp,
+            reading.on_clamp,
+            self.spheres_mm,
+            reading.spheres_mm,
+            arm_mm,
+            (
+                reading.head_limit_mm,
+                PUSH_AGREES_MM if reading.is_careful else PUSH_AGREES_SHORTLY_MM,
+            ),
+        )
+        if move is None:
+            return reading, ()
+        self.robot_from_tracker = before @ move.inverse()
+        self._localized_mm, self.spheres_mm = move.apply(self._localized_mm), move.apply(self.spheres_mm)
+        self._move_clamp(move)
+        at_head_mm = PointShift.of(self.spheres_mm - move.inverse().apply(self.spheres_mm)).rms_mm
+        turned_deg = math.degrees(float(move.rigid.rotation.magnitude()))
+        return reading.seen_by_moved(before, self.robot_from_tracker), (
+            f"the tracker was moved: by {at_head_mm:.1f} mm as seen at the head, turned by {turned_deg:.2f} "
+            "deg; the frames on head clamp and arm agree, and the case goes on",
+        )
+
+    def _move_clamp(self, move: Transform) -> None:
+        if self.on_clamp is not None and self._localized_clamp is not None:
+            self.on_clamp = self.on_clamp.moved_by(move)
+            self._localized_clamp = self._localized_clamp.moved_by(move)
+            self.tracker_move = move @ self.tracker_move
+
+    def is_clamp_away(self, reading: RoomReading) -> bool:
+        """Return whether the patient's frame is seen out of its place."""
+        shift = self._shift_by_frame(reading)
+        return shift is not None and shift.rms_mm >= reading.head_limit_mm
+
+    def _shift_by_frame(self, reading: RoomReading) -> PointShift | None:
+        """Return the shift of the head by the patient's frame alone, or None if that is not seen."""
+        if self.on_clamp is None or reading.on_clamp is None:
+            return None
+        return self.on_clamp.shift(reading.on_clamp)
+
+    def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
+        """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
+        is_new = hidden and not self._by_frame_only
+        self._by_frame_only = hidden
+        if not is_new:
+            return ()
+        return ("the spheres on the head are hidden: the frame on its clamp is watched in their place",)
 
     def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
@@ -264,6 +386,14 @@ class RoomWatch:
         return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
+def read_watched(room: RoomWatch, workcell: Workcell, clock: Clock, count: int = FRAMES) -> RoomReading:
+    """Read the room with the arm at rest; carefully, if the frame on the clamp is out of its place."""
+    reading = read_room(workcell, clock, room.robot_from_tracker, count)
+    if reading.is_careful or not room.is_clamp_away(reading):
+        return reading
+    return read_room(workcell, clock, room.robot_from_tracker, CAREFUL_FRAMES)
+
+
 def check_now(
     room: RoomWatch,
     workcell: Workcell,
@@ -273,8 +403,8 @@ def check_now(
     count: int = FRAMES,
 ) -> RoomLook:
     """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
-    look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
-    if isinstance(look.moved, BaseShifted | PatientMoved):
+    look = room.compare(read_watched(room, workcell, clock, count), clock.now_s())
+    if isinstance(look.moved, RoomMoved):
         void(look.moved)  # first: the watch goes on until this is written
         memory.drop(RoomWatch)  # the same move must not stop the way out
     look.require()
@@ -326,6 +456,18 @@ def _patient_moved(
     return PatientMoved.from_shift(
         f"{what} has moved since it was localized, by {_describe_way(head_mm)}, the mean of "
         f"{head.points} spheres",
+        head.rms_mm,
+        limit_mm,
+    )
+
+
+def _clamp_moved(
+    head: PointShift, head_mm: Array, limit_mm: float, *, tracker_excluded: bool
+) -> PatientMoved:
+    what = "the head clamp" if tracker_excluded else "the head clamp, or the tracker,"
+    return PatientMoved.from_shift(
+        f"{what} has moved since the head was localized, by {_describe_way(head_mm)}: by the "
+        "frame on it, as the spheres are hidden",
         head.rms_mm,
         limit_mm,
     )

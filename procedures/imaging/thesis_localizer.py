@@ -45,7 +45,8 @@ EDGE_THRESHOLD, VOTES = 100.0, 14.0
 AXIAL, SAGITTAL = 0, 2  # the axis perpendicular to a stack's planes: slices, columns
 
 IN_PLANE_MM = 1.0  # centres of one sphere's circles are stacked
-GAP_MM = 2.1  # a plane or two without a circle
+GAP_MM = 2.1  # a plane or two without a circle ...
+GAP_PLANES = 2.1  # ... and one, where the planes are farther apart than 1 mm
 HEIGHT_SHARE = (0.35, 1.10)  # of the diameter: planes in which a sphere shows circles
 MIN_CIRCLES = 4
 SPHERE_TOLERANCE_MM = 0.6  # between a circle's radius and the sphere's section at that height
@@ -86,13 +87,16 @@ def localize_as_thesis(
             action="Give ThesisFit.LINE or ThesisFit.SPHERE.",
         )
     radius_mm = 0.5 * diameter_mm
+    spacing_mm = volume.geometry.spacing_mm
     candidates: list[Candidate] = []
     markers: list[Marker] = []
     accepted_mm: list[Array] = []
     boxes = find_regions(volume)
     for number, box in enumerate(boxes):
-        axial = cluster_circles(find_circles(volume, box, AXIAL), radius_mm)
-        sagittal = cluster_circles(find_circles(volume, box, SAGITTAL), radius_mm)
+        axial, sagittal = (
+            cluster_circles(find_circles(volume, box, axis), radius_mm, float(spacing_mm[axis]))
+            for axis in (AXIAL, SAGITTAL)
+        )
         for pair in pair_clusters(axial, sagittal):
             centre_mm, marker, reason = _build_marker(volume, pair, fit, radius_mm)
             if marker is not None and any(
@@ -226,8 +230,12 @@ class Cluster(Circles):
     middle_mm: Array
 
 
-def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
-    """Cluster circles whose radii grow and shrink like those of a sphere of `radius_mm`."""
+def cluster_circles(circles: Circles, radius_mm: float, plane_mm: float) -> list[Cluster]:
+    """Cluster circles whose radii grow and shrink like those of a sphere of `radius_mm`.
+
+    `plane_mm` is the distance between neighbouring planes.
+    """
+    gap_mm = max(GAP_MM, GAP_PLANES * plane_mm)
     order = np.argsort(circles.centres_mm[:, circles.axis], kind="stable")
     across = [other for other in range(3) if other != circles.axis]
     open_chains: list[list[int]] = []
@@ -238,7 +246,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
             step_mm = centre[circles.axis] - centres[-1, circles.axis]
             # Compared with the median: one misplaced circle must not split those above from those below it.
             offset_mm = float(np.linalg.norm(centre[across] - np.median(centres[:, across], axis=0)))
-            if 0.0 < step_mm <= GAP_MM and offset_mm <= IN_PLANE_MM:
+            if 0.0 < step_mm <= gap_mm and offset_mm <= IN_PLANE_MM:
                 chain.append(index)
                 break
         else:

@@ -240,6 +240,16 @@ class ForeignTool(RefusedError):
     action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
 
 
+class PatientFrameUnfit(RefusedError):
+    """The patient's frame is not a rigid body of its own: it has the shape of another frame in the room."""
+
+    code = "TOOL-008"
+    action = (
+        "Load the definition of the frame on the head clamp under its name in the theatre file; the shipped "
+        "one is patient_frame.rom."
+    )
+
+
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
     """Raise a single finding as it is, or several combined into one error. Do nothing if there are none."""
     if not findings:

@@ -6,17 +6,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import combinations
 
-from procedures.planning.errors import ForeignTool, NoToolRecord
+from procedures.planning.errors import ForeignTool, NoToolRecord, PatientFrameUnfit
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 # Far below the error of any tip, and above the rounding of a written number.
 SAME_TIP_MM = 0.001
 SAME_TIP_RAD = math.radians(0.001)
 RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
+SAME_BODY_MM = 2.0  # between distances of markers: closer ones are the same to a tracker
+Markers = Mapping[str, Sequence[Sequence[float]]]  # of each tool by name, mm, in its own frame
 GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 
@@ -88,6 +92,39 @@ class ToolRecords:
                     f"[{table}] names {frame}, which is not among the tracker's tools",
                     expected=" or ".join(tracked) or "none",
                 )
+
+
+def check_patient_frame(name: str | None, calibrations: Calibrations, markers_mm: Markers) -> None:
+    """Check the patient's frame among the tracker's tools, whose markers are given by name.
+
+    Raises DEV-003 if it is not one of them, TOOL-008 if it has the shape of the frame on the arm or of the
+    frame on the skull. Without a patient's frame, do nothing.
+    """
+    if name is None:
+        return
+    if name not in markers_mm:
+        raise UnknownTool(
+            f"[procedure] patient_frame names {name}, which is not among the tracker's tools",
+            expected=" or ".join(markers_mm) or "none",
+        )
+    on_arm = calibrations.tracker_frame.tool
+    others = {on_arm: markers_mm.get(on_arm, ()), "the x-shaped frame on the skull": SPHERE_CENTRES_MM}
+    own_mm = _distances_mm(markers_mm[name])
+    for other, markers in others.items():
+        theirs_mm = _distances_mm(markers)
+        if len(own_mm) != len(theirs_mm):
+            continue
+        apart_mm = max(abs(own - their) for own, their in zip(own_mm, theirs_mm, strict=True))
+        if apart_mm < SAME_BODY_MM:
+            raise PatientFrameUnfit(
+                f"the definition of {name} is that of {other}: the tracker cannot tell them apart",
+                limit=f"{SAME_BODY_MM:g} mm between marker distances",
+                got=f"{apart_mm:.2f} mm",
+            )
+
+
+def _distances_mm(markers_mm: Sequence[Sequence[float]]) -> list[float]:
+    return sorted(math.dist(one, other) for one, other in combinations(markers_mm, 2))
 
 
 def check_flange(record: ToolRecord, flange: str) -> None:

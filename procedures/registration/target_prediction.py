@@ -13,7 +13,9 @@ errors, like the covariances of Danilchenko and Fitzpatrick 2011. Independent of
 
 Shared errors do not average out: if the tool's orientation differs between points, an error of the tool frame
 displaces all of them together. Residuals are therefore judged with the full covariance of all coordinates.
-What the pose explains leaves no residual. How far one displaced point puts a target off before the gate
+What the pose explains leaves no residual. If the residual is larger than all sources together state, some
+source is larger or missing: the limit is then widened by the ratio (Birge 1932, The calculation of errors by
+the method of least squares), never narrowed. How far one displaced point puts a target off before the gate
 notices is its external reliability (Baarda 1968, A testing procedure for use in geodetic networks).
 """
 
@@ -39,6 +41,9 @@ Array = NDArray[np.float64]
 
 AXES = 3
 
+# Of the residual, beyond which the limit is widened: one registration in twenty with right sources is, too.
+WIDENED_BEYOND = 0.95
+
 DIRECTIONS = 2000  # 3 degrees apart: the worst is missed by 0.1 % at most
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 
@@ -54,6 +59,11 @@ class SharedErrors:
     at_spheres_mm: Array  # (n, 3, k)
     at_target_mm: Array  # (3, k)
 
+    @property
+    def acts_at_spheres(self) -> bool:
+        """Whether it displaces a sphere, so that residuals may show it."""
+        return bool(self.at_spheres_mm.any())
+
 
 @dataclass(frozen=True)
 class IndependentErrors:
@@ -63,12 +73,38 @@ class IndependentErrors:
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
     at_target_mm2: Array  # (3, 3) of the tool at the target
 
+    @property
+    def acts_at_spheres(self) -> bool:
+        """Whether it displaces a sphere, so that residuals may show it."""
+        return bool(self.at_spheres_mm2.any())
+
+
+@dataclass(frozen=True)
+class ResidualCheck:
+    """Residual of a fit, as chi-square by all that the sources state, and its degrees of freedom."""
+
+    chi_square: float
+    freedom: int
+
+    @property
+    def widening(self) -> float:
+        """Factor on the stated size of the errors: 1 unless the residual is too large for it."""
+        if self.chi_square <= chi_square_limit(self.freedom, WIDENED_BEYOND):
+            return 1.0
+        return float(np.sqrt(self.chi_square / self.freedom))
+
 
 @dataclass(frozen=True)
 class TargetPrediction:
-    """Covariance (3, 3) mm2 of the error at one target due to each source; sources are independent."""
+    """Covariance (3, 3) mm2 of the error at one target due to each source; sources are independent.
+
+    `widening` is the factor on the sources that act at the spheres, `at_spheres`: the residual tests no
+    others. It counts in the limit alone; the rest is as stated.
+    """
 
     by_source_mm2: dict[str, Array]
+    at_spheres: frozenset[str] = frozenset()
+    widening: float = 1.0
 
     @property
     def covariance_mm2(self) -> Array:
@@ -87,7 +123,9 @@ class TargetPrediction:
 
     def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
         """Return the radius in mm that contains the error with this probability. Raises REG-007."""
-        return float(error_limit_mm(self.covariance_mm2, confidence))
+        tested = sum(part for name, part in self.by_source_mm2.items() if name in self.at_spheres)
+        covariance = self.covariance_mm2 + (self.widening**2 - 1.0) * tested
+        return float(error_limit_mm(covariance, confidence))
 
     def mark_contained(
         self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
@@ -103,11 +141,12 @@ def predict_target_error(
     target_mm: ArrayLike,
     sources: Sequence[SharedErrors | IndependentErrors],
     weights: ArrayLike | None = None,
+    residual: ResidualCheck | None = None,
 ) -> TargetPrediction:
     """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, all in one frame.
 
     `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None for an unweighted
-    fit.
+    fit. A `residual` too large for the sources widens the limit.
     """
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
@@ -120,7 +159,25 @@ def predict_target_error(
             turned = influence @ one.at_spheres_mm2 @ influence.transpose(0, 2, 1)
             part = one.at_target_mm2 + turned.sum(axis=0)
         parts[one.source] = parts.get(one.source, np.zeros((AXES, AXES))) + part
-    return TargetPrediction(parts)
+    at_spheres = frozenset(one.source for one in sources if one.acts_at_spheres)
+    return TargetPrediction(parts, at_spheres, 1.0 if residual is None else residual.widening)
+
+
+def check_residuals(
+    residuals_mm: Array, fiducials_mm: Array, sources: Sequence[SharedErrors | IndependentErrors]
+) -> ResidualCheck:
+    """Test a fit's residuals (n, 3) mm at the mapped points (n, 3) mm against all sources of a prediction."""
+    independent = np.zeros((len(fiducials_mm), AXES, AXES))
+    shared = [np.zeros((len(fiducials_mm), AXES, 0))]
+    for one in sources:
+        if isinstance(one, SharedErrors):
+            shared.append(one.at_spheres_mm)
+        else:
+            independent = independent + one.at_spheres_mm2
+    return ResidualCheck(
+        chi_square_of_shared(residuals_mm, fiducials_mm, independent, np.concatenate(shared, axis=2)),
+        degrees_of_freedom(len(fiducials_mm)),
+    )
 
 
 def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike | None = None) -> Array:

@@ -57,11 +57,16 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """Fitted ellipse, point weights (n,), scatter, and covariance of the centre."""
+    """Fitted ellipse, point weights and residuals (n,), scatter, and covariance of the centre.
+
+    `centre_gain` is the shift of the centre by a shift of each point, outwards.
+    """
 
     ellipse: Ellipse
     weights: Array
+    residual_px: Array
     sigma_px: float
+    centre_gain: Array  # (2, n)
     centre_covariance_px2: Array  # (2, 2)
 
 
@@ -103,8 +108,10 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
     if np.linalg.cond(normal) > 1e12:
         return None
     x, y, xx, xy, yy = (float(value) for value in parameters)
-    covariance: Array = np.asarray(sigma**2 * np.linalg.inv(normal)[:2, :2], dtype=float)
-    return EllipseFit(Ellipse((x, y), (xx, xy, yy)), weights, sigma, covariance)
+    inverse = np.linalg.inv(normal)[:2]
+    gain: Array = np.asarray(-inverse @ (design * weights[:, None]).T, dtype=float)
+    covariance: Array = np.asarray(sigma**2 * inverse[:, :2], dtype=float)
+    return EllipseFit(Ellipse((x, y), (xx, xy, yy)), weights, residual, sigma, gain, covariance)
 
 
 def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from procedures.relocalization.centre_covariance import RimLight, centre_covariance, clipped_shift_px
 from procedures.relocalization.circle_search import Circle, GreyImage
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
 
@@ -45,13 +46,14 @@ SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0
 TOO_FAINT = "the sphere is too faint"
+ONE_SIDED = "only one side of the sphere is lit or in view"
+SATURATED_SIDE_OF_RIM = "one side of the rim is saturated"
+ONE_SIDED_RATIO = 2.5  # brightest over darkest film at the rim; the head's own lamps light it evenly
+RELIABLE_CLIPPED_SHIFT_PX = 0.1  # a pair is then uncertain by a quarter of the 10 um of a stained sphere
+FULL_SCALE_8_BIT, FULL_SCALE_12_BIT = 255.0, 4095.0
 FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
 FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
 FILLED_RINGS, FILLED_RAYS = 12, 36
-# Neighbouring rays share grain, uneven light and the edges of stains, so they carry less information than
-# independent ones. With this factor covariances are correct on rendered images; films and lights of the
-# hardware are unknown (U).
-SHARED_ERRORS = 2.3
 
 COARSE_RAYS = 180
 FINE_RAYS = 300
@@ -130,11 +132,16 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
     if fit is None or not _is_near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
         return None
-    return judge_outline(image, fit, edges, rim, inner)
+    return judge_outline(image, fit, edges, _clipped_share(image, profiles, blur), rim, inner)
 
 
 def judge_outline(
-    image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
+    image: GreyImage,
+    fit: EllipseFit,
+    edges: RimEdges,
+    clipped: Array,
+    bright: NDArray[np.bool_],
+    rim: NDArray[np.bool_],
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
@@ -146,15 +153,26 @@ def judge_outline(
     rim_fraction, supporting = float(np.mean(bright | dim)), float(np.mean(bright))
     if rim_fraction < LEAST_RIM or minor / major < SPHERE_AXIS_RATIO:
         return None
-    if _bright_share(image, fit.ellipse, edges, rim) < FILLED_SHARE:
+    ray = np.flatnonzero(rim)
+    light = RimLight(ray, len(rim), edges.dark_grey[ray], edges.step_grey[ray], clipped[ray], blur)
+    everywhere = np.ones(len(bright), dtype=np.bool_)
+    is_filled, is_filled_at_rim = (
+        _bright_share(image, fit.ellipse, light.half_way_grey, directions) >= FILLED_SHARE
+        for directions in (everywhere, bright | dim)
+    )
+    if not is_filled and not is_filled_at_rim:
         return None
     contrast_to_noise = step / max(noise, 1e-6)
+    lacks_rim = rim_fraction < RELIABLE_RIM or supporting < CARRYING_RIM
     doubts = {
+        ONE_SIDED: not is_filled or (lacks_rim and light.film_ratio > ONE_SIDED_RATIO),
         "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
         "too much of the rim is stained": supporting < CARRYING_RIM,
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
         TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
+        SATURATED_SIDE_OF_RIM: float(np.linalg.norm(clipped_shift_px(fit, light)))
+        > RELIABLE_CLIPPED_SHIFT_PX,
     }
     doubt = next((words for words, applies in doubts.items() if applies), "")
     quality = (
@@ -162,7 +180,7 @@ def judge_outline(
         / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
         / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
     )
-    covariance = SHARED_ERRORS * fit.centre_covariance_px2
+    covariance = centre_covariance(fit, light)
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),
@@ -189,18 +207,26 @@ def _mark_dimmed(
     return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
 
 
-def _bright_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
-    """Return the fraction of the interior brighter than the mid-level between both sides of the rim."""
+def _clipped_share(image: GreyImage, profiles: Profiles, blur_px: float) -> Array:
+    """Return the share (rays,) of the film on each ray that is clipped at full scale."""
+    full = FULL_SCALE_8_BIT if image.dtype == np.uint8 else FULL_SCALE_12_BIT
+    return np.asarray((profiles.grey[:, profiles.offset_px < -blur_px] >= full).mean(axis=1))
+
+
+def _bright_share(
+    image: GreyImage, ellipse: Ellipse, level_grey: float, directions: NDArray[np.bool_]
+) -> float:
+    """Return the fraction of the interior brighter than a level, in the marked of all directions (rays,)."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
-    angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
+    marked = directions[np.arange(FILLED_RAYS) * len(directions) // FILLED_RAYS]
+    angle: Array = np.flatnonzero(marked).astype(float) * (2.0 * np.pi / FILLED_RAYS)
     distance = radius * ellipse.radius_at(angle)
     x = np.rint(ellipse.centre_px[0] + distance * np.cos(angle)).astype(int)
     y = np.rint(ellipse.centre_px[1] + distance * np.sin(angle)).astype(int)
     in_image = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
     if not in_image.any():
         return 0.0
-    half_way = float(np.median((edges.dark_grey + 0.5 * edges.step_grey)[rim]))
-    return float(np.mean(image[y[in_image], x[in_image]] > half_way))
+    return float(np.mean(image[y[in_image], x[in_image]] > level_grey))
 
 
 def _mark_strong(edges: RimEdges) -> NDArray[np.bool_]:

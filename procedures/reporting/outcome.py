@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
+from procedures.engine.methods import Localizer, Matcher
 from procedures.journal.results import Values
 
 
@@ -72,6 +73,8 @@ class RunOutcome(Values):
     outcome: str
     seed: int | None
     strategy: str
+    localizer: Localizer = Localizer.OURS
+    matcher: Matcher = Matcher.OURS
 
 
 class FinishedRun(RunOutcome):

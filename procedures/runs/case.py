@@ -27,7 +27,7 @@ def case_folder(case: CaseProcedure, folder: Path) -> Path:
 
 
 def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:
-    """Return CT, plan and strategy of a run, with the hash of the locked plan if given."""
+    """Return CT, plan, strategy and methods of a run, with the hash of the locked plan if given."""
     from procedures.engine.setting import ClinicalInput
     from procedures.strategies.catalogue import find_strategy
 
@@ -38,6 +38,7 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
         find_strategy(case.strategy),
         case.measure_targets,
         None if plan is None else plan.sha256,
+        case.methods,
     )
 
 

@@ -107,6 +107,8 @@ def build_unfinished_outcome(request: RunRequest, folder: Path, problem: BaseExc
         outcome="interrupted" if isinstance(problem, KeyboardInterrupt) else "failed",
         seed=request.seed,
         strategy=request.case.strategy,
+        localizer=request.case.methods.localizer,
+        matcher=request.case.methods.matcher,
         error=as_run_error(problem),
     )
 
@@ -159,6 +161,8 @@ def build_finished_outcome(
         outcome="in doubt" if in_doubt else "done",
         seed=request.seed,
         strategy=request.case.strategy,
+        localizer=request.case.methods.localizer,
+        matcher=request.case.methods.matcher,
         markers=len(case.get(LocalizedFiducials).result.markers),
         ct=truth.ct,
         registration=RegistrationOutcome(

@@ -16,12 +16,11 @@ from pydantic import BaseModel
 
 from procedures.engine.device_faults import ARM
 from procedures.engine.engine import Engine
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
-from procedures.registration.movement import measure_shift
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
@@ -32,8 +31,8 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import (
     build_watch,
+    find_followed_places,
     find_followed_registration,
-    find_followed_spheres,
     find_frame_at_home,
 )
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
@@ -311,32 +310,32 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
     context = engine.context(engine.order.sequence[0])
     followed = context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
-    watch.follow(find_followed_spheres(followed))
+    watch.follow(*find_followed_places(followed))
     watch.add_reference(find_frame_at_home(context))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
-    head, base = measure_shift(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
-    if head is None:
+    look = watch.compare(reading)
+    if look.head_mm is None:
         return False
     try:
-        findings = watch.compare(reading).require()
+        findings = look.require()
     except PatientMoved as moved:
         if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
             comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         else:  # hence none is valid: the step registration asks whether to follow the move
             comparison.note(f"patient: {moved.what}; no registration is valid")
         return True
-    except BaseShifted as moved:
+    except (BaseShifted, FrameSlipped) as moved:
         comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         return True
     if reading.frame_mm is None and workcell.place.is_home:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
-    comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")
-    if base is None:
+    comparison.note(f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions")
+    if look.base is None:
         comparison.note("robot base: not compared in this pose")
     else:
         comparison.note(
-            f"robot base: the frame on the arm within {base.moved_mm:.2f} mm of its recorded position"
+            f"robot base: the frame on the arm within {look.base.moved_mm:.2f} mm of its recorded position"
         )
     comparison.notes += findings
     return True

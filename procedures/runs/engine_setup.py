@@ -153,6 +153,7 @@ def build_engine(
         banner=theatre.file.banner,
         procedure=prepared.title,
         strategy=None if clinical is None else clinical.strategy.name,
+        methods=None if clinical is None else clinical.methods.describe(),
         plan_sha256=None if clinical is None else clinical.plan_sha256,
     )
     engine = Engine(

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.engine.methods import CaseMethods
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -89,6 +90,7 @@ class CaseProcedure:
     """A clinical case, on a patient or a phantom."""
 
     strategy: str = "ocs"
+    methods: CaseMethods = field(default_factory=CaseMethods)
     measure_targets: bool = False  # on a phantom with a ball at each target; a simulated one brings them
     case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints
     plan: Path | None = None  # for the simulated patient, in place of its own

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.methods import CaseMethods
 from procedures.runs.request import FREE, CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE
@@ -49,6 +50,7 @@ class RequestFile(BaseModel):
     first_day: bool = False
     records: tuple[Path, ...] = ()
     strategy: str | None = Field(default=None, description="Of a case.")
+    methods: CaseMethods = Field(default=CaseMethods(), description="Localizer and matcher of a case.")
     measure_targets: bool = False
     keep_raw: bool = Field(
         default=False, description="Whether pictures and tracker frames are kept as files."
@@ -94,6 +96,7 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
         case CaseProcedure() as case:
             return dict(
                 strategy=case.strategy,
+                methods=case.methods,
                 measure_targets=case.measure_targets,
                 keep_raw=case.keep_raw,
                 case=case.case and case.case.resolve(),
@@ -127,6 +130,7 @@ def read_request(folder: Path) -> RunRequest:
     elif content.strategy is not None:
         procedure = CaseProcedure(
             strategy=content.strategy,
+            methods=content.methods,
             measure_targets=content.measure_targets,
             case=content.case,
             plan=content.plan,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from procedures.engine.questions import INSIDE, IS_OUT
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.errors import GateFailed
 from procedures.operator.checkpoint import CONTINUE, LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
@@ -198,7 +198,7 @@ REFERENCE_MOVED = Branch(
     "the tracker localizes again. After a small move with the guide mounted, only the registrations "
     "are void, and may follow the move",
     Ending.HOLD,
-    (BaseShifted, PatientMoved),
+    (BaseShifted, PatientMoved, FrameSlipped),
 )
 CART_MOVED = Branch(
     "the cart or the tracker has moved; whatever depends on its position is void",

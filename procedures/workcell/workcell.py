@@ -75,6 +75,9 @@ class Workcell:
         self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
+        self.patient_frame = (
+            theatre.file.procedure.patient_frame
+        )  # the tracker's name for it, if there is one
         self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
         # Callbacks of a display: quick, never raise.

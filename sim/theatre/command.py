@@ -310,6 +310,10 @@ def scene(
             metavar="FILE", help="Implant the spheres with this template from `ronna-plan template`."
         ),
     ] = None,
+    patient_frame: Annotated[
+        bool,
+        typer.Option("--patient-frame", help="Put the patient's tracked frame on the head clamp."),
+    ] = False,
 ) -> None:
     """Print the full ground truth of a scene as TOML, as a starting point for your own scene."""
     import tomli_w
@@ -317,7 +321,7 @@ def scene(
     from ronna_hw.marker_template import read_marker_template
     from sim.errors import BadScene
     from sim.world.process import load_scene
-    from sim.world.scene.named_scenes import SCENES, draw_scene
+    from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
 
     if template is None:
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
@@ -326,4 +330,6 @@ def scene(
             raise BadScene("a template belongs to a named scene and fixes the number of markers")
         implanted = read_marker_template(template)
         truth = draw_scene(scene, seed=seed, targets=targets, template=implanted)
+    if patient_frame:
+        truth = add_patient_frame(truth)
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

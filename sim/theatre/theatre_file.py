@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
+from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
@@ -89,6 +90,11 @@ def theatre_content(
             "arm_error_mm": ARM_ERROR_MM,
             "tool_error_mm": TOOL_ERROR_MM,
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
+            **(
+                {}
+                if scene.head.robot_from_patient_frame is None
+                else {"patient_frame": _patient_frame(scene)}
+            ),
         },
     }
     refer_to_tip(content)
@@ -102,6 +108,11 @@ def _tool_entry(name: str, rom: Path) -> dict[str, str]:
         return option
     content = read_bounded(rom, ROM_FILE_LIMIT_BYTES)
     return {**option, "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _patient_frame(scene: Scene) -> str:
+    """Return the tracker's name for the frame on the head clamp."""
+    return next(tool.name for tool in scene.tracker.tools if tool.part_number == PATIENT_FRAME_PART_NUMBER)
 
 
 def write_theatre_file(content: dict[str, Any], path: Path) -> None:

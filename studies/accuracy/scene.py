@@ -19,7 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_sources import SERVO_MM, ArmPoses, arm_sources, ct_errors
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.registration.target_prediction import TargetPrediction, predict_target_error
+from procedures.registration.target_prediction import (
+    IndependentErrors,
+    SharedErrors,
+    TargetPrediction,
+    predict_target_error,
+)
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.strategy import Strategy
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
@@ -217,6 +222,16 @@ class Scene:
     def _predict_target(
         self, planned: Postures, target: int, count: int, sizes: ErrorSizes, ct_mm: float
     ) -> TargetPrediction:
+        spheres = self.robot_from_ct.apply(self.phantom.spheres_mm[:count])
+        target_mm = self.robot_from_ct.apply(self.phantom.trajectories[target].target_mm)
+        return predict_target_error(
+            spheres, target_mm, self.error_sources(planned, target, count, sizes, ct_mm)
+        )
+
+    def error_sources(
+        self, planned: Postures, target: int, count: int, sizes: ErrorSizes, ct_mm: float
+    ) -> list[SharedErrors | IndependentErrors]:
+        """List the sources of the predicted error at a target registered by the first `count` spheres."""
         spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
         target_mm = self.robot_from_ct.apply(self.phantom.trajectories[target].target_mm)
         first = planned.set_of(target) * len(spheres)
@@ -228,8 +243,7 @@ class Scene:
             planned.targets.joints_rad[[target]], target_mm[None], planned.target_arrival[[target]]
         )
         ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
-        sources = [*arm_sources(ARM.chain, at_spheres, at_target, sizes), ct_errors(ct)]
-        return predict_target_error(spheres[:count], target_mm, sources)
+        return [*arm_sources(ARM.chain, at_spheres, at_target, sizes), ct_errors(ct)]
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
         """Return the random draws for the numbered arms."""

@@ -10,8 +10,8 @@ true one, including the side of its backlash on which each joint rests.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from procedures.calibration.arm_calibration import ArmFit, identify
 from procedures.calibration.arm_model import ArmModel, LookArrays, choose_poses
 from procedures.calibration.pose_set import plan_centred_looks
-from procedures.registration.rigid_fit import fit_rigid
+from procedures.registration.rigid_fit import RigidFit, fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
@@ -196,19 +196,49 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
 
     Raises CAL-002 to CAL-004.
     """
-    truth, tool_error_mm = draw_numbered_arm(seed, number)
-    arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
     model = ArmModel(ARM, TOOL)
+    looks, _ = plan_arm_looks(model, spheres_mm)
+    arm = TrueArm(draw_numbered_arm(seed, number)[0], number)
+    return identify(model, measure_looks(looks, seed, number, spheres_mm, arm.at_rest))
+
+
+def plan_arm_looks(
+    model: ArmModel, spheres_mm: Array, validation: int = 0
+) -> tuple[LookArrays, NDArray[np.bool_]]:
+    """Choose measurements for the fit, and `validation` further ones spread evenly over the other poses.
+
+    Returns them without their points, and which ones are held out.
+    """
     candidates = _list_candidates(spheres_mm)
     chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
     chosen[choose_poses(model, candidates, LOOKS)] = True
-    looks = candidates.only(chosen)
-    for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
-        flange = arm.at_rest(joints, flanks, row)
+    held_out = np.zeros_like(chosen)
+    rest = np.flatnonzero(~chosen)
+    held_out[rest[np.linspace(0, len(rest) - 1, validation).round().astype(int)]] = True
+    return candidates.only(chosen | held_out), held_out[chosen | held_out]
+
+
+def measure_looks(
+    looks: LookArrays,
+    seed: int,
+    number: int,
+    spheres_mm: Array,
+    at_rest: Callable[[Sequence[float], Sequence[float], int], Array],
+) -> LookArrays:
+    """Measure the planned looks with arm `number`.
+
+    `at_rest` returns its flange (4, 4) by joints, sides and row.
+    """
+    _, tool_error_mm = draw_numbered_arm(seed, number)
+    generator = np.random.default_rng([seed, LOOKS_KEY, number])
+    points_mm = np.empty_like(looks.points_mm)
+    for row, (joints, flanks) in enumerate(
+        zip(looks.joints_rad.tolist(), looks.flanks.tolist(), strict=True)
+    ):
+        flange = at_rest(joints, flanks, row)
         away = spheres_mm[looks.sphere[row]] - flange[:3, 3]
-        looks.points_mm[row] = flange[:3, :3].T @ away - TOOL_MM - tool_error_mm
-    looks.points_mm[:] += generator.normal(0.0, STEREO_MM, looks.points_mm.shape)
-    return identify(model, looks)
+        points_mm[row] = flange[:3, :3].T @ away - TOOL_MM - tool_error_mm
+    return replace(looks, points_mm=points_mm + generator.normal(0.0, STEREO_MM, points_mm.shape))
 
 
 def _list_candidates(spheres_mm: Array) -> LookArrays:
@@ -257,32 +287,59 @@ def compute_identified_errors_mm(
     sizes: Sizes,
 ) -> Array:
     """Return one arm's error vectors (t, c, 3) in mm, like `Scene.errors_mm` for many arms."""
-    phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
-    spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
-    targets_ct = np.array([one.target_mm for one in phantom.trajectories])
+    image, recorded = record_spheres_mm(arm, believed, planned, scene, numbers, sizes)
+    return np.stack(
+        [
+            reach_targets_mm(
+                arm, believed, planned, scene, numbers, fit_rigid(image[None, :count], recorded[:, :count])
+            )
+            for count in scene.counts
+        ],
+        axis=1,
+    )
 
-    def true_places(joints: Array, flanks: Array) -> Array:
-        return np.asarray(arm.tool_points_mm(joints[None], flanks[None])[0])
 
+def record_spheres_mm(
+    arm: RandomArms,
+    believed: BelievedArm,
+    planned: Postures,
+    scene: Scene,
+    numbers: Sequence[int],
+    sizes: Sizes,
+) -> tuple[Array, Array]:
+    """Return one arm's spheres as imaged (n, 3) and as recorded in each set (s, n, 3), mm."""
+    chance, sets = scene.chance(numbers), planned.sets
+    spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm)
     _, seen = solve_joints(
         planned.localizations,
         lambda joints: believed.tool(joints, planned.arrival),
-        lambda joints, _: np.tile(spheres, (sets, 1)) - true_places(joints, planned.arrival),
+        lambda joints, _: (
+            np.tile(spheres, (sets, 1)) - arm.tool_points_mm(joints[None], planned.arrival[None])[0]
+        ),
         planned.localizations.joints_rad.shape,
     )
     recorded = seen.reshape(sets, len(spheres), AXES)
     recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
     recorded = recorded + arm.repeatability_mm * chance.rest[0, :sets]
-    image = phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0]
+    return scene.phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0], recorded
+
+
+def reach_targets_mm(
+    arm: RandomArms,
+    believed: BelievedArm,
+    planned: Postures,
+    scene: Scene,
+    numbers: Sequence[int],
+    fit: RigidFit,
+) -> Array:
+    """Return one arm's error vectors (t, 3) in mm at the targets, by the registration of each set."""
+    targets_ct = np.array([one.target_mm for one in scene.phantom.trajectories])
     serving = [planned.set_of(target) for target in range(len(targets_ct))]
-    found = []
-    for count in scene.counts:
-        fit = fit_rigid(image[None, :count], recorded[:, :count])
-        places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
-        joints = _solve_target_joints(believed, planned, places)
-        tips = true_places(joints, planned.target_arrival) + arm.repeatability_mm * chance.target_rest[0]
-        found.append(tips - robot_from_ct.apply(targets_ct))
-    return np.stack(found, axis=1)
+    places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
+    joints = _solve_target_joints(believed, planned, places)
+    tips = arm.tool_points_mm(joints[None], planned.target_arrival[None])[0]
+    tips = tips + arm.repeatability_mm * scene.chance(numbers).target_rest[0]
+    return np.asarray(tips - scene.robot_from_ct.apply(targets_ct))
 
 
 def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:

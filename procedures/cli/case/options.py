@@ -10,6 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.engine.methods import (
+    E_MM,
+    E_RANGE_MM,
+    REFUSED_SHARE,
+    REFUSED_SHARE_RANGE,
+    CaseMethods,
+    Localizer,
+    Matcher,
+)
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
@@ -160,6 +169,34 @@ class CaseOptions(TheatreOptions):
             help="How the tool is held while the spheres are localized.",
         ),
     ] = "ocs"
+    localizer: Annotated[
+        Localizer,
+        typer.Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use."),
+    ] = Localizer.OURS
+    matcher: Annotated[
+        Matcher,
+        typer.Option(help="Pairs the spheres of CT and room; the thesis matcher is not for clinical use."),
+    ] = Matcher.OURS
+    matcher_e_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--matcher-e-mm",
+            min=E_RANGE_MM[0],
+            max=E_RANGE_MM[1],
+            metavar="MM",
+            help=f"With --matcher thesis: largest difference of equal distances [{E_MM:g}].",
+        ),
+    ] = None
+    matcher_refused_share: Annotated[
+        float | None,
+        typer.Option(
+            "--matcher-refused-share",
+            min=REFUSED_SHARE_RANGE[0],
+            max=REFUSED_SHARE_RANGE[1],
+            metavar="SHARE",
+            help=f"With --matcher thesis: correct pairings that its validation refuses [{REFUSED_SHARE:g}].",
+        ),
+    ] = None
     measure_targets: Annotated[
         bool,
         typer.Option(
@@ -196,6 +233,7 @@ class CaseOptions(TheatreOptions):
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
         procedure = CaseProcedure(
             strategy=self.strategy,
+            methods=self._methods(),
             measure_targets=self.measure_targets,
             case=self.case,
             plan=self.plan,
@@ -208,6 +246,23 @@ class CaseOptions(TheatreOptions):
             speed=self.speed.value,
             faults=self.faults,
             answers=self.read_answer_file(),
+        )
+
+    def _methods(self) -> CaseMethods:
+        """Return localizer and matcher. Raises CLI-001 for settings of a matcher that is not chosen."""
+        given = self._list_changed_options(("matcher_e_mm", "matcher_refused_share"))
+        if given and self.matcher is not Matcher.THESIS:
+            raise UsageMistake(
+                f"{given} belongs to the thesis' matcher",
+                expected="--matcher thesis",
+                got=f"--matcher {self.matcher}",
+                action="Add --matcher thesis, or omit it.",
+            )
+        return CaseMethods(
+            localizer=self.localizer,
+            matcher=self.matcher,
+            e_mm=E_MM if self.matcher_e_mm is None else self.matcher_e_mm,
+            refused_share=REFUSED_SHARE if self.matcher_refused_share is None else self.matcher_refused_share,
         )
 
 

@@ -12,7 +12,7 @@ from functools import partial
 
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_checks import TOOL, run_check
-from procedures.planning.tool_records import ToolRecords
+from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tools import MountedTool, ToolMount, calibrated_arm, require_this_arm
@@ -28,6 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.theatre import require_interface, required_interface
 
 SIDES = ("left", "right")
+TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
@@ -160,7 +161,12 @@ def _check_records(
     """Check that the records belong to this device and, on an arm, that the stereo head is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
-        check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, device.tools)
+        markers_mm, patient_frame = device.markers_mm, theatre.procedure.patient_frame
+
+        def check_frames() -> None:
+            ToolRecords.of(theatre).check_frames(calibrations, device.tools)
+            check_patient_frame(patient_frame, calibrations, markers_mm)
+
         yield run_check(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
     if isinstance(device, StereoPair):
         records = (calibrations.stereo_head.left, calibrations.stereo_head.right)
@@ -197,13 +203,16 @@ def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFil
     mounted_later = {record.frame.tool for record in theatre.tools.values() if record.frame is not None}
     for tool in tracker.tools:
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
-        needed = calibrations is not None and tool == calibrations.tracker_frame.tool
+        on_clamp = tool == theatre.procedure.patient_frame
+        needed = on_clamp or (calibrations is not None and tool == calibrations.tracker_frame.tool)
         yield Diagnostic(
             f"{subject}visibility of {tool}",
             seen > len(frames) // 2 or not needed,
             f"in {seen} of {len(frames)} frames",
             ""
             if seen == len(frames) or tool in mounted_later
+            else TURN_FRAME
+            if on_clamp
             else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
         )
     spheres = sorted(len(frame.strays) for frame in frames)[len(frames) // 2]

@@ -101,11 +101,21 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     with progress_bar(f"recomputing {len(run.records)} results") as show:
         results = replay(run, replay_input, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
+    methods = answers.opening.methods.describe()
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
-        print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
+        print_json(
+            {
+                "run": run_folder.name,
+                "methods": methods,
+                **totals,
+                "records": [asdict(result) for result in results],
+            }
+        )
     else:
         rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
+        if methods:
+            say(methods)
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]
     if unconfirmed:
@@ -131,7 +141,13 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
-    clinical = ClinicalInput(resolve_path(opening.series), plan, strategy, opening.measure_targets)
+    clinical = ClinicalInput(
+        resolve_path(opening.series),
+        plan,
+        strategy,
+        opening.measure_targets,
+        methods=opening.methods,
+    )
     return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 
 

@@ -69,6 +69,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     theatre = str(row["theatre"] or "no theatre")
     seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
+    if row["methods"]:
+        say(row["methods"])
     say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["resumes"]:
         say(f"resumed {format_count(row['resumes'], 'time')}")
@@ -128,6 +130,7 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         "theatre": run.opened.get("theatre"),
         "seed": run.opened.get("seed"),
         "strategy": run.opened.get("strategy"),
+        "methods": run.opened.get("methods"),
         "began": run.opened.get("host_time"),
         "ended": ending.word,
         "sentence": ending.sentence,

@@ -6,7 +6,7 @@ import json
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from procedures.engine.errors import NotRecorded
+from procedures.engine.methods import CaseMethods
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.bounded_input import parse_json, read_json_lines
@@ -58,6 +59,7 @@ class Opening(_Strict):
     series: str | None = None
     plan: str | None = None
     strategy: str | None = None
+    methods: CaseMethods = CaseMethods()
     measure_targets: bool = False
     began: Annotated[AwareDatetime | None, Field(strict=False)] = None
     calibration: CalibrationOpening | None = None
@@ -294,6 +296,7 @@ def opening_line(
         "series": None if clinical is None else relative_path(clinical.series),
         "plan": None if clinical is None else relative_path(clinical.plan),
         "strategy": None if clinical is None else clinical.strategy.name,
+        "methods": asdict(CaseMethods() if clinical is None else clinical.methods),
         "measure_targets": clinical is not None and clinical.measure_targets,
         "began": began.isoformat(),
         "calibration": calibration,

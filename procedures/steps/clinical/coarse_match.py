@@ -1,4 +1,8 @@
-"""Matching of spheres in CT and room, using plan template and patient position as priors."""
+"""Matching of spheres in CT and room, using plan template and patient position as priors.
+
+The thesis' matcher takes no template. What the case knows besides the distances (how many were implanted, how
+the patient lies, what the tracker can see) refuses its pairing where it would refuse ours.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from procedures.engine.methods import CaseMethods, Matcher
 from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.planning.plan_model import FiducialKind
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
 from procedures.registration.template import TEMPLATE_SIGMA_MM
+from procedures.registration.thesis_matching import match_as_thesis
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
@@ -20,7 +26,7 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 
-SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve
+SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve; the thesis' have 0.097
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
 # Upward direction, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
 UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
@@ -41,21 +47,29 @@ def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracke
 
 
 def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
-    """Return the poses, visible to the tracker, at which the mirrored spheres (n, 3) would fit too."""
-    found = match_by_distances(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
+    """Return the poses, visible to the tracker, at which the mirrored spheres (n, 3) would fit too.
+
+    Always by our matcher, since the thesis' asks no such question.
+    """
+    found = match_by_distances(
+        image * MIRROR, physical, prior.sight.mirrored(), CaseMethods(), expected=len(image)
+    )
     if found.transform is None:
         return []
     rival = [found.runner_up.transform] if found.status is not MatchStatus.UNIQUE and found.runner_up else []
     return [found.transform, *rival]
 
 
-def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
+def coarse_match(
+    plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior, methods: CaseMethods
+) -> Match:
     """Match spheres in CT (n, 3) and room (m, 3), mm, by the plan's template or else by distances."""
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
-    if template_mm is None or plan.implanted != len(template_mm):
-        return match_by_distances(image, physical, prior, expected=plan.implanted)
+    is_thesis = methods.matcher is Matcher.THESIS
+    if is_thesis or template_mm is None or plan.implanted != len(template_mm):
+        return match_by_distances(image, physical, prior, methods, expected=plan.implanted)
     return match_by_template(
         template_mm,
         image,
@@ -67,8 +81,21 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
     )
 
 
-def match_by_distances(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
+def match_by_distances(
+    image: Array, physical: Array, prior: PosePrior, methods: CaseMethods, expected: int | None = None
+) -> Match:
     """Match by distances and prior alone, without a template."""
+    if methods.matcher is Matcher.THESIS:
+        return match_as_thesis(
+            image,
+            physical,
+            e_mm=methods.e_mm,
+            sigma_image_mm=SIGMA_CT_MM,
+            sigma_physical_mm=SIGMA_TRACKER_MM,
+            refused_share=methods.refused_share,
+            expected=expected,
+            prior=prior,
+        )
     return match(
         image,
         physical,

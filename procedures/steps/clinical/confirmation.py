@@ -9,7 +9,7 @@ from __future__ import annotations
 from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import RoomMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
@@ -30,7 +30,7 @@ from procedures.workcell import MountedTool
 def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     """Check the guide on its gauge, then head and base from home.
 
-    Raises PRO-019 or PRO-020 if something has moved and remaining targets cannot follow it.
+    Raises PRO-019, PRO-020 or PRO-051 if something has moved and remaining targets cannot follow it.
     """
     for model in context.reads:
         context.result(model)
@@ -75,7 +75,7 @@ def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
     watch = room_watch(context)
     reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
     look = watch.compare(reading, setting.clock.now_s())
-    if isinstance(look.moved, BaseShifted | PatientMoved) and targets_remain:
+    if isinstance(look.moved, RoomMoved) and targets_remain:
         void_moved(context, look.moved)
         setting.memory.drop(RoomWatch)
         if not context.stands(GlobalLocalization):

@@ -8,6 +8,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.context import StepContext
+from procedures.engine.methods import NOT_CLINICAL, Matcher
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import Task
@@ -47,13 +48,22 @@ class Correspondence(StepResult, kind="correspondence"):
     pairs: tuple[tuple[int, int], ...] = Field(description="Index in the CT, index in the room.")
     robot_from_ct: FramedPose = Field(description="Coarse pose robot <- CT.")
     residuals_mm: tuple[float, ...] = Field(description="Of each pair.")
-    margin_nats: float | None = Field(description="Log-likelihood over the runner-up; none if there is none.")
+    margin_nats: float | None = Field(
+        description="Log-likelihood over the runner-up; none if there is none, or the matcher states no odds."
+    )
     two_way: TwoWayTable = Field(description="CT to room and room to CT.")
     left_out: tuple[LeftOutSphere, ...] = Field(
         default=(), description="Implanted spheres that are not where the others predict."
     )
     touched: TouchedLandmark | None = Field(
         default=None, description="None where distances, gravity and sight exclude a mirrored CT."
+    )
+    matcher: Matcher = Field(default=Matcher.OURS, description="Method of pairing.")
+    e_mm: float | None = Field(
+        default=None, description="Largest difference of equal distances, of the thesis' matcher."
+    )
+    refused_share: float | None = Field(
+        default=None, description="Share of correct pairings that its validation refuses."
     )
 
 
@@ -67,7 +77,8 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     plan = context.result(CheckedPlan)
     image, physical = localization.centres_mm, room.points_mm
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
-    found = coarse_match(plan, image, physical, prior)
+    methods = context.clinical.methods
+    found = coarse_match(plan, image, physical, prior, methods)
     found, left_out = _match_fewer_if_agreed(context, found, image, physical, prior)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
@@ -75,6 +86,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     touched = _touch_if_mirrored(context, transform, mirrored, prior)
     table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
     residuals = np.linalg.norm(physical[pairs[:, 1]] - transform.apply(image[pairs[:, 0]]), axis=1)
+    is_thesis = methods.matcher is Matcher.THESIS
     return Outcome(
         Correspondence(
             status=MatchStatus(found.status),
@@ -85,10 +97,18 @@ def run(context: StepContext) -> Outcome[Correspondence]:
             two_way=table,
             left_out=left_out,
             touched=touched,
+            matcher=methods.matcher,
+            e_mm=methods.e_mm if is_thesis else None,
+            refused_share=methods.refused_share if is_thesis else None,
         ),
         summary=f"{len(pairs)} pairs, largest residual {residuals.max():.2f} mm"
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out)
-        + (f"; the {touched.landmark} is {touched.off_mm:.0f} mm from where it has it" if touched else ""),
+        + (f"; the {touched.landmark} is {touched.off_mm:.0f} mm from where it has it" if touched else "")
+        + (
+            f"; by the thesis' matcher, without odds against another pairing: {NOT_CLINICAL}"
+            if is_thesis
+            else ""
+        ),
     )
 
 
@@ -143,7 +163,7 @@ def _match_fewer_if_agreed(
     """If matching fails and the operator agrees, match fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
-    rest = match_by_distances(image, physical, prior)
+    rest = match_by_distances(image, physical, prior, context.clinical.methods)
     if rest.transform is None or rest.status is not MatchStatus.UNIQUE or len(rest.pairs) < FEWEST_SPHERES:
         return found, ()
     places = rest.transform.apply(image)
@@ -159,7 +179,12 @@ def _match_fewer_if_agreed(
     question = UNMATCHED_SPHERE.question(
         f"sphere {names} of the CT is missing, on the wrong screw, or has moved",
         "; ".join(f"{one.fiducial + 1}: {one.reason}" for one in left_out)
-        + (f"; the other {len(rest.pairs)} match, odds against any other pairing e^{rest.margin_nats:.0f}"),
+        + f"; the other {len(rest.pairs)} match, "
+        + (
+            "and the thesis' matcher states no odds against another pairing"
+            if np.isnan(rest.margin_nats)
+            else f"odds against any other pairing e^{rest.margin_nats:.0f}"
+        ),
     )
     return (rest, left_out) if context.choose(question) == LEAVE_OUT else (found, ())
 

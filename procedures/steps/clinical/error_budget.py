@@ -217,6 +217,7 @@ def budget_table(predicted: Prediction) -> Evidence:
             *((share.source, f"{share.rms_mm:.3f}") for share in shares),
             ("total", f"{predicted.rms_mm:.3f}"),
             (f"not included: {predicted.excluded}", NOTHING),
+            *(((f"assumed: {predicted.assumed}", NOTHING),) if predicted.assumed else ()),
         ),
     )
 

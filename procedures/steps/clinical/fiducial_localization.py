@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.methods import NOT_CLINICAL, Localizer
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
-from procedures.imaging.markers import Marker
+from procedures.imaging.markers import Localization, Marker
 from procedures.imaging.pictures import draw_markers
+from procedures.imaging.thesis_localizer import REPORTED_FLE_MM, ThesisFit, localize_as_thesis
+from procedures.imaging.volume import Volume
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -33,6 +36,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     markers: tuple[Marker, ...] = Field(description="The spheres.")
     doubtful: tuple[DoubtfulSphere, ...] = Field(description="What may be a sphere, likeliest first.")
     warnings: tuple[str, ...] = Field((), description="What the spheres together say of the scan.")
+    localizer: Localizer = Field(Localizer.OURS, description="Method that found them.")
 
     @property
     def centres_mm(self) -> NDArray[np.float64]:
@@ -44,11 +48,23 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
         """Distance (mm) between the two estimates of each centre, by index."""
         return {index: marker.agreement_mm for index, marker in enumerate(self.markers)}
 
+    @property
+    def assumed_error(self) -> str:
+        """Say whose error stands for that of a localizer that states none; empty for one that does."""
+        if self.localizer is Localizer.OURS:
+            return ""
+        published_mm = REPORTED_FLE_MM[ThesisFit(self.localizer)]
+        return (
+            f"{self.localizer} states no error: its share CT is the {published_mm:.3f} mm published for it, "
+            "equal on all axes"
+        )
+
 
 def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     """Localize every sphere. The plan check compares their number with the plan."""
     volume = volume_of(context)
-    found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
+    localizer = context.clinical.methods.localizer
+    found = _localize(context, volume, localizer)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
     return Outcome(
@@ -61,11 +77,22 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
                 for one in found.doubtful
             ),
             warnings=found.warnings,
+            localizer=localizer,
         ),
         summary=f"{len(found.markers)} spheres"
         + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else "")
-        + "".join(f"; {warning}" for warning in found.warnings),
+        + "".join(f"; {warning}" for warning in found.warnings)
+        + ("" if localizer is Localizer.OURS else f"; by {localizer}: {NOT_CLINICAL}"),
     )
+
+
+def _localize(context: StepContext, volume: Volume, localizer: Localizer) -> Localization:
+    def show_progress(share: float) -> None:
+        context.progress(share, "localizing the spheres")
+
+    if localizer is Localizer.OURS:
+        return localize(volume, progress=show_progress)
+    return localize_as_thesis(volume, ThesisFit(localizer), progress=show_progress)
 
 
 STEP = StepSpec(

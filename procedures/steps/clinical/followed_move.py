@@ -83,7 +83,9 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     watch.add_reference(find_frame_at_home(context))
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
-    reading = room_reading(workcell, frames, watch.robot_from_tracker)
+    reading, pushed = watch.follow_tracker(room_reading(workcell, frames, watch.robot_from_tracker))
+    for finding in pushed:
+        context.find(finding)
     base_mm = _base_mm(watch, reading)
     rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
@@ -106,6 +108,8 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         return None
     now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
     now[before] = reading.spheres_mm[after]
+    to_localized = watch.tracker_move.inverse()
+    clamp = None if watch.on_clamp is None or reading.on_clamp is None else to_localized @ reading.on_clamp
     move = FollowedMove(
         robot_from_robot=FramedPose.of(Transform(Frame.ROBOT, Frame.ROBOT, fit.fit.transform)),
         way_mm=fit.way_mm,
@@ -114,7 +118,8 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         residual_mm=float(fit.fit.fre_mm),
         limit_mm=fit.gate.limit_mm,
         base_mm=base_mm,
-        spheres_tracker_mm=tuple(now.tolist()),
+        spheres_tracker_mm=tuple(to_localized.apply(now).tolist()),
+        tracker_from_patient=None if clamp is None else FramedPose.of(clamp),
     )
     _require_followable(fit, move)
     return MeasuredMove(fit, move)

@@ -1,7 +1,9 @@
 """Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
 The arm rests with its correction stream off. Exactly FRAMES measurements are averaged; frames that the
-tracker repeats because it is polled faster than it measures do not count.
+tracker repeats because it is polled faster than it measures do not count. With the patient's frame on the
+head clamp, everything is measured relative to it in the frames that show it, so that a push against the
+tracker meanwhile changes nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import FRAMES, average_pose, read_frames_at_rest, robot_from_marker
+from procedures.workcell.patient_frame import hold_to_patient_frame
+from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.text import format_against_limit
@@ -45,6 +48,11 @@ class GlobalLocalization(StepResult, kind="global_localization"):
     lost_readings: int = Field(description="Replies lost or corrupted on the line.")
     robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker.")
     joints_rad: Numbers6 = Field(description="Joints measured at the same time.")
+    tracker_from_patient: FramedPose | None = Field(
+        default=None,
+        description="Pose tracker <- frame on the head clamp, relative to which the spheres were measured; "
+        "null without one.",
+    )
 
     @property
     def points_mm(self) -> NDArray[np.float64]:
@@ -64,7 +72,10 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
         context.setting.clock,
         lambda share: context.progress(share, "reading the tracker"),
     )
-    tracker_from_marker = average_pose(frames, workcell.calibrations.tracker_frame.tool)
+    on_arm, patient = workcell.calibrations.tracker_frame.tool, None
+    if (name := workcell.patient_frame) is not None:
+        frames, patient = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
+    tracker_from_marker = average_pose(frames, on_arm)
     strays = average_strays(frames)
     _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
     spread_mm = _require_spread_mm(strays)
@@ -74,7 +85,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     points = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     return Outcome(
         GlobalLocalization(
-            frames=FRAMES,
+            frames=len(frames),
             points_robot_mm=_rows(robot_from_tracker.apply(points) if len(points) else points),
             points_tracker_mm=_rows(points),
             spread_mm=tuple(float(group.spread_mm) for group in groups),
@@ -84,8 +95,10 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
             lost_readings=lost,
             robot_from_tracker=FramedPose.of(robot_from_tracker),
             joints_rad=joints,
+            tracker_from_patient=None if patient is None else FramedPose.of(patient),
         ),
-        summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread_mm:.2f} mm"
+        summary=f"{len(groups)} stray spheres in {len(frames)} frames, largest spread {spread_mm:.2f} mm"
+        + (f", relative to {name}" if patient is not None else "")
         + (f", {lost} readings lost on the line" if lost else ""),
     )
 

@@ -15,6 +15,7 @@ from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import needs_arm_home
+from procedures.workcell.patient_frame import require_in_view
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.wire.room_tasks import HEAD_CLAMP
@@ -31,7 +32,7 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Ask to clamp the head, then measure it. Raises PRO-002, or PRO-007 if the head is not visible."""
+    """Ask to clamp the head, then measure it. Raises PRO-002, or PRO-007 if head or frame is not visible."""
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
@@ -46,6 +47,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
     value = f"patient position {table_orientation}; {checked.implanted} spheres are on the screws"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
+    require_in_view(context.workcell, frames)
     seen = len(average_strays(frames).groups)
     if seen < LEAST_POINTS:
         raise GateFailed(

@@ -26,7 +26,12 @@ from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.target_prediction import IndependentErrors, UnnoticedPoint, predict_target_error
+from procedures.registration.target_prediction import (
+    IndependentErrors,
+    UnnoticedPoint,
+    check_residuals,
+    predict_target_error,
+)
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget import (
@@ -136,6 +141,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, trajectories, predictions)
+    methods = context.clinical.methods.describe()
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target not in left_out:
@@ -143,7 +149,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
                 Topic.REGISTRATION,
                 f"accept the registration for {predicted.target}",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms, "
-                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}{_tell_widening(predicted)}"
+                + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
                 predicted.target,
                 evidence=(budget_table(predicted), two_way_table(two_way)),
             )
@@ -162,6 +169,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             left_out=left_out,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
+        + (f"; {worst.assumed}" if worst.assumed else "")
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out_spheres)
         + "".join(f"; without {name}" for name in left_out),
     )
@@ -237,6 +245,7 @@ def predict_tip_error(
     """Predict the tip's error at a target from the errors of spheres, arm, guide and instrument.
 
     Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
+    If the spheres disagree by more than all of it states, the limit is widened.
     """
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
@@ -264,23 +273,33 @@ def predict_tip_error(
         ),
         *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
     )
+    residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
     worst = pairs.find_undetected(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,
         [held.turn_errors_back(one) for one in sources],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
+        residual,
     )
     return Prediction(
         target=target,
         rms_mm=predicted.rms_mm,
         limit_mm=predicted.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
+        widening=predicted.widening,
         formula="covariance propagation, joint by joint",
         excluded=f"{NOT_PREDICTED}; one sphere moved since the CT: {worst.at_target_mm:.2f} mm "
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
+        assumed=context.result(LocalizedFiducials).assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
+
+
+def _tell_widening(predicted: Prediction) -> str:
+    if predicted.widening == 1.0:
+        return ""
+    return f", widened: the spheres disagree {predicted.widening:.2f} times as much as the errors stated"
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:

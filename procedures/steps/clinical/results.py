@@ -89,7 +89,13 @@ class Prediction(Values):
     confidence: float = Field(description="Of that radius, 0 to 1.")
     formula: str = Field(description="Method of prediction.")
     budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
+    widening: float = Field(
+        default=1.0, description="Factor on the errors at the spheres in the limit, by too large a residual."
+    )
     excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
+    assumed: str = Field(
+        default="", description="Errors that a method does not state, and what stands for them."
+    )
 
 
 class FollowedMove(Values):
@@ -106,7 +112,13 @@ class FollowedMove(Values):
     base_mm: float = Field(
         description="Motion between the frame on the arm and the tracker since the localization."
     )
-    spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
+    spheres_tracker_mm: tuple[Numbers3, ...] = Field(
+        description="All matched spheres now, in the tracker frame of the localization."
+    )
+    tracker_from_patient: FramedPose | None = Field(
+        default=None,
+        description="The frame on the head clamp now, in the same; null if not seen or not there.",
+    )
 
 
 class RegisteredRobot(StepResult, kind="registration"):

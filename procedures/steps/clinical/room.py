@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
+from procedures.guards.clamp_frame import FrameOnClamp
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import FRAMES, RoomReading
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
@@ -28,6 +29,7 @@ from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, 
 from procedures.workcell import MountedTool, Workcell
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
@@ -39,8 +41,8 @@ ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks
 def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> RoomLook:
     """Compare a tracker reading, taken at rest, with the localization and later readings.
 
-    Raises PRO-019, PRO-020 and PRO-022; a move voids the localization, or the registrations that may follow
-    it, and everything computed from them.
+    Raises PRO-019, PRO-020, PRO-022 and PRO-051; a move voids the localization, or the registrations
+    that may follow it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
     look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
@@ -72,13 +74,15 @@ class ExpectedSight:
     """Expected view of the tracker past the guide, based on the collision bodies."""
 
     context: StepContext
-    sight: TrackerSight
+    sights: tuple[TrackerSight, ...]
     surroundings: Surroundings
 
     def hidden_at(self, joints_rad: JointVector) -> bool:
-        """Whether too few spheres are visible with the arm at these joints."""
+        """Whether too few spheres, and markers on the clamp, are visible with the arm at these joints."""
         arm = self.context.workcell.arm.kinematics
-        return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
+        return all(
+            int(sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS for sight in self.sights
+        )
 
     def hidden_now(self) -> bool:
         """Whether too few spheres are visible with the arm in its current pose."""
@@ -88,7 +92,9 @@ class ExpectedSight:
 def build_expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
-    expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
+    places = [watch.spheres_mm, *([] if watch.on_clamp is None else [watch.on_clamp.places_mm])]
+    sights = tuple(TrackerSight(watch.robot_from_tracker, one) for one in places)
+    expected = ExpectedSight(context, sights, surroundings)
     watch.approach = Approach(expected.hidden_now)
     return expected
 
@@ -121,7 +127,7 @@ def room_watch(context: StepContext) -> RoomWatch:
         watch.add_reference(find_frame_at_home(context))
         context.setting.memory.keep(watch)
     followed = partial(find_followed_registration, trajectory=context.key.trajectory)
-    watch.follow(find_followed_spheres(context.result_among(RegisteredRobot, followed)))
+    watch.follow(*find_followed_places(context.result_among(RegisteredRobot, followed)))
     return watch
 
 
@@ -134,7 +140,11 @@ def build_watch(
         spheres = spheres[[room for _, room in pairs]]
     flange = workcell.flange_pose(localized.joints_rad)
     begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+    on_clamp, frame = localized.tracker_from_patient, workcell.patient_frame
+    clamp = None
+    if on_clamp is not None and frame is not None:
+        clamp = FrameOnClamp(on_clamp.transform, np.array(workcell.tracker.markers_mm[frame]))
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun], on_clamp=clamp)
 
 
 def find_followed_registration(
@@ -145,10 +155,16 @@ def find_followed_registration(
     return own[-1] if own and own[-1].followed is not None else None
 
 
-def find_followed_spheres(registration: RegisteredRobot | None) -> Array | None:
-    """Return the sphere positions (n, 3) mm, tracker frame, that a registration followed, or None."""
+def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | None, Transform | None]:
+    """Return where a registration followed the spheres (n, 3), mm, and the frame on the clamp.
+
+    In the tracker frame of the localization; None for what it did not follow.
+    """
     move = None if registration is None else registration.followed
-    return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
+    if move is None:
+        return None, None
+    on_clamp = None if move.tracker_from_patient is None else move.tracker_from_patient.transform
+    return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
 
 
 def find_frame_at_home(context: StepContext) -> Array | None:

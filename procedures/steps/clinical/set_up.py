@@ -9,6 +9,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import Numbers6, StepResult, Values
 from procedures.operator.question import Topic
+from procedures.planning.tool_records import check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm
@@ -55,15 +56,17 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
-    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record. Raises DEV-003 for a
-    frame unknown to the tracker, CAL-013 for another arm, STE-010 for another camera, PRO-009 for another
-    tool. Raises CAL-020 and CAL-021 for an arm calibrated with another stereo head or tip. Raises PRO-002
-    unless the position of an arm left by an earlier run is confirmed.
+    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record, TOOL-008 for a
+    patient's frame that is another one. Raises DEV-003 for a frame unknown to the tracker, CAL-013 for
+    another arm, STE-010 for another camera, PRO-009 for another tool. Raises CAL-020 and CAL-021 for an arm
+    calibrated with another stereo head or tip. Raises PRO-002 unless the position of an arm left by an
+    earlier run is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
     workcell.tools.check_frames(calibrations, workcell.tracker.tools)
+    check_patient_frame(workcell.patient_frame, calibrations, workcell.tracker.markers_mm)
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):

@@ -12,6 +12,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
 from sim.polaris.measurement.line_of_sight import Flags, visible
 from sim.polaris.measurement.optics import (
@@ -242,7 +243,10 @@ class MarkerVisibility:
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
         on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
-        fixed, fixed_sight = self._list_fixed_spheres(disturbance, as_tool=on_head)
+        clamp_loaded = PATIENT_FRAME_PART_NUMBER in loaded
+        fixed, fixed_sight = self._list_fixed_spheres(
+            disturbance, as_tool=on_head, clamp_as_tool=clamp_loaded
+        )
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
@@ -277,11 +281,24 @@ class MarkerVisibility:
             phantoms=ghost_group,
         )
 
-    def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
-        """Return the spheres of no tool: strays, plus fiducials unless they form a tool (`as_tool`)."""
-        key = (disturbance, as_tool)
+    def _list_fixed_spheres(
+        self, disturbance: Disturbance, *, as_tool: bool, clamp_as_tool: bool
+    ) -> tuple[TrueTool, Sight]:
+        """Return the spheres of no tool: strays, plus those of the head and its clamp that form none.
+
+        Fiducials may form one (`as_tool`), and so may the patient's frame (`clamp_as_tool`).
+        """
+        key = (disturbance, as_tool, clamp_as_tool)
         if self._fixed is None or self._fixed[0] != key:
             spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)
+            clamp = None if clamp_as_tool else self._scene.frame_on_clamp(disturbance)
+            if clamp is not None:
+                more = tuple(len(spheres.markers_mm) + row for row in clamp.covered)
+                spheres = TrueTool(
+                    frozenset(),
+                    np.vstack([spheres.markers_mm, clamp.markers_mm]),
+                    (*spheres.covered, *more),
+                )
             self._fixed = (key, spheres, self._optics.sight(spheres.markers_mm))
         return self._fixed[1:]
 

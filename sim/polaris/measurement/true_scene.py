@@ -8,6 +8,7 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.polaris.measurement.line_of_sight import ArmBody, Body, head_ellipsoid
@@ -69,6 +70,8 @@ class TrueScene:
         self._arm_body = ArmBody(scene)
         on_guide = scene.mount.guide.tip_from_frame
         self._tip_from_frame = None if on_guide is None else matrix_of(on_guide)
+        on_clamp = scene.head.robot_from_patient_frame
+        self._robot_from_patient_frame = None if on_clamp is None else matrix_of(on_clamp)
         self._guide = TrueGuide(world)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
@@ -114,6 +117,10 @@ class TrueScene:
             return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
         if self.is_head_frame(definition):
             return self._frame_on_head(disturbance)
+        if definition.part_number == PATIENT_FRAME_PART_NUMBER:
+            on_clamp = self.frame_on_clamp(disturbance)
+            if on_clamp is not None:
+                return on_clamp
         if place is None or place >= len(self._places):
             return None
         tool = self._tools.get(definition.part_number)
@@ -147,6 +154,18 @@ class TrueScene:
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturb(names, pose, self._frame_markers_mm, disturbance)
+
+    def frame_on_clamp(self, disturbance: Disturbance) -> TrueTool | None:
+        """Return the patient's frame, even if no host has loaded it, or None without one.
+
+        It moves with the head, as the clamp holds both.
+        """
+        if self._robot_from_patient_frame is None:
+            return None
+        tool, room = self._tools[PATIENT_FRAME_PART_NUMBER], disturbance.room
+        pose = self._tracker_from(room) @ rigid_move(room.head_rad, room.head_mm)
+        names = frozenset({tool.name, tool.part_number})
+        return _disturb(names, pose @ self._robot_from_patient_frame, np.array(tool.markers_mm), disturbance)
 
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance

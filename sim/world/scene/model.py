@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text import format_count
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
@@ -104,6 +105,11 @@ class Head(Strict):
     )
     template_mm: tuple[Numbers3, ...] | None = Field(
         default=None, description="Sphere positions of the implantation template, CT frame."
+    )
+    robot_from_patient_frame: PoseRecord | None = Field(
+        default=None,
+        description="Pose robot <- patient's frame on the head clamp, which moves with the head (tracker "
+        "tool `patient_frame`); without it, none.",
     )
     targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
         description="Trajectories of the plan."
@@ -380,6 +386,17 @@ class Scene(Strict):
     def _cameras_differ(self) -> Self:
         if self.left.serial == self.right.serial:
             raise ValueError(f"left.serial and right.serial are both {self.left.serial!r}")
+        return self
+
+    @model_validator(mode="after")
+    def _patient_frame_is_a_tool(self) -> Self:
+        on_clamp = self.head.robot_from_patient_frame is not None
+        known = any(tool.part_number == PATIENT_FRAME_PART_NUMBER for tool in self.tracker.tools[1:])
+        if on_clamp and not known:
+            raise ValueError(
+                f"head.robot_from_patient_frame needs a tool with part number {PATIENT_FRAME_PART_NUMBER} in "
+                "tracker.tools, after the frame on the mount"
+            )
         return self
 
 

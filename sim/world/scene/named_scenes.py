@@ -10,6 +10,7 @@ from math import radians
 
 import numpy as np
 
+from ronna_hw import patient_frame
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
@@ -35,6 +36,8 @@ MINI_AREA_PX = (800, 800)
 MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
 TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
 TRACKER_DISTANCE_MM = 1900.0  # from the midpoint of head and frame
+# On an arm of the head clamp, level with the ear on the tracker's side: the staff turn it to the tracker.
+FRAME_BESIDE_HEAD_MM = (60.0, 230.0, -60.0)  # from the centre of the head, along the robot's axes
 # Four markers whose six distances differ by at least 4 mm, so that the pose is unique.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 USUAL_REFLECTIONS = 2  # in a room with lamps and instruments
@@ -126,6 +129,32 @@ def frame_on_guide() -> TrackerTool:
     """Return the guide's frame as a tracker tool, which identifies the mounted tool."""
     return TrackerTool(
         name=GUIDE_FRAME_NAME, part_number=GUIDE_FRAME_PART_NUMBER, markers_mm=GUIDE_FRAME_MARKERS_MM
+    )
+
+
+def add_patient_frame(scene: Scene) -> Scene:
+    """Return the scene with the patient's frame on the head clamp; raises SIM-001 without a head in view.
+
+    Nothing is drawn at random, so everything else stays as it is.
+    """
+    if not scene.tracker.fiducials_visible:
+        raise BadScene(f"{scene.name} has no head: the patient's frame is on its clamp")
+    centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm)
+    place = centre + np.array(FRAME_BESIDE_HEAD_MM)
+    to_tracker = np.array(scene.tracker.robot_from_tracker.translation_mm) - place
+    pose = pose_of(matrix_from(place, rotation_towards(to_tracker / np.linalg.norm(to_tracker), (1, 0, 0))))
+    head = scene.head.model_copy(update={"robot_from_patient_frame": pose})
+    tools = tuple(one for one in scene.tracker.tools if one.part_number != patient_frame.PART_NUMBER)
+    tracker = scene.tracker.model_copy(update={"tools": (*tools, frame_on_clamp())})
+    return scene.model_copy(update={"head": head, "tracker": tracker})
+
+
+def frame_on_clamp() -> TrackerTool:
+    """Return the patient's frame as a tracker tool."""
+    return TrackerTool(
+        name=patient_frame.NAME,
+        part_number=patient_frame.PART_NUMBER,
+        markers_mm=patient_frame.MARKERS_MM,
     )
 
 

@@ -12,6 +12,7 @@ from prepared_results import checked_plan, localized_fiducials
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.context import StepContext
+from procedures.engine.methods import CaseMethods
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Question, Task
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -73,6 +74,7 @@ class _Context:
     def __init__(self, head: OrientedHead, random: np.random.Generator) -> None:
         self.head, self.random = head, random
         self.setting = SimpleNamespace(settings=ProcedureSettings())
+        self.clinical = SimpleNamespace(methods=CaseMethods())
         self.workcell = SimpleNamespace(rest=lambda: None)
         image = head.image_mm + random.normal(0.0, CT_MM, head.image_mm.shape)
         room = apply(head.robot_from_ct, head.image_mm)

@@ -13,6 +13,7 @@ import tomli_w
 
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
+from procedures.engine.methods import CaseMethods
 from procedures.engine.order import CaseOrder
 from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
@@ -320,6 +321,7 @@ class RecordingCell:
     theatre: TheatreFile = field(default_factory=mini_theatre)
     operator: RecordingOperator = field(default_factory=RecordingOperator)
     strategy: Strategy = field(default_factory=lambda: find_strategy("ocs"))
+    methods: CaseMethods = field(default_factory=CaseMethods)
 
     def __post_init__(self) -> None:
         self.folder.mkdir(exist_ok=True)
@@ -361,7 +363,7 @@ class RecordingCell:
             room=self.room,
             settings=ProcedureSettings(),
             surroundings=self.theatre.cell,
-            clinical=ClinicalInput(self.series, self.plan, self.strategy),
+            clinical=ClinicalInput(self.series, self.plan, self.strategy, methods=self.methods),
         )
 
     def engine(self, order: CaseOrder) -> Engine:

@@ -82,8 +82,9 @@ def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None
 
 def test_the_json_has_exactly_the_documented_keys(finished: MiniRun) -> None:
     assert list(finished.outcome) == [
-        "run", "outcome", "seed", "strategy", "markers", "ct", "registration", "targets",
-        "mean_application_error_mm", "max_application_error_mm", "late_cycles", "sim_s", "wall_s", "report",
+        "run", "outcome", "seed", "strategy", "localizer", "matcher", "markers", "ct", "registration",
+        "targets", "mean_application_error_mm", "max_application_error_mm", "late_cycles", "sim_s", "wall_s",
+        "report",
     ]  # fmt: skip
     assert list(finished.outcome["targets"][0]) == [
         "id", "depth_mm", "predicted_tre_mm", "application_error_mm",

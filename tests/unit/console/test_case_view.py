@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from console.case_view import JOURNAL_KEPT, MOST_DEVICES, CaseView, RecordedCase, fold
-from console.panels.case_state import devices
+from console.panels.case_state import case_line, devices
 from console.panels.results import notices
 from procedures.engine.events import (
     Answered,
@@ -124,9 +124,11 @@ def test_the_first_journal_line_names_the_theatre_and_the_last_the_outcome() -> 
         "banner": "SIMULATED THEATRE",
         "theatre": "mini",
         "strategy": "ocs",
+        "methods": "localizer thesis-line, matcher ours: not for clinical use",
     }
     view = view_after(JournalLine(line=opened), JournalLine(line={"entry": "closed", "outcome": "done"}))
     assert (view.run, view.banner, view.outcome) == ("r1", "SIMULATED THEATRE", "done")
+    assert "strategy ocs, localizer thesis-line, matcher ours: not for clinical use" in case_line(view)
     assert view_after(JournalLine(line={"entry": "opened", "banner": None})).banner == ""
 
 

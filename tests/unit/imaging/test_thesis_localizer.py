@@ -85,5 +85,14 @@ def test_one_misplaced_circle_does_not_split_a_sphere_in_two() -> None:
     centres[4, 1:] = 0.5
     centres[5:, 1:] = -0.4
     radii = np.sqrt(5.75**2 - heights**2)
-    (cluster,) = cluster_circles(Circles(centres, radii, 0), 5.75)
+    (cluster,) = cluster_circles(Circles(centres, radii, 0), 5.75, 1.0)
+    assert len(cluster.radii_mm) == len(heights)
+
+
+@pytest.mark.parametrize("plane_mm", [0.5, 1.0, 1.5, 2.0])
+def test_a_plane_without_a_circle_does_not_split_a_sphere_in_two(plane_mm: float) -> None:
+    heights = np.delete(plane_mm * np.arange(-np.floor(4.5 / plane_mm), 4.6 / plane_mm), 3)
+    centres = np.column_stack([heights, np.zeros((len(heights), 2))])
+    circles = Circles(centres, np.sqrt(5.75**2 - heights**2), 0)
+    (cluster,) = cluster_circles(circles, 5.75, plane_mm)
     assert len(cluster.radii_mm) == len(heights)

@@ -86,7 +86,7 @@ def test_zero_padding_after_a_definition_is_allowed() -> None:
     assert decode_definition(encode_definition(RIGID_BODY) + bytes(16)).part_number == "8700339"
 
 
-@pytest.mark.parametrize("name", ["robot_frame.rom", "x_frame.rom"])
+@pytest.mark.parametrize("name", ["robot_frame.rom", "x_frame.rom", "patient_frame.rom"])
 def test_a_shipped_definition_matches_the_generator(name: str) -> None:
     assert (FOLDER / name).read_bytes() == encode_definition(build_shipped_definitions()[name])
 
@@ -115,6 +115,15 @@ def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -
     assert find_alike({"x": X_FRAME}, 8.0) == ()
     both = find_alike({"x": X_FRAME, "M": ROBOT_FRAME}, 5.0)
     assert [pair for pair in both if pair.first_tool != pair.second_tool] == []
+
+
+def test_no_two_shipped_tools_share_a_triangle_of_markers() -> None:
+    shipped = build_shipped_definitions()
+    check_distinct(shipped)
+    assert find_alike({"patient": shipped["patient_frame.rom"]}, 6.0) == ()
+    again = {**shipped, "patient": shipped["robot_frame.rom"]}
+    with pytest.raises(SameGeometry, match=r"NDI-012: tools robot_frame.rom and patient share a triangle"):
+        check_distinct(again)
 
 
 def test_driver_and_simulator_read_each_others_definitions_alike() -> None:

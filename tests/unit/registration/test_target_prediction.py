@@ -11,8 +11,10 @@ from procedures.registration import register
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.target_prediction import (
     IndependentErrors,
+    ResidualCheck,
     SharedErrors,
     UnnoticedPoint,
+    check_residuals,
     chi_square_of_shared,
     find_unnoticed_point,
     influence_of_spheres,
@@ -142,3 +144,51 @@ def test_a_point_that_leaves_no_residual_is_held_by_the_largest_displacement_alo
     worst = _worst(POINTS_MM[:3], 2.5)
     assert worst.displaced_mm == pytest.approx(2.5)
     assert worst.at_target_mm > 1.0
+
+
+OWN = IndependentErrors("CT", COVARIANCE_MM2, NOTHING)
+INSTRUMENT = IndependentErrors("instrument", np.zeros((5, 3, 3)), np.eye(3))
+
+
+@pytest.mark.parametrize("chi_square", [0.0, 9.0, 16.9])
+def test_a_residual_that_the_sources_explain_never_narrows_or_widens_the_limit(chi_square: float) -> None:
+    stated = predict_target_error(POINTS_MM, TARGET_MM, [OWN])
+    tested = predict_target_error(POINTS_MM, TARGET_MM, [OWN], residual=ResidualCheck(chi_square, 9))
+    assert tested.widening == 1.0
+    assert tested.limit_mm() == stated.limit_mm()
+
+
+def test_a_residual_too_large_widens_the_limit_by_its_ratio_and_nothing_else() -> None:
+    stated = predict_target_error(POINTS_MM, TARGET_MM, [OWN])
+    tested = predict_target_error(POINTS_MM, TARGET_MM, [OWN], residual=ResidualCheck(36.0, 9))
+    assert tested.limit_mm() == pytest.approx(2.0 * stated.limit_mm())
+    assert tested.rms_mm == stated.rms_mm
+    assert tested.budget_mm == stated.budget_mm
+
+
+def test_what_displaces_the_target_alone_is_not_widened_since_no_residual_tests_it() -> None:
+    alone = predict_target_error(POINTS_MM, TARGET_MM, [INSTRUMENT], residual=ResidualCheck(36.0, 9))
+    assert alone.limit_mm() == predict_target_error(POINTS_MM, TARGET_MM, [INSTRUMENT]).limit_mm()
+    both = predict_target_error(POINTS_MM, TARGET_MM, [OWN, INSTRUMENT], residual=ResidualCheck(36.0, 9))
+    doubled = IndependentErrors("CT", 4.0 * COVARIANCE_MM2, NOTHING)
+    wanted = predict_target_error(POINTS_MM, TARGET_MM, [doubled, INSTRUMENT])
+    assert both.limit_mm() == pytest.approx(wanted.limit_mm())
+
+
+@pytest.mark.parametrize(("size", "least", "most"), [(1.0, 0.94, 0.98), (1.7, 0.90, 0.97)])
+def test_the_limit_learns_that_errors_are_larger_than_stated(size: float, least: float, most: float) -> None:
+    generator = np.random.default_rng(7)
+    sources = [OWN, SharedErrors("arm", 0.1 * generator.normal(size=(5, 3, 2)), np.zeros((3, 2)))]
+    inside, inside_stated = [], []
+    for _ in range(500):
+        common = sources[1].at_spheres_mm @ generator.normal(size=2)
+        seen = POINTS_MM + size * (generator.normal(0.0, SIGMA_MM, (5, 3)) + common)
+        fit = register(POINTS_MM, seen)
+        residual = check_residuals(fit.residuals_mm, seen - fit.residuals_mm, sources)
+        error_mm = float(np.linalg.norm(fit.transform.apply(TARGET_MM) - TARGET_MM))
+        predicted = predict_target_error(POINTS_MM, TARGET_MM, sources, residual=residual)
+        inside.append(error_mm <= predicted.limit_mm())
+        inside_stated.append(error_mm <= predict_target_error(POINTS_MM, TARGET_MM, sources).limit_mm())
+    assert least <= np.mean(inside) <= most
+    assert np.mean(inside_stated) <= np.mean(inside)
+    assert size == 1.0 or np.mean(inside_stated) < least

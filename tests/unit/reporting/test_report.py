@@ -13,10 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
-from prepared_results import checked_paths, registered_robot, up_to_correspondence
+from prepared_results import (
+    checked_paths,
+    imported_ct,
+    localized_fiducials,
+    registered_robot,
+    up_to_correspondence,
+)
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
+from procedures.engine.methods import CaseMethods, Localizer
 from procedures.engine.order import Scope
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
@@ -346,6 +353,17 @@ def test_the_head_of_the_page_names_the_strategies_that_were_used(cell: Clinical
     paths = checked_paths(cell).model_copy(update={"replaced": {FIRST: "nos"}})
     cell.begin(*up_to_correspondence(cell), paths).run_to()
     assert "strategy ocs asked for, nos and ocs used" in write_report(cell.folder).read_text()
+
+
+def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "20261120T000000-s3-ef01")
+    methods = CaseMethods(localizer=Localizer.THESIS_LINE)
+    cell.journal.write(Entry.OPENED, 0.0, methods=methods.describe())
+    of_thesis = localized_fiducials().model_copy(update={"localizer": Localizer.THESIS_LINE})
+    cell.begin(imported_ct(), of_thesis).run_to()
+    page = write_report(cell.folder).read_text()
+    assert '<p class="alarm">Localizer thesis-line, matcher ours: not for clinical use.</p>' in page
+    assert "thesis-line states no error: its share CT is the 0.169 mm published for it" in page
 
 
 def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(registered: Path) -> None:

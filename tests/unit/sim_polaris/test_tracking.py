@@ -11,7 +11,13 @@ from polaris_bench import Bench, MakeBench
 from sim.world.nominal_arm import description
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
 from sim.world.scene.model import Scene, TrackerTool
-from sim.world.scene.named_scenes import draw_scene, frame_on_head, robot_frame
+from sim.world.scene.named_scenes import (
+    add_patient_frame,
+    draw_scene,
+    frame_on_clamp,
+    frame_on_head,
+    robot_frame,
+)
 from sim.world.true_arm import JointChain
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState
@@ -255,6 +261,30 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_b
     assert len(strays(answer)) == 0
     crossing = spheres[0] + 35.0 / 96.0 * (spheres[2] - spheres[0])
     assert position(answer, 1) == pytest.approx(crossing, abs=1.0)
+
+
+def test_the_patients_frame_is_a_tool_when_loaded_and_strays_otherwise(make_bench: MakeBench) -> None:
+    scene = add_patient_frame(draw_scene("mini", seed=3))
+    on_clamp = scene.head.robot_from_patient_frame
+    assert on_clamp is not None
+    pose = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(on_clamp)
+    as_strays = strays(with_arm(make_bench, scene, robot_frame()).send("TX 1801"))
+    markers = apply(pose, frame_on_clamp().markers_mm)
+    assert np.linalg.norm(as_strays[:, None] - markers, axis=2).min(axis=0).max() < 1.5
+    answer = with_arm(make_bench, scene, robot_frame(), frame_on_clamp()).send("TX 1801")
+    assert position(answer, 1) == pytest.approx(pose[:3, 3], abs=1.0)
+    assert np.linalg.norm(strays(answer)[:, None] - markers, axis=2).min() > 50.0
+
+
+@pytest.mark.parametrize(("what", "moves"), [("head", 1.0), ("tracker", -1.0), ("cart", 0.0)])
+def test_the_patients_frame_moves_with_the_head(make_bench: MakeBench, what: str, moves: float) -> None:
+    scene = add_patient_frame(draw_scene("mini", seed=3))
+    bench = with_arm(make_bench, scene, robot_frame(), frame_on_clamp())
+    before = position(bench.send("TX 0801"), 1)
+    bench.world.set_fault_script(f"now: room shift {what} 30 0 0 mm")
+    way = position(bench.send("TX 0801"), 1) - before
+    along = matrix_of(scene.tracker.robot_from_tracker)[0, :3]  # the robot's x in the tracker frame
+    assert way == pytest.approx(moves * 30.0 * along, abs=1.0)
 
 
 def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_bench: MakeBench) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,13 @@ import tomli_w
 from drivers.kuka_rsi.options import read_options
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre, read_theatre_file
+from ronna_hw.config import (
+    BadTheatreFile,
+    Calibrations,
+    ProcedureSettings,
+    parse_theatre,
+    read_theatre_file,
+)
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
@@ -18,7 +25,7 @@ from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import draw_scene
+from sim.world.scene.named_scenes import add_patient_frame, draw_scene
 
 ENDPOINTS = {
     "polaris": "serial:///dev/pts/9",
@@ -112,6 +119,27 @@ def test_another_cycle_time_is_passed_to_the_robot_driver() -> None:
     for cycle_ms, said in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == said
+
+
+def framed_theatre(**settings: str) -> dict[str, Any]:
+    """The theatre of a scene with the patient's frame."""
+    content = theatre_content(add_patient_frame(draw_scene("mini", seed=4)), ENDPOINTS, "host:", {}, 1.0)
+    return {**content, "procedure": {**content["procedure"], **settings}}
+
+
+def test_the_theatre_names_the_patients_frame_only_where_there_is_one() -> None:
+    plain = theatre_content(draw_scene("mini", seed=4), ENDPOINTS, "host:", {}, 1.0)
+    assert parse_theatre(plain).procedure.patient_frame is None
+    assert parse_theatre(framed_theatre()).procedure.patient_frame == "patient_frame"
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("robot_frame", "calibration.tracker_frame.tool"), ("guide_frame", "tools.guide.frame.tool")],
+)
+def test_a_patients_frame_that_is_one_on_the_arm_is_refused(name: str, key: str) -> None:
+    with pytest.raises(BadTheatreFile, match=f"CFG-001.*{name} is also {key}, a frame on the arm: name the"):
+        parse_theatre(framed_theatre(patient_frame=name))
 
 
 def test_on_the_first_day_the_frame_and_tip_records_are_as_drawn_and_expired() -> None:

@@ -13,12 +13,15 @@ from user_commands import in_this_process, one_error
 
 from procedures.cli.case import display, stepping
 from procedures.cli.case.display import follow_case
+from procedures.cli.case.options import CaseOptions
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
 from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.operator.errors import OperatorAborted
 from procedures.runs.answers import Answers
+from procedures.runs.case import clinical_input
 from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.reopening import read_reopened_request
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
@@ -42,6 +45,46 @@ def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: 
     folder = new_run_folder(asked, tmp_path)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
     assert read_request(folder) == asked
+
+
+OF_THE_THESIS = CaseMethods(
+    localizer=Localizer.THESIS_LINE, matcher=Matcher.THESIS, e_mm=3.5, refused_share=0.015
+)
+
+
+def test_a_resumed_run_goes_on_with_the_methods_of_its_start(tmp_path: Path) -> None:
+    given = CaseOptions(
+        sim=True,
+        localizer=Localizer.THESIS_LINE,
+        matcher=Matcher.THESIS,
+        matcher_e_mm=3.5,
+        matcher_refused_share=0.015,
+    )
+    folder = new_run_folder(given.request(), tmp_path)
+    assert read_request(folder).case.methods == OF_THE_THESIS
+    assert clinical_input(read_request(folder).case, folder).methods == OF_THE_THESIS
+
+
+@pytest.mark.parametrize(
+    ("methods", "named"), [({"localizer": "thesis"}, "methods.localizer"), ({"sigma": 1.0}, "methods.sigma")]
+)
+def test_methods_in_a_request_that_do_not_exist_are_refused(
+    tmp_path: Path, methods: dict[str, object], named: str
+) -> None:
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
+    path = folder / REQUEST_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"methods": methods}))
+    with pytest.raises(BadRequestFile, match=f"PRO-034: .*{named}"):
+        read_request(folder)
+
+
+@pytest.mark.hazard(39)
+def test_a_run_whose_methods_were_changed_is_not_resumed(run: Path) -> None:
+    path = run / REQUEST_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"methods": {"localizer": "thesis-line"}}))
+    refused = in_this_process(app, "resume", run, "--accept")
+    assert refused.returncode == EXIT_REFUSED
+    assert f"PRO-033: {run.name} is not as it was left: {REQUEST_FILE}: " in refused.stderr
 
 
 def test_a_resumed_run_is_answered_by_the_file_of_its_start_unless_given_another(tmp_path: Path) -> None:

@@ -11,11 +11,13 @@ from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
+from procedures.engine.methods import CaseMethods, Matcher
+from procedures.imaging.thesis_localizer import REPORTED_FLE_MM
 from procedures.operator.question import Topic
 from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
-from procedures.steps.clinical.coarse_match import coarse_match, room_prior
+from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, coarse_match, room_prior
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.config import ProcedureSettings
@@ -228,6 +230,73 @@ def test_how_far_a_patient_may_be_reclined_is_stated_by_the_theatre_file(
     settings = ProcedureSettings(recline_deg=recline_deg)
     tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)
     found = coarse_match(
-        checked_plan(), CENTRES_CT_MM, SPHERES_MM, room_prior(checked_plan(), settings, tracker)
+        checked_plan(),
+        CENTRES_CT_MM,
+        SPHERES_MM,
+        room_prior(checked_plan(), settings, tracker),
+        CaseMethods(),
     )
     assert (found.status is MatchStatus.UNIQUE) is accepted
+
+
+def by_thesis(cell: ClinicalCell, e_mm: float = 2.5) -> ClinicalCell:
+    cell.methods = CaseMethods(matcher=Matcher.THESIS, e_mm=e_mm, refused_share=0.01)
+    return cell
+
+
+def test_the_thesis_matcher_pairs_the_spheres_and_its_settings_are_stored(cell: ClinicalCell) -> None:
+    found = match_with(by_thesis(cell), np.vstack([SPHERES_MM[[2, 0]], GHOST_MM, SPHERES_MM[[3, 1]]])).result
+    assert sorted(found.pairs) == [(0, 1), (1, 4), (2, 0), (3, 3)]
+    assert (found.matcher, found.e_mm, found.refused_share) == (Matcher.THESIS, 2.5, 0.01)
+    assert found.margin_nats is None
+
+
+def test_our_matcher_stores_no_settings_of_the_other(cell: ClinicalCell) -> None:
+    found = match_with(cell, SPHERES_MM).result
+    assert (found.matcher, found.e_mm, found.refused_share) == (Matcher.OURS, None, None)
+
+
+@pytest.mark.branch("AMBIGUOUS")
+@pytest.mark.parametrize(
+    ("room_mm", "ct_mm", "status"),
+    [
+        (SPHERES_MM[:2], CENTRES_CT_MM, MatchStatus.TOO_FEW),
+        (1.2 * SPHERES_MM, CENTRES_CT_MM, MatchStatus.INCONSISTENT),
+        (SQUARE_MM, SQUARE_CT_MM, MatchStatus.AMBIGUOUS),
+    ],
+)
+def test_the_thesis_matcher_refuses_with_its_reason_as_ours_does(
+    cell: ClinicalCell, room_mm: Array, ct_mm: Array, status: MatchStatus
+) -> None:
+    with pytest.raises(NoUniqueMatch, match=f"REG-008: the correspondence is {status}: "):
+        match_with(by_thesis(cell), room_mm, ct_mm)
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("UNMATCHED_SPHERE")
+def test_the_thesis_matcher_leaves_a_missing_sphere_out_but_states_no_odds(cell: ClinicalCell) -> None:
+    found = match_five(by_thesis(cell), MISPLACED["missing"])
+    (question,) = cell.operator.asked
+    assert "the thesis' matcher states no odds" in question.value
+    assert [one.fiducial for one in found.left_out] == [2]
+
+
+def test_the_thesis_matcher_may_drop_another_than_a_displaced_sphere_and_is_then_refused(
+    cell: ClinicalCell,
+) -> None:
+    with pytest.raises(NoUniqueMatch, match=r"4 pairs agree within e = 2\.5 mm, but with residuals beyond"):
+        match_five(by_thesis(cell), MISPLACED["displaced"])
+
+
+@pytest.mark.hazard(7)
+def test_a_pairing_of_the_thesis_is_refused_where_gravity_excludes_its_orientation() -> None:
+    tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)
+    prior = room_prior(checked_plan(), ProcedureSettings(recline_deg=(0.0, 10.0)), tracker)
+    methods = CaseMethods(matcher=Matcher.THESIS)
+    found = coarse_match(checked_plan(), CENTRES_CT_MM, SPHERES_MM, prior, methods)
+    assert found.status is MatchStatus.INCONSISTENT
+    assert "that the prior excludes" in found.reason
+
+
+def test_the_error_of_the_thesis_localizers_is_within_the_one_that_the_matching_assumes() -> None:
+    assert max(REPORTED_FLE_MM.values()) / np.sqrt(3.0) <= SIGMA_CT_MM

@@ -5,7 +5,10 @@ import pytest
 from clinical_case import ClinicalCell
 from painted_ct import Scan, write_series
 
+from procedures.engine.events import StepState
+from procedures.engine.methods import CaseMethods, Localizer
 from procedures.imaging.series import read_series
+from procedures.imaging.thesis_localizer import COVARIANCE_ASSUMED
 from procedures.journal.errors import GateFailed
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import STEP
@@ -65,3 +68,28 @@ def test_what_the_spheres_together_say_of_the_scan_is_stored(cell: ClinicalCell)
     write_series(cell.series, scan.voxels(), (1.0, 0.5, 0.5))
     (warning,) = cell.run(ImportedCt.from_volume(read_series(cell.series)), STEP).result.warnings
     assert "the table seems to feed 1." in warning
+
+
+@pytest.mark.parametrize(("localizer", "published_mm"), [("thesis-line", 0.1685), ("thesis-sphere", 0.1617)])
+def test_a_sphere_of_the_thesis_has_its_published_error_and_says_that_it_is_assumed(
+    cell: ClinicalCell, imported: ImportedCt, localizer: str, published_mm: float
+) -> None:
+    cell.methods = CaseMethods(localizer=Localizer(localizer))
+    localized = cell.run(imported, STEP).result
+    (found,) = localized.markers
+    assert found.centre_mm == pytest.approx((0.0, -10.0, 60.0), abs=0.5)
+    assert found.sigma_mm == pytest.approx(published_mm)
+    assert COVARIANCE_ASSUMED in found.flags
+    assert localized.localizer == localizer
+    assert (
+        f"{localizer} states no error: its share CT is the {published_mm:.3f} mm" in localized.assumed_error
+    )
+
+
+def test_the_summary_marks_a_localizer_of_the_thesis(cell: ClinicalCell, imported: ImportedCt) -> None:
+    cell.methods = CaseMethods(localizer=Localizer.THESIS_SPHERE)
+    engine = cell.begin(imported, STEP)
+    reader = engine.events.subscribe()
+    engine.run_to()
+    said = [one.what.summary for one in reader.read(0.0).events if isinstance(one.what, StepState)]
+    assert said[-1] == "1 spheres; by thesis-sphere: not for clinical use"

@@ -20,6 +20,7 @@ from prepared_results import (
 from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
+from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.guards.stability import Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
@@ -100,11 +101,52 @@ def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -
         assert shares_mm[f"unnoticed change: {subject}"] == pytest.approx(noticeable_mm / np.sqrt(3.0))
 
 
+def test_spheres_that_disagree_by_more_than_stated_widen_the_limit_and_the_operator_is_told(
+    cell: ClinicalCell,
+) -> None:
+    apart_mm = np.random.default_rng(0).normal(0.0, 0.15, SPHERES_MM.shape)  # the gate lets this pass
+    predicted = registered(cell, SPHERES_MM + apart_mm).result.prediction(FIRST)
+    assert predicted.widening > 2.0
+    assert predicted.limit_mm > 1.96 * predicted.rms_mm  # no covariance of that rms alone has this limit
+    assert np.linalg.norm([share.rms_mm for share in predicted.budget]) == pytest.approx(predicted.rms_mm)
+    (question,) = cell.operator.asked
+    assert f"widened: the spheres disagree {predicted.widening:.2f} times" in question.value
+
+
+def test_spheres_that_agree_do_not_widen_the_limit(cell: ClinicalCell) -> None:
+    assert registered(cell).result.prediction(FIRST).widening == 1.0
+
+
 def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     assert "common to a scan (scale, table feed, motion, hidden tilt)" in predicted.excluded
     (question,) = cell.operator.asked
     assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
+
+
+def test_the_step_says_whose_error_stands_for_that_of_a_localizer_that_states_none(
+    cell: ClinicalCell,
+) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    of_thesis = localized_fiducials().model_copy(update={"localizer": Localizer.THESIS_SPHERE})
+    done = cell.run(
+        *(relocalization(), correspondence(), of_thesis),
+        *(global_localization(), checked_plan(), checked_paths(cell)),
+        STEP,
+    )
+    assumed = done.result.prediction(FIRST).assumed
+    assert assumed.startswith("thesis-sphere states no error: its share CT is the 0.162 mm published for it")
+    (question,) = cell.operator.asked
+    assert question.value.endswith(f"; {assumed}")
+    assert question.evidence[0].rows[-1] == (f"assumed: {assumed}", "-")
+
+
+def test_the_operator_reads_the_mark_of_a_thesis_method_before_accepting(cell: ClinicalCell) -> None:
+    cell.methods = CaseMethods(matcher=Matcher.THESIS)
+    registered(cell)
+    (question,) = cell.operator.asked
+    assert question.value.endswith(f"; {cell.methods.describe()}")
+    assert question.value.endswith("not for clinical use")
 
 
 def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(

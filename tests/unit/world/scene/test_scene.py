@@ -10,7 +10,7 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 from sim.errors import BadScene
 from sim.world.scene.head import SMALLEST_DISTANCE_MM
 from sim.world.scene.model import parse_scene, read_scene
-from sim.world.scene.named_scenes import draw_scene
+from sim.world.scene.named_scenes import add_patient_frame, draw_scene
 
 
 def test_the_same_seed_draws_the_same_scene_and_another_seed_a_different_one() -> None:
@@ -75,6 +75,11 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "fiducials", 0, "base_in_theatre"), 9, r"base_in_theatre names unknown spheres: \[9\]"),
         (("head", "fiducials", 0, "base_in_theatre"), 2, "head: a base can be on one screw only"),
         (("head", "x_frame"), True, "head: the x-shaped frame has 4 spheres, not 3"),
+        (
+            ("head", "robot_from_patient_frame"),
+            {"translation_mm": [800.0, 240.0, 140.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]},
+            "head.robot_from_patient_frame needs a tool with part number RONNA-P in tracker.tools",
+        ),
         (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm 1"),
         (("mount", "tool_number_stereo"), 3, "mount.tool_number_stereo"),
         (("mount", "tool_number_guide"), 1, "mount: both tools have number 1"),
@@ -145,3 +150,18 @@ def test_the_guide_has_clearance_from_the_frame(seed: int) -> None:
             along = np.linspace(place.apply(body.start_mm), place.apply(body.end_mm), 40) + origin
             apart = np.linalg.norm(np.cross(along - target.entry_ct_mm, target.outwards_ct), axis=1)
             assert apart.min() > 20.0
+
+
+def test_the_patients_frame_changes_nothing_else_in_a_scene() -> None:
+    plain, framed = draw_scene("mini", seed=5), add_patient_frame(draw_scene("mini", seed=5))
+    assert framed.head.robot_from_patient_frame is not None
+    assert [tool.name for tool in framed.tracker.tools[len(plain.tracker.tools) :]] == ["patient_frame"]
+    head = framed.head.model_copy(update={"robot_from_patient_frame": None})
+    tracker = framed.tracker.model_copy(update={"tools": plain.tracker.tools})
+    assert framed.model_copy(update={"head": head, "tracker": tracker}) == plain
+    assert add_patient_frame(framed) == framed
+
+
+def test_a_bench_has_no_head_clamp_for_a_frame() -> None:
+    with pytest.raises(BadScene, match="SIM-001: bench has no head"):
+        add_patient_frame(draw_scene("bench"))

@@ -1,0 +1,148 @@
+"""Tracker readings relative to the patient's frame, the rigid body on the head clamp.
+
+A reading is divided into spells in which the tracker rests against the clamp, and each spell is expressed by
+where the frame on the clamp is. A push against the tracker during the reading then moves nothing: the frame
+on the arm and the spheres stay where they are against the clamp. Spells and not single frames: in one frame
+the rotation of the frame on the clamp has a noise that would move what is far from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.journal.errors import GateFailed
+from procedures.workcell.tracker_look import average_pose, mean_pose
+from procedures.workcell.workcell import Workcell
+from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import format_against_limit
+
+Array = NDArray[np.float64]
+
+# Rms of the frame's markers from their mean place within a spell: by the tracker's noise 0.2 mm in one frame,
+# twice that in sunlight.
+STILL_MM = 1.0
+LEAST_STILL = 15  # frames of a spell, 0.25 s; what is shorter is a movement
+# Of the frame on the arm against the clamp, from spell to spell: over 600 mm, the rotation of the frame on
+# the clamp has a noise of 0.3 mm in 15 frames.
+ARM_STILL_MM = 1.0
+OR_ANOTHER = "; if it is in view, its definition is that of another frame (ronna-rom check)"
+
+
+def require_in_view(workcell: Workcell, frames: list[TrackerFrame]) -> None:
+    """Raise PRO-007 unless most frames show the patient's frame. Without one in the theatre, do nothing."""
+    name = workcell.patient_frame
+    if name is not None and mean_pose(frames, name, len(frames) // 2) is None:
+        raise GateFailed(
+            f"the tracker does not see the frame on the head clamp, {name}",
+            limit=f"in at least {len(frames) // 2} of {len(frames)} frames",
+            got=f"{sum(frame.tool(name).validity is Validity.OK for frame in frames)}",
+            action="Turn it to the tracker and clear the line of sight, then repeat the step"
+            + OR_ANOTHER
+            + ".",
+        )
+
+
+def hold_to_patient_frame(
+    frames: list[TrackerFrame], name: str, markers_mm: ArrayLike, on_arm: str
+) -> tuple[list[TrackerFrame], Transform]:
+    """Return the frames as a tracker at its last place would see them, and the pose TRACKER <- PATIENT.
+
+    Frames that do not show the patient's frame are left out. Raises PRO-007 if too few do, if the tracker has
+    not come to rest, or if the frame on the arm has moved against the clamp meanwhile.
+    """
+    average_pose(frames, name)
+    shown = [frame for frame in frames if frame.tool(name).validity is Validity.OK]
+    spells = _divide(shown, name, markers_mm)
+    if len(spells[-1]) < LEAST_STILL:
+        raise GateFailed(
+            "the tracker, or the frame on the head clamp, moved until the end of the reading",
+            limit=f"at rest within {STILL_MM:g} mm in the last {LEAST_STILL} frames",
+            got=f"in the last {len(spells[-1])}",
+            action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
+        )
+    pose = average_pose_of(spells[-1], name)
+    held: list[TrackerFrame] = []
+    for spell in spells[:-1]:
+        if len(spell) >= LEAST_STILL:
+            move = pose @ average_pose_of(spell, name).inverse()
+            moved = [_seen_after(move, frame) for frame in spell]
+            _require_arm_still(moved, spells[-1], on_arm)
+            held += moved
+    return [*held, *spells[-1]], pose
+
+
+def average_pose_of(frames: list[TrackerFrame], name: str) -> Transform:
+    """Return the mean pose TRACKER <- PATIENT over frames that all show the frame."""
+    seen = mean_pose(frames, name, len(frames))
+    assert seen is not None  # each frame shows it
+    return as_patient(seen)
+
+
+def as_patient(pose: Transform) -> Transform:
+    """Return a tool's pose with its frame named as the patient's."""
+    return Transform(pose.target, Frame.PATIENT, pose.rigid)
+
+
+def posed_markers(frame: TrackerFrame, name: str, markers_mm: ArrayLike) -> Sequence[Sequence[float]]:
+    """Return the markers (n, 3) of the patient's frame by its pose in a tracker frame; none if not seen."""
+    reading = frame.tool(name)
+    if reading.validity is not Validity.OK:
+        return ()
+    places: list[list[float]] = reading.transform(Frame.TRACKER, Frame.PATIENT).apply(markers_mm).tolist()
+    return places
+
+
+def _divide(frames: list[TrackerFrame], name: str, markers_mm: ArrayLike) -> list[list[TrackerFrame]]:
+    """Divide frames that show the patient's frame into spells in which its markers (n, 3) rest."""
+    spells: list[list[TrackerFrame]] = []
+    total = np.zeros(3)
+    for frame in frames:
+        places = np.asarray(posed_markers(frame, name, markers_mm))
+        away = places - total / max(1, len(spells[-1]) if spells else 1)
+        if spells and float(np.sqrt((away**2).sum(axis=1).mean())) <= STILL_MM:
+            spells[-1].append(frame)
+            total = total + places
+        else:
+            spells.append([frame])
+            total = places
+    return spells
+
+
+def _require_arm_still(before: list[TrackerFrame], after: list[TrackerFrame], on_arm: str) -> None:
+    seen = [mean_pose(frames, on_arm, 1) for frames in (before, after)]
+    if seen[0] is None or seen[1] is None:
+        return
+    moved_mm = float(np.linalg.norm(seen[1].translation_mm - seen[0].translation_mm))
+    if moved_mm > ARM_STILL_MM:
+        raise GateFailed(
+            "the head clamp and the arm moved against each other while the tracker was measuring",
+            limit=f"{ARM_STILL_MM:g} mm",
+            got=f"{format_against_limit(moved_mm, ARM_STILL_MM, 2)} mm",
+            action="Lock table, clamp and cart, then repeat the step.",
+        )
+
+
+def _seen_after(move: Transform, frame: TrackerFrame) -> TrackerFrame:
+    """Return a frame with everything in view moved by TRACKER <- TRACKER."""
+    tools = tuple(_moved_tool(move, one) for one in frame.tools)
+    if not frame.strays:
+        return replace(frame, tools=tools)
+    places = move.apply([one.position_mm for one in frame.strays]).tolist()
+    strays = tuple(
+        replace(one, position_mm=(x, y, z)) for one, (x, y, z) in zip(frame.strays, places, strict=True)
+    )
+    return replace(frame, tools=tools, strays=strays)
+
+
+def _moved_tool(move: Transform, reading: ToolReading) -> ToolReading:
+    if reading.validity is not Validity.OK:
+        return reading
+    pose = move @ reading.transform(Frame.TRACKER, Frame.MARKER)
+    w, qx, qy, qz = pose.quaternion_wxyz.tolist()
+    x, y, z = pose.translation_mm.tolist()
+    return replace(reading, rotation=(w, qx, qy, qz), position_mm=(x, y, z))

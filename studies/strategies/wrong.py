@@ -1,0 +1,331 @@
+"""Predicted target error on arms with effects that their model lacks, and with a tracker that distorts.
+
+A trial is arm x position of the phantom x target x strategy x number of spheres, as with identified arms.
+Each arm has one effect at a time, during its calibration too unless it is a bump. It is used uncalibrated and
+as identified. What a case checks is checked: the calibration's own validation, the residual gate (PRO-007)
+and the guide on its gauge before and after every target (TOOL-005). A trial that fails one is refused. All
+others are judged by the 95 % limit that the operator would see, shares for unnoticed changes included.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm_calibration import identify, validate
+from procedures.calibration.arm_model import ArmModel, LookArrays
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM, undetected_changes_mm
+from procedures.registration.rigid_fit import RigidFit, fit_rigid
+from procedures.registration.target_prediction import (
+    IndependentErrors,
+    SharedErrors,
+    TargetPrediction,
+    check_residuals,
+    predict_target_error,
+)
+from procedures.steps.clinical.error_budget import residual_gate
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, UNCALIBRATED_MM, ErrorSizes, IdentifiedArm
+from ronna_hw.errors import RonnaError
+from sim.world.true_arm import TrueArm
+from studies.accuracy.lacking import BUMPS, Lack, LackingArms, LackingEffect
+from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
+from studies.accuracy.postures import ARM, TOOL, Postures
+from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
+from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
+from studies.campaign.study import Sums, Unit, blocks
+from studies.strategies import distorted_tracker
+from studies.strategies.identified import (
+    EXPECTED,
+    BelievedArm,
+    measure_looks,
+    plan_arm_looks,
+    reach_targets_mm,
+    record_spheres_mm,
+)
+from studies.strategies.study import DEPTHS_MM, TARGETS
+
+Array = NDArray[np.float64]
+Sources = list[SharedErrors | IndependentErrors]
+
+STRATEGIES = ("nos", "ocs", "improved")
+PLACES = (1, 2)
+BLOCK_ARMS = 2
+ARMS, MOVES = "arms", "moves"
+CALIBRATED, UNCALIBRATED_ARM = "calibrated", "uncalibrated"
+VALIDATION = 20  # measurements held out from the identification
+BUMP_KEY = 12  # of the random numbers
+# Time in motion: a look with its approach, the way to the gauge, the way to a target and back to the gauge.
+LOOK_S, GAUGE_S, TARGET_S = 10.0, 60.0, 20.0
+DIAL_MM = 0.01  # of a gauge, per reading
+READINGS = 6
+RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
+
+
+@dataclass(frozen=True)
+class WrongArmsStudy:
+    """Study of `arms` random arms of set S with every effect, and of followed moves with a wrong tracker."""
+
+    arms: int = 20
+    seed: int = 0
+    lacks: tuple[Lack, ...] = tuple(Lack)
+    name: str = "strategies-wrong"
+
+    def settings(self) -> dict[str, object]:
+        return {**asdict(self), "places": list(PLACES), "targets": TARGETS, "ct_mm": FINE_CT_MM}
+
+    def units(self) -> Sequence[Unit]:
+        """List blocks of arms, then one unit of moves for each kind of tracker."""
+        moves = [Unit(f"{MOVES}|{one}", 0, distorted_tracker.RUNS) for one in distorted_tracker.Tracker]
+        return [*blocks(ARMS, self.arms, BLOCK_ARMS), *moves]
+
+    def run(self, unit: Unit) -> Sums:
+        """Return sums keyed `effect|arm|strategy|spheres|quantity`; see `distorted_tracker` for moves."""
+        if unit.condition != ARMS:
+            tracker = distorted_tracker.Tracker(unit.condition.partition("|")[2])
+            return distorted_tracker.follow_moves(tracker, self.seed, unit.runs)
+        bench = _Bench.set_up(self.seed)
+        sums: Counter[str] = Counter()
+        for number in range(unit.block * BLOCK_ARMS, unit.block * BLOCK_ARMS + unit.runs):
+            sums.update(bench.try_arm(number, self.lacks))
+        return dict(sums)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What a controller and a prediction know of an arm: its model, stated errors, and local error."""
+
+    believed: BelievedArm
+    sizes: ErrorSizes
+    arm_mm: float  # of the residual gate
+    listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
+
+    def sources(self, scene: Scene, planned: Postures, target: int, count: int) -> Sources:
+        """List the error sources at a target registered by the first `count` spheres."""
+        key = (scene.number, id(planned), target)  # the postures live as long as the bench
+        if key not in self.listed:
+            everything = len(scene.phantom.spheres_mm)
+            self.listed[key] = scene.error_sources(planned, target, everything, self.sizes, FINE_CT_MM)
+        return [
+            replace(one, at_spheres_mm=one.at_spheres_mm[:count])
+            if isinstance(one, SharedErrors)
+            else replace(one, at_spheres_mm2=one.at_spheres_mm2[:count])
+            for one in self.listed[key]
+        ]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Localizations, targets and gauge of one arm with one effect, with their displacements."""
+
+    at_spheres: LackingArms
+    at_targets: LackingArms
+    off_gauge: NDArray[np.bool_]  # (t,) whether the gauge shows it before or after a target
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """Phantom, planned postures and planned calibration, common to all arms."""
+
+    seed: int
+    scenes: tuple[Scene, ...]
+    planned: Mapping[tuple[str, int, str], Postures]
+    looks: LookArrays
+    held_out: NDArray[np.bool_]
+    spheres_mm: Array  # of the calibration
+    nominal: _Judged
+
+    @classmethod
+    @lru_cache(maxsize=1)
+    def set_up(cls, seed: int) -> _Bench:
+        drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
+        scenes = tuple(Scene.of(seed, drawn, Markers.FREE, number) for number in PLACES)
+        spheres_mm = phantom_pose(PLACES[0]).apply(drawn.spheres_mm)
+        planned = {
+            (kind, scene.number, strategy): scene.planned(strategy, sizes)
+            for kind, sizes in ((CALIBRATED, EXPECTED), (UNCALIBRATED_ARM, UNCALIBRATED))
+            for scene in scenes
+            for strategy in STRATEGIES
+        }
+        looks, held_out = plan_arm_looks(ArmModel(ARM, TOOL), spheres_mm, VALIDATION)
+        believed = BelievedArm(ArmDeviations.none(len(ARM.chain.joints)), TOOL)
+        nominal = _Judged(believed, UNCALIBRATED, UNCALIBRATED_MM)
+        return cls(seed, scenes, planned, looks, held_out, spheres_mm, nominal)
+
+    def try_arm(self, number: int, lacks: Sequence[Lack]) -> Counter[str]:
+        """Run all trials of an arm with each effect."""
+        sums: Counter[str] = Counter()
+        known: dict[Lack, _Judged | RonnaError] = {}
+        for lack in lacks:
+            at_calibration = Lack.NOTHING if lack in BUMPS else lack
+            if at_calibration not in known:
+                known[at_calibration] = self._calibrate(number, at_calibration)
+            calibrated = known[at_calibration]
+            for scene in self.scenes:
+                for strategy in STRATEGIES:
+                    key = f"{lack}|{UNCALIBRATED_ARM}|{strategy}"
+                    planned = self.planned[UNCALIBRATED_ARM, scene.number, strategy]
+                    sums.update(_prefix(key, self._try_case(number, lack, scene, planned, self.nominal)))
+                    key = f"{lack}|{CALIBRATED}|{strategy}"
+                    if isinstance(calibrated, RonnaError):
+                        for count in scene.counts:
+                            sums[f"{key}|{count}|trials"] += TARGETS
+                            sums[f"{key}|{count}|{calibrated.code}"] += TARGETS
+                        continue
+                    planned = self.planned[CALIBRATED, scene.number, strategy]
+                    sums.update(_prefix(key, self._try_case(number, lack, scene, planned, calibrated)))
+        return sums
+
+    def _calibrate(self, number: int, lack: Lack) -> _Judged | RonnaError:
+        """Identify and validate an arm with an effect as `ronna-arm calibrate` does; return any refusal."""
+        effect = LackingEffect.draw(lack, self.seed, number)
+        looks, true = self.looks, TrueArm(draw_numbered_arm(self.seed, number)[0], number)
+        in_turn = np.argsort(np.argsort(looks.sphere, kind="stable"))  # sphere by sphere
+        moved_s: Array = LOOK_S * (1.0 + in_turn.astype(float))
+        shift_rad = effect.shift_rad(ARM.chain, looks.joints_rad, self.spheres_mm[looks.sphere], moved_s)
+        shift_mm = effect.shift_mm(moved_s)
+
+        def at_rest(joints: Sequence[float], flanks: Sequence[float], row: int) -> Array:
+            flange = true.at_rest(np.add(joints, shift_rad[row]).tolist(), flanks, row).copy()
+            flange[:3, 3] += shift_mm[row]
+            return flange
+
+        seen = measure_looks(looks, self.seed, number, self.spheres_mm, at_rest)
+        try:
+            fit = identify(ArmModel(ARM, TOOL), seen.only(~self.held_out))
+            stated_mm = validate(fit, seen.only(self.held_out)).model_mm
+        except RonnaError as refusal:
+            return refusal
+        identified = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
+        per_axis_mm = stated_mm / np.sqrt(AXES)
+        return _Judged(
+            BelievedArm(fit.deviations, fit.flange_from_tool),
+            ErrorSizes(tool_mm=per_axis_mm, identified=identified),
+            float(np.sqrt(2.0) * per_axis_mm),
+        )
+
+    def _try_case(self, number: int, lack: Lack, scene: Scene, planned: Postures, judged: _Judged) -> Sums:
+        """Localize, register and reach all targets once; sums by number of spheres."""
+        case = self._place_case(number, lack, scene, planned)
+        sizes = Sizes(FINE_CT_MM)
+        image, recorded = record_spheres_mm(case.at_spheres, judged.believed, planned, scene, [number], sizes)
+        sums: dict[str, float] = defaultdict(float)
+        for count in scene.counts:
+            fit = fit_rigid(image[None, :count], recorded[:, :count])
+            errors = reach_targets_mm(case.at_targets, judged.believed, planned, scene, [number], fit)
+            passes = [
+                _passes_gate(image[:count], recorded[nth, :count], planned, nth, judged, sizes)
+                for nth in range(planned.sets)
+            ]
+            for target, error_mm in enumerate(np.linalg.norm(errors, axis=1).tolist()):
+                nth = planned.set_of(target)
+                sums[f"{count}|trials"] += 1
+                if not passes[nth]:
+                    sums[f"{count}|{RESIDUAL}"] += 1
+                elif case.off_gauge[target]:
+                    sums[f"{count}|{GAUGE}"] += 1
+                else:
+                    predicted = _predict(scene, planned, target, count, judged, image, recorded[nth], fit)
+                    stated = TargetPrediction(predicted.by_source_mm2)
+                    sums[f"{count}|used"] += 1
+                    sums[f"{count}|error"] += error_mm
+                    sums[f"{count}|limit"] += predicted.limit_mm()
+                    sums[f"{count}|inside"] += error_mm <= predicted.limit_mm()
+                    sums[f"{count}|inside stated"] += error_mm <= stated.limit_mm()
+                    sums[f"{count}|inside seen"] += error_mm <= _without_unnoticed(predicted).limit_mm()
+                    sums[f"{count}|widened"] += predicted.widening > 1.0
+        return sums
+
+    def _place_case(self, number: int, lack: Lack, scene: Scene, planned: Postures) -> _Case:
+        """Displace an arm at all poses of a case, in the order in which a case takes them."""
+        arm = RandomArms.draw(self.seed, [number])
+        effect, chain = LackingEffect.draw(lack, self.seed, number), ARM.chain
+        random = np.random.default_rng([self.seed, BUMP_KEY, number, scene.number])
+        spheres = np.tile(scene.robot_from_ct.apply(scene.phantom.spheres_mm), (planned.sets, 1))
+        targets = scene.robot_from_ct.apply([one.target_mm for one in scene.phantom.trajectories])
+        at_spheres, at_targets = planned.localizations, planned.targets
+        looked_s: Array = LOOK_S * (1.0 + np.arange(len(spheres), dtype=float))
+        gauged_s: Array = looked_s[-1] + GAUGE_S + TARGET_S * np.arange(TARGETS + 1, dtype=float)
+        reached_s: Array = gauged_s[:-1] + 0.5 * TARGET_S
+        first = {Lack.BUMP_BEFORE: 0, Lack.BUMP_DURING: int(random.integers(1, len(spheres)))}
+        is_bumped = np.arange(len(spheres)) >= first.get(lack, len(spheres))
+        # The gauge is read where the guide's tip was calibrated, cold and before any bump.
+        read_s, read_bumped = np.concatenate([[0.0], gauged_s]), np.arange(TARGETS + 2) > 0
+        joints, place = (
+            np.tile(at_targets.joints_rad[0], (TARGETS + 2, 1)),
+            np.tile(targets[0], (TARGETS + 2, 1)),
+        )
+        flanks = np.tile(planned.target_arrival[0], (TARGETS + 2, 1))
+
+        def displaced(
+            joints: Array, points: Array, moved_s: Array, bumped: NDArray[np.bool_], turn: Array
+        ) -> LackingArms:
+            bumps = bumped[:, None] * (turn @ effect.bump_mm)
+            shift_rad = effect.shift_rad(chain, joints, points, moved_s)
+            return LackingArms.at(arm, shift_rad, effect.shift_mm(moved_s) + bumps)
+
+        on_gauge = displaced(joints, place, read_s, read_bumped, at_targets.rotations[0])
+        read = on_gauge.tool_points_mm(joints[None], flanks[None])[0]
+        noise_mm = np.hypot(arm.repeatability_mm, DIAL_MM) / np.sqrt(READINGS)
+        off = read[1:] - read[0] + noise_mm * random.normal(size=(TARGETS + 1, AXES))
+        is_off = np.linalg.norm(off, axis=1) > GUIDE_NOTICEABLE_MM
+        return _Case(
+            displaced(at_spheres.joints_rad, spheres, looked_s, is_bumped, at_spheres.rotations),
+            displaced(
+                at_targets.joints_rad, targets, reached_s, np.ones(TARGETS, dtype=bool), at_targets.rotations
+            ),
+            is_off[:-1] | is_off[1:],
+        )
+
+
+def _passes_gate(
+    image: Array, recorded: Array, planned: Postures, nth: int, judged: _Judged, sizes: Sizes
+) -> bool:
+    """Judge a registration by the residual gate of a case."""
+    count, spheres = len(image), len(planned.localizations) // planned.sets
+    measured = np.eye(AXES) * (sizes.ct_mm**2 + sizes.servo_mm**2) / AXES
+    turned = planned.localizations.rotations[nth * spheres : nth * spheres + count]
+    shared = judged.sizes.tool_mm * turned
+    return residual_gate(image, recorded, np.tile(measured, (count, 1, 1)), judged.arm_mm, shared).passed
+
+
+def _predict(
+    scene: Scene,
+    planned: Postures,
+    target: int,
+    count: int,
+    judged: _Judged,
+    image: Array,
+    recorded: Array,
+    fit: RigidFit,
+) -> TargetPrediction:
+    """Predict the error at a target from the arm, the CT and unnoticed changes, with the residual's test."""
+    nth = planned.set_of(target)
+    spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm[:count])
+    target_mm = scene.robot_from_ct.apply(scene.phantom.trajectories[target].target_mm)
+    sources = judged.sources(scene, planned, target, count)
+    mapped = image[:count] @ fit.rotation[nth].T + fit.translation_mm[nth]
+    residual = check_residuals(recorded[:count] - mapped, mapped, sources)
+    nothing = np.zeros((count, AXES, AXES))
+    unnoticed = [
+        IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES)
+        for name, rms_mm in undetected_changes_mm().items()
+    ]
+    return predict_target_error(spheres, target_mm, [*sources, *unnoticed], residual=residual)
+
+
+def _without_unnoticed(predicted: TargetPrediction) -> TargetPrediction:
+    """Return the prediction without the shares for changes that nobody would notice."""
+    seen = {
+        name: part for name, part in predicted.by_source_mm2.items() if name not in undetected_changes_mm()
+    }
+    return TargetPrediction(seen, predicted.at_spheres, predicted.widening)
+
+
+def _prefix(key: str, sums: Mapping[str, float]) -> dict[str, float]:
+    return {f"{key}|{name}": float(value) for name, value in sums.items()}

@@ -1,0 +1,48 @@
+"""The patient's frame must be a rigid body of its own among the tracker's tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from clinical_case import ClinicalCell
+
+from procedures.planning.errors import PatientFrameUnfit
+from procedures.planning.tool_records import check_patient_frame
+from ronna_hw.devices.errors import UnknownTool
+from ronna_hw.patient_frame import MARKERS_MM, NAME
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from sim.world.scene.named_scenes import ROBOT_FRAME_MARKERS_MM
+
+TOOLS = {"robot_frame": ROBOT_FRAME_MARKERS_MM}
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path)
+
+
+def test_a_frame_of_its_own_is_accepted_and_none_need_be_there(cell: ClinicalCell) -> None:
+    check_patient_frame(NAME, cell.calibrations, {**TOOLS, NAME: MARKERS_MM})
+    check_patient_frame(None, cell.calibrations, TOOLS)
+
+
+def test_a_frame_that_the_tracker_does_not_know_is_refused(cell: ClinicalCell) -> None:
+    with pytest.raises(UnknownTool, match=r"DEV-003: .*names patient_frame.*expected robot"):
+        check_patient_frame(NAME, cell.calibrations, TOOLS)
+
+
+@pytest.mark.parametrize(
+    ("markers_mm", "whose"),
+    [
+        (ROBOT_FRAME_MARKERS_MM[::-1], "robot_frame"),
+        ([(x + 50.0, y, z) for x, y, z in ROBOT_FRAME_MARKERS_MM], "robot_frame"),
+        (SPHERE_CENTRES_MM, "the x-shaped frame on the skull"),
+    ],
+    ids=["the arm's, in another order", "the arm's, about another origin", "the skull's"],
+)
+def test_a_frame_with_the_shape_of_another_is_refused(
+    cell: ClinicalCell, markers_mm: list[tuple[float, float, float]], whose: str
+) -> None:
+    with pytest.raises(PatientFrameUnfit, match=rf"TOOL-008.*{whose}.*limit 2 mm.*got 0\.00 mm.*shipped one"):
+        check_patient_frame(NAME, cell.calibrations, {**TOOLS, NAME: markers_mm})

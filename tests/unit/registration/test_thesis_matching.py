@@ -1,0 +1,87 @@
+"""One pairing by the thesis' similarity matrix, in the form of the other matchers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.engine.methods import E_RANGE_MM, REFUSED_SHARE, CaseMethods
+from procedures.registration import similarity_matrix
+from procedures.registration.correspondence import Match, MatchStatus
+from procedures.registration.errors import BadParameter
+from procedures.registration.thesis_matching import match_as_thesis
+
+SIGMAS = {"sigma_image_mm": 0.1, "sigma_physical_mm": 0.35}
+
+
+def paired(image, physical, **changes) -> Match:
+    return match_as_thesis(
+        image, physical, **({"e_mm": 2.5, "refused_share": REFUSED_SHARE} | SIGMAS | changes)
+    )
+
+
+def test_a_pairing_is_ordered_by_image_point_and_brings_its_transform(random, fiducials, reading):
+    seen = reading(fiducials(6, random), 2, random)
+    found = paired(seen.image_mm, seen.physical_mm, e_mm=3.0, sigma_physical_mm=0.6)
+    assert found.status is MatchStatus.UNIQUE
+    assert {(int(i), int(j)) for i, j in found.pairs} == seen.pairs
+    assert found.pairs[:, 0].tolist() == sorted(found.pairs[:, 0].tolist())
+    mapped = found.require_unique().apply(seen.image_mm[found.pairs[:, 0]])
+    assert np.linalg.norm(mapped - seen.physical_mm[found.pairs[:, 1]], axis=1).max() < 3.0
+    assert len(found.unmatched_image) == len(found.unmatched_physical) == 2
+
+
+def test_no_odds_are_stated(random, fiducials):
+    head = fiducials(5, random)
+    found = paired(head, head)
+    assert np.isnan(found.margin_nats)
+    assert found.runner_up is None
+
+
+@pytest.mark.parametrize(
+    ("expected", "status", "reason"),
+    [
+        (5, MatchStatus.UNIQUE, "5 pairs agree within e = 2.5 mm"),
+        (4, MatchStatus.INCONSISTENT, "5 pairs agree, 4 expected"),
+        (6, MatchStatus.TOO_FEW, "5 image and 5 physical points, 6 needed"),
+    ],
+)
+def test_another_number_than_the_planned_one_is_refused(random, fiducials, expected, status, reason):
+    head = fiducials(5, random)
+    found = paired(head, head, expected=expected)
+    assert (found.status, found.reason) == (status, reason)
+
+
+def test_a_pairing_with_residuals_beyond_the_noise_says_so(random, fiducials):
+    head = fiducials(5, random)
+    found = paired(head, 1.01 * head, sigma_physical_mm=0.05)
+    assert found.status is MatchStatus.INCONSISTENT
+    assert found.reason.endswith("with residuals beyond the noise")
+
+
+def test_points_on_a_line_determine_no_rotation():
+    line = np.outer([0.0, 20.0, 55.0, 100.0], [1.0, 0.0, 0.0])
+    found = paired(line, line)
+    assert found.status is MatchStatus.INCONSISTENT
+    assert "collinear" in found.reason
+
+
+@pytest.mark.parametrize("e_mm", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_e_that_is_no_length_is_refused(random, fiducials, e_mm):
+    head = fiducials(5, random)
+    with pytest.raises(BadParameter, match=rf"REG-007: e is not a length; .* got {e_mm}"):
+        paired(head, head, e_mm=e_mm)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 2.0, float("nan")])
+def test_a_share_that_is_none_is_refused(random, fiducials, share):
+    head = fiducials(5, random)
+    with pytest.raises(BadParameter, match=rf"refused share is out of range; .* got {share}"):
+        paired(head, head, refused_share=share)
+
+
+def test_a_case_takes_the_settings_of_the_study_unless_told_otherwise():
+    assert CaseMethods().refused_share == similarity_matrix.REFUSED_SHARE
+    e_mm = similarity_matrix.THESIS_TOLERANCES_MM
+    assert (e_mm[0], e_mm[-1]) == E_RANGE_MM
+    assert CaseMethods().e_mm in e_mm

@@ -1,0 +1,173 @@
+"""Studies of wrong assumptions: what is drawn differs as it says, and what a case would see is refused."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+
+from procedures.registration.rigid_fit import fit_rigid
+from studies.accuracy.lacking import SHIFTS_MM, WARM_S, Lack, LackingArms, LackingEffect
+from studies.accuracy.postures import ARM, TOOL
+from studies.accuracy.random_arms import RandomArms
+from studies.campaign.study import add_up
+from studies.correspondence import wrong as pairing
+from studies.correspondence.study import FALSE, LOST
+from studies.correspondence.wrong import Assumption, WrongAssumptionsStudy, draw_wrong_readings, told_factor
+from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
+from studies.strategies import distorted_tracker, wrong_tables
+from studies.strategies.distorted_tracker import Tracker, follow_moves
+from studies.strategies.wrong import ARMS, GAUGE, WrongArmsStudy
+
+JOINTS = np.array([ARM.home_rad])
+FLANKS = np.ones((1, 1, 6))
+PLACE = (ARM.flange_pose(ARM.home_rad) @ TOOL).translation_mm[None]
+
+
+def strays_in_head(assumption: Assumption, outliers: int, runs: int) -> np.ndarray:
+    """Outliers of the physical set, in the frame of the head: (runs, outliers, 3)."""
+    seen = draw_wrong_readings(assumption, 2, 8, outliers, NoiseReading.NORM, runs, np.random.default_rng(3))
+    found = []
+    for image, physical, pairs in zip(seen.image_mm, seen.physical_mm, seen.pairs, strict=True):
+        fit = fit_rigid(physical[pairs[:, 1]], image[pairs[:, 0]])
+        strays = np.delete(physical, pairs[:, 1], axis=0)
+        found.append(strays @ fit.rotation.T + fit.translation_mm)
+    return np.array(found)
+
+
+def test_without_a_wrong_assumption_the_readings_are_those_of_the_thesis_protocol() -> None:
+    right = draw_readings(sites_mm(1), 4, 2, NoiseReading.NORM, 3, np.random.default_rng(4))
+    same = draw_wrong_readings(Assumption.HALF, 1, 4, 2, NoiseReading.NORM, 3, np.random.default_rng(4))
+    np.testing.assert_array_equal(same.physical_mm, right.physical_mm)
+    assert told_factor(Assumption.HALF, NoiseReading.NORM) == 0.5
+    assert told_factor(Assumption.NOTHING, NoiseReading.NORM) == 1.0
+
+
+def test_noise_read_the_other_way_is_too_large_for_norms_and_too_small_for_axes() -> None:
+    factors = [told_factor(Assumption.OTHER_READING, noise) for noise in NoiseReading]
+    assert math.prod(factors) == pytest.approx(1.0)
+    assert told_factor(Assumption.OTHER_READING, NoiseReading.NORM) > 1.0
+
+
+@pytest.mark.parametrize("noise", NoiseReading)
+def test_noise_with_tails_has_the_stated_spread_and_more_far_points(noise: NoiseReading) -> None:
+    drawn = pairing.draw_tails((40_000, 3), 0.5, noise, np.random.default_rng(5))
+    size = np.linalg.norm(drawn, axis=1) if noise is NoiseReading.NORM else drawn.ravel()
+    assert np.sqrt(np.mean(size**2)) == pytest.approx(0.5, rel=0.1)
+    assert np.mean(np.abs(size) > 4.0 * 0.5) > 20 * 6.3e-5  # 4 sigmas of a normal distribution
+
+
+def test_strays_on_the_head_lie_on_it_in_the_room_too() -> None:
+    strays = strays_in_head(Assumption.ON_HEAD, 4, 20) / np.array(HALF_AXES_MM[2])
+    np.testing.assert_allclose(np.linalg.norm(strays, axis=-1), 1.0, atol=0.05)
+    assert strays[..., 2].min() > -0.2
+    elsewhere = strays_in_head(Assumption.NOTHING, 4, 20) / np.array(HALF_AXES_MM[2])
+    assert np.median(np.abs(np.linalg.norm(elsewhere, axis=-1) - 1.0)) > 0.5
+
+
+def test_strays_in_a_cluster_are_near_each_other() -> None:
+    strays = strays_in_head(Assumption.CLUSTERED, 3, 20)
+    apart_mm = np.linalg.norm(strays - np.roll(strays, 1, axis=1), axis=-1)
+    assert apart_mm.max() < 2.0 * pairing.CLUSTER_MM + 2.0
+
+
+def test_the_distortion_has_its_size_and_varies_slowly() -> None:
+    places = np.random.default_rng(6).uniform(-500.0, 500.0, (300, 2, 3))
+    places[:, 1] = places[:, 0] + (2.0, 0.0, 0.0)
+    moved = pairing.distort(places, np.random.default_rng(7)) - places
+    assert np.sqrt(np.square(moved).sum(axis=-1).mean()) == pytest.approx(pairing.DISTORTION_MM, rel=0.1)
+    assert np.linalg.norm(moved[:, 1] - moved[:, 0], axis=-1).max() < 0.1
+
+
+@pytest.mark.parametrize("runs", [3, pytest.param(60, marks=pytest.mark.slow)])
+def test_sds_wrong_by_a_factor_of_two_lose_pairings_but_make_none_false(runs: int) -> None:
+    study = WrongAssumptionsStudy(runs, 11, (Assumption.HALF, Assumption.TWICE), (5, 8))
+    sums = add_up((unit, study.run(unit)) for unit in study.units())
+    outcomes: dict[str, Counter[str]] = {}
+    for condition, content in sums.items():
+        into = outcomes.setdefault(condition.partition("|")[0], Counter())
+        for key, number in content.items():
+            into[key.rpartition("|")[2]] += round(number)
+    assert outcomes[Assumption.HALF][FALSE] == outcomes[Assumption.TWICE][FALSE] == 0
+    assert outcomes[Assumption.HALF][LOST] > outcomes[Assumption.TWICE][LOST]
+    pooled, planned, distances = pairing.tables(sums)
+    assert {row[0] for row in pooled.rows} == {"told half the sd", "told twice the sd"}
+    assert all(row[-1] == "yes" for row in pooled.rows)
+    assert len(planned.rows) == len(distances.rows) == 2 * 2 * 2
+
+
+def shifted(lack: Lack, moved_s: float = 0.0, number: int = 1) -> np.ndarray:
+    effect = LackingEffect.draw(lack, 8, number)
+    arm, time = RandomArms.draw(8, [number]), np.array([moved_s])
+    shift_rad = effect.shift_rad(ARM.chain, JOINTS, PLACE, time)
+    wrong = LackingArms.at(arm, shift_rad, effect.shift_mm(time))
+    return np.asarray(
+        (wrong.tool_points_mm(JOINTS[None], FLANKS) - arm.tool_points_mm(JOINTS[None], FLANKS))[0, 0]
+    )
+
+
+def test_an_arm_with_nothing_amiss_is_the_modelled_arm() -> None:
+    np.testing.assert_array_equal(shifted(Lack.NOTHING, 600.0), 0.0)
+
+
+def test_a_load_lowers_the_tool() -> None:
+    for number in range(5):
+        assert -2.0 < shifted(Lack.COMPLIANCE, number=number)[2] < 0.0
+
+
+def test_an_arm_drifts_only_as_it_moves() -> None:
+    np.testing.assert_array_equal(shifted(Lack.WARMTH), 0.0)
+    early, late = (np.linalg.norm(shifted(Lack.WARMTH, time)) for time in (WARM_S, 20.0 * WARM_S))
+    assert early / late == pytest.approx(1.0 - math.exp(-1.0), abs=0.01)
+
+
+def test_gears_err_by_some_hundredths_of_a_millimetre() -> None:
+    sizes = [np.linalg.norm(shifted(Lack.GEARS, number=number)) for number in range(12)]
+    assert 0.05 < np.median(sizes) < 0.6
+
+
+def test_bumps_are_small_as_often_as_large() -> None:
+    sizes = [np.linalg.norm(LackingEffect.draw(Lack.BUMP_AFTER, 8, number).bump_mm) for number in range(200)]
+    assert SHIFTS_MM[0] < min(sizes) < max(sizes) < SHIFTS_MM[1]
+    assert np.median(sizes) == pytest.approx(math.sqrt(math.prod(SHIFTS_MM)), rel=0.3)
+
+
+@pytest.mark.parametrize(("tracker", "runs"), [(Tracker.AS_STATED, 60), (Tracker.DISTORTS, 60)])
+def test_nine_in_ten_followed_moves_are_within_their_limit(tracker: Tracker, runs: int) -> None:
+    sums = follow_moves(tracker, 9, runs)
+    assert 0 < sums["used"] < sums["targets"]  # some moves are too large to be followed
+    assert sums["inside"] >= 0.88 * sums["used"]
+    (row,) = distorted_tracker.tabulate({tracker: sums}).rows
+    assert row[0] == tracker
+
+
+def test_a_distortion_adds_to_the_error_of_a_followed_move() -> None:
+    right, wrong = (follow_moves(one, 9, 60) for one in Tracker)
+    assert wrong["error"] / wrong["used"] > 1.1 * right["error"] / right["used"]
+    assert wrong["inside"] / wrong["used"] < right["inside"] / right["used"]
+
+
+@pytest.mark.slow
+def test_a_bump_that_the_gauge_shows_is_refused_and_right_arms_are_within_their_limit() -> None:
+    study = WrongArmsStudy(2, 47, (Lack.NOTHING, Lack.BUMP_AFTER))
+    sums = study.run(study.units()[0])
+    total: dict[tuple[str, str], float] = defaultdict(float)
+    for key, value in sums.items():
+        lack, *_, quantity = key.split("|")
+        total[lack, quantity] += value
+    assert total[Lack.NOTHING, "inside"] >= 0.9 * total[Lack.NOTHING, "used"] > 0
+    assert total[Lack.NOTHING, GAUGE] == 0
+    bumps_mm = [np.linalg.norm(LackingEffect.draw(Lack.BUMP_AFTER, 47, one).bump_mm) for one in range(2)]
+    shown = sum(one > 0.08 for one in bumps_mm)
+    assert total[Lack.BUMP_AFTER, GAUGE] >= 0.45 * shown * total[Lack.BUMP_AFTER, "trials"]
+    table, _ = wrong_tables.tables({ARMS: sums})
+    assert {row[0] for row in table.rows} == {Lack.NOTHING, Lack.BUMP_AFTER}
+
+
+def test_an_effect_belongs_to_the_arm_and_not_to_the_order_of_the_run() -> None:
+    first, again = (LackingEffect.draw(Lack.GEARS, 8, 3) for _ in range(2))
+    other = LackingEffect.draw(Lack.GEARS, 8, 4)
+    np.testing.assert_array_equal(first.gears_rad, again.gears_rad)
+    assert not np.allclose(first.gears_rad, other.gears_rad)
