@@ -13,7 +13,7 @@ from studies.correspondence.study import FALSE, LOST, PART, Method, condition_of
 from studies.heads import NoiseReading
 
 Range = tuple[float, float]
-# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.2.
+# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.1.
 THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
     range(5, 9), (0.0, 0.81)
 )
