@@ -40,7 +40,7 @@ class Counting(StrEnum):
     """How a cell counts: every distance at most once, or each that has any counterpart."""
 
     ONE_TO_ONE = "one to one"
-    ANY = "any"
+    ANY = "with any counterpart"
 
 
 REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none

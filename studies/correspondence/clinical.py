@@ -200,7 +200,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     pictures = {}
     for figure, (kind, ends) in zip((14, 15), THESIS_RANGES_MM.items(), strict=True):
         lines = {
-            f"a cell counts {counting.value}": [
+            f"counted {counting.value}": [
                 (e, 100.0 * share) for e, share in success_against_tolerance(sums, kind, method)
             ]
             for method, counting in COUNTINGS.items()
