@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import typer
 
+from procedures.journal.journal import JOURNAL_FILE
+
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "reference" / "thesis.md"
 LINK = re.compile(r"\[[^\]]+\]\(([^)\s]+)\)")
@@ -78,6 +80,7 @@ def test_each_command_of_a_row_exists_with_its_options(
         (tmp_path / name).touch()
     for name in FOLDERS:
         (tmp_path / name).mkdir()
+    (tmp_path / "RUN" / JOURNAL_FILE).touch()
     monkeypatch.chdir(tmp_path)
     for command in CODE.findall(row["command"]):
         if command.startswith("make "):
