@@ -34,6 +34,7 @@ from benchmarks.figures import Figure  # noqa: E402
 from benchmarks.isolation import end_with_runner, run_alone  # noqa: E402
 from ronna_hw.command_line.terminal import message_console, on_terminal, run  # noqa: E402
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
+from ronna_hw.host.processor import name_processor  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"
 LIMIT_S = 400.0  # per measurement; the robot link paces 100,000 telegrams and takes four minutes
@@ -149,7 +150,7 @@ def _describe_run(figures_of: dict[str, list[Figure]], failures: dict[str, str])
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _read_commit(),
         "machine": {
-            "processor": _processor_name(),
+            "processor": name_processor(),
             "cpus": os.cpu_count(),
             "load": os.getloadavg(),
             "platform": platform.platform(),
@@ -159,12 +160,6 @@ def _describe_run(figures_of: dict[str, list[Figure]], failures: dict[str, str])
         "figures": {name: [asdict(figure) for figure in figures] for name, figures in figures_of.items()},
         "failures": failures,
     }
-
-
-def _processor_name() -> str:
-    lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def _write(folder: Path, content: dict[str, Any]) -> Path:

@@ -442,6 +442,24 @@ def _run(
 
 
 @app.command()
+def figures(
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")] = 0,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="New or existing folder for the pictures.")
+    ] = Path("campaigns/figures"),
+) -> None:
+    """Draw the thesis' figures 4, 5, 6 and 11, each from a run; the others are plots of the studies."""
+    from ronna_hw.records import write_atomically
+    from studies.thesis_figures import figures as draw
+
+    require_output_folder(out)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, picture in draw(seed).items():
+        write_atomically(out / name, picture)
+        terminal.tell(str(out / name))
+
+
+@app.command()
 def times(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
     as_json: terminal.JsonOption = False,

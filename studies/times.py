@@ -8,6 +8,7 @@ from statistics import fmean
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.reporting.run_statistics import (
+    ALGORITHM_PROCESSOR,
     ALGORITHM_S,
     LOCALIZATION,
     OPERATOR_S,
@@ -28,7 +29,8 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
     for run in runs:
         if not (run / JOURNAL_FILE).is_file():
             raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
-    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs]
+    journals = [tuple(read_journal(run / JOURNAL_FILE)) for run in runs]
+    each = [times_taken(journal) for journal in journals]
     keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)
     rows = []
     for kind, name in keys:
@@ -44,13 +46,16 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
             )
         )
     columns = ("what", "name", "times in a run", "theatre s in a run", "computer s in a run")
-    return Table("Times", columns, tuple(rows)), _compare_with_thesis(each)
+    processors = dict.fromkeys(
+        str(journal[0].get("processor", "not recorded")) for journal in journals if journal
+    )
+    return Table("Times", columns, tuple(rows)), _compare_with_thesis(each, ", ".join(processors))
 
 
-def _compare_with_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:
+def _compare_with_thesis(each: Sequence[Sequence[TimeTaken]], processors: str) -> Table:
     here = [one.host_s for times in each for one in times if one.name == LOCALIZATION and one.host_s]
     return Table(
         "Markers in the CT, seconds",
-        ("thesis, operator", "thesis, algorithm", "here"),
+        ("thesis, operator", f"thesis, algorithm, {ALGORITHM_PROCESSOR}", f"here, {processors}"),
         ((OPERATOR_S, ALGORITHM_S, round(fmean(here), 1) if here else None),),
     )

@@ -139,13 +139,18 @@ OTHERS: dict[str, Callable[[GreyPicture, float], Array]] = {
 }
 
 
-def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0) -> Tally:
-    """Measure `count` pairs of a case, and the first `others` of them with the alternatives too."""
+def campaign(
+    studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0, enhance: bool = False
+) -> Tally:
+    """Measure `count` pairs of a case, and the first `others` of them with the alternatives too.
+
+    `enhance`: with the contrast equalized first, as the thesis does (1.4).
+    """
     calibration = studio.calibration()
     cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
     for number, pair in enumerate(studio.pairs(case, count, seed)):
-        outlines = [_measure_view(view, tally) for view in pair.views]
+        outlines = [_measure_view(view, tally, enhance) for view in pair.views]
         if number < others:
             _others(pair, cameras, tally)
         left, right = outlines
@@ -162,10 +167,10 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
     return tally
 
 
-def _measure_view(view: View, tally: Tally) -> SphereImage | None:
+def _measure_view(view: View, tally: Tally, enhance: bool) -> SphereImage | None:
     tally.images += 1
     try:
-        found = measure_sphere(view.picture)
+        found = measure_sphere(view.picture, enhance_contrast=enhance)
     except NoSphere:
         return None
     if found.status is not SphereStatus.OK:

@@ -208,6 +208,60 @@ def localize(
 
 
 @app.command()
+def adhesive(
+    series_dir: SeriesArgument,
+    expected: Annotated[
+        int | None,
+        typer.Option("--expected", metavar="N", min=1, help="Fail unless exactly this many rings are found."),
+    ] = None,
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Find adhesive rings on the skin, in patient coordinates (LPS, mm): for comparison, not for a case.
+
+    sigma is the predicted 3-D error of a centre (rms) in this CT; the skin, which carries the ring, is not in
+    it. Exit codes: 0 rings found, 1 the series is unusable, 2 usage, 3 none or not the expected number, 130
+    interrupted.
+    """
+    from procedures.imaging import read_series
+    from procedures.imaging.adhesive import localize_adhesives
+
+    with terminal.progress_bar("reading") as advance:
+        volume = read_series(series_dir, progress=advance)
+    rings = localize_adhesives(volume, expected)
+    if as_json:
+        terminal.print_json(
+            {
+                "rings": [
+                    {
+                        "centre_mm": list(one.centre_mm),
+                        "normal": list(one.normal),
+                        "sigma_mm": one.sigma_mm,
+                        "covariance_mm2": one.covariance_mm2.tolist(),
+                        "outer_radius_mm": one.outer_radius_mm,
+                        "inner_radius_mm": one.inner_radius_mm,
+                    }
+                    for one in rings
+                ],
+                "series_instance_uid": volume.series_instance_uid,
+            }
+        )
+        return
+    terminal.print_table(
+        f"{format_count(len(rings), 'adhesive ring')}, LPS in mm",
+        ["#", "L mm", "P mm", "S mm", "sigma mm", "outer mm", "inner mm"],
+        [
+            [
+                str(number),
+                *(f"{value:.3f}" for value in (*one.centre_mm, one.sigma_mm)),
+                f"{one.outer_radius_mm:.2f}",
+                f"{one.inner_radius_mm:.2f}",
+            ]
+            for number, one in enumerate(rings, start=1)
+        ],
+    )
+
+
+@app.command()
 def view(
     series_dir: SeriesArgument,
     out: Annotated[

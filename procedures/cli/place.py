@@ -95,10 +95,11 @@ def place(
     from procedures.planning.cart_map import map_places, open_judge, propose_place
     from procedures.planning.cart_place import CartCase
     from procedures.planning.guide import place_guides
-    from procedures.planning.plan_check import check_plan
+    from procedures.planning.plan_check import check_plan, require_spheres
     from procedures.planning.plan_file import read_plan
 
     plan = read_plan(plan_file)
+    require_spheres(plan)
     volume, fiducials_mm, _ = read_ct(series_dir, True)
     check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
     assert fiducials_mm is not None

@@ -95,10 +95,11 @@ def check(
     began_s = time.perf_counter()
     theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
     from procedures.planning.head_in_ct import fit_head
-    from procedures.planning.plan_check import check_plan
+    from procedures.planning.plan_check import check_plan, require_spheres
     from procedures.planning.plan_file import read_plan
 
     planned = read_plan(plan_file)
+    require_spheres(planned)
     volume, fiducials_mm, uncounted = read_ct(series_dir, markers)
     result = check_plan(
         planned,

@@ -1,4 +1,4 @@
-"""Errors in CT series and sphere localization, CT-001 to CT-025."""
+"""Errors in CT series and sphere localization, CT-001 to CT-026."""
 
 from __future__ import annotations
 
@@ -199,4 +199,12 @@ class SeriesMirrored(DataError):
         "Left and right may be swapped: export the series again from the scanner's archive, without a change "
         "of orientation."
     )
+    exit_code = EXIT_REFUSED
+
+
+class AdhesiveCountWrong(DataError):
+    """The CT shows no adhesive rings, or another number than expected."""
+
+    code = "CT-026"
+    action = "Look at the skin in the CT: a ring may be bent, touch a support, or be outside the field."
     exit_code = EXIT_REFUSED

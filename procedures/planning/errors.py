@@ -216,6 +216,16 @@ class UnsavedChanges(PlanError):
     action = "Review them; Save keeps them, Undo restores the saved plan."
 
 
+class MarkersAdhesive(PlanError):
+    """The plan has adhesive markers, which only the CT shows, where a case needs spheres."""
+
+    code = "PLAN-030"
+    action = (
+        "Implant screws with spheres or the x-shaped frame, scan again, and plan on that CT. Adhesive "
+        "markers move with the skin, and neither the tracker nor the stereo head sees them."
+    )
+
+
 class NoToolRecord(ConfigurationError):
     """The theatre file lacks a required tool record or has an inconsistent one."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.errors import (
+    MarkersAdhesive,
     NotReachable,
     NotTheFrame,
     NotTheTemplate,
@@ -115,6 +116,23 @@ class PlanCheck:
         }
 
 
+def require_spheres(plan: Plan) -> None:
+    """Raise PLAN-030 if the plan's markers are adhesive, so that no case can register by them."""
+    for finding in _check_kind(plan):
+        raise finding
+
+
+def _check_kind(plan: Plan) -> list[RonnaError]:
+    if plan.fiducials is not FiducialKind.ADHESIVE:
+        return []
+    wrong = MarkersAdhesive(
+        f"the plan has {plan.implanted} adhesive markers, which only the CT shows",
+        expected=f'fiducials = "{FiducialKind.FREE}" or "{FiducialKind.XFRAME}"',
+        got=f'fiducials = "{plan.fiducials}"',
+    )
+    return [wrong]
+
+
 def check_plan(
     plan: Plan,
     volume: Volume,
@@ -134,6 +152,7 @@ def check_plan(
     Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
     findings: list[RonnaError] = [
+        *_check_kind(plan),
         *_check_tool(plan),
         *([] if bore is None else _check_instrument(plan, bore)),
     ]
@@ -156,7 +175,7 @@ def check_plan(
     ):
         findings += found
         warnings += warned
-    if fiducials_mm is not None:
+    if fiducials_mm is not None and plan.fiducials is not FiducialKind.ADHESIVE:
         found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned

@@ -56,10 +56,14 @@ class PatientPosition(StrEnum):
 
 
 class FiducialKind(StrEnum):
-    """Kind of fiducials: single spheres on screws, or the x-shaped frame with four spheres."""
+    """Kind of fiducials: single spheres on screws, the x-shaped frame, or adhesive rings on the skin.
+
+    Only the CT shows adhesive rings: a plan may name them, a case refuses it.
+    """
 
     FREE = "free"
     XFRAME = "xframe"
+    ADHESIVE = "adhesive"
 
 
 class PlannedTrajectory(Strict):
@@ -155,8 +159,10 @@ class Plan(Strict):
     table_position: PatientPosition | None = Field(
         default=None, description="Patient position on the operating table, if not as in the scanner."
     )
-    implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
-    fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
+    implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Markers on the head.")
+    fiducials: FiducialKind = Field(
+        description="Single spheres, the x-shaped frame, or adhesive rings, with which no case begins."
+    )
     template_mm: tuple[Point, ...] | None = Field(
         default=None,
         description="Centres of the template's spheres, in any frame, if they were implanted with one.",

@@ -7,6 +7,7 @@ Besl and McKay 1992, trimmed to an overlap as in Chetverikov 2005.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -114,18 +115,44 @@ def _as_fit(fit: _Fit) -> CloudFit:
     return CloudFit(as_transform(fit.matrix[:3, :3], fit.matrix[:3, 3]), fit.residual_mm, fit.steps)
 
 
+def closest_point_steps(
+    image_mm: ArrayLike, physical_mm: ArrayLike, start: RigidTransform | None = None
+) -> Iterator[tuple[Array, float]]:
+    """Yield transform (4, 4) physical <- image and rms residual, mm, of every iteration until it settles.
+
+    Without `start`, from the orientation of the principal axes that ends best. Raises as `register_clouds`,
+    without judging whether other orientations fit as well.
+    """
+    image, physical = _validate_cloud(image_mm, "image"), _validate_cloud(physical_mm, "physical")
+    tree = cKDTree(physical)
+    if start is not None:
+        yield from _steps(image, physical, tree, np.asarray(start.as_matrix()), len(image))
+        return
+    runs = [list(_steps(image, physical, tree, one, len(image))) for one in _align_axes(image, physical)]
+    yield from min(runs, key=lambda steps: steps[-1][1])
+
+
 def _iterate_closest_points(
     image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float
 ) -> _Fit:
     """Alternate between pairing nearest points and fitting until the residual stops decreasing."""
+    number, matrix, residual_mm = 0, start, np.inf
+    for step in _steps(image, physical, tree, start, round(overlap * len(image))):
+        number, (matrix, residual_mm) = number + 1, step
+    return _Fit(matrix, residual_mm, number)
+
+
+def _steps(
+    image: Array, physical: Array, tree: cKDTree, start: Array, kept: int
+) -> Iterator[tuple[Array, float]]:
     matrix, before_mm = start, np.inf
-    kept = round(overlap * len(image))
-    for step in range(1, MOST_STEPS + 1):
+    for _ in range(MOST_STEPS):
         distance, nearest = tree.query(image @ matrix[:3, :3].T + matrix[:3, 3])
         used = np.argsort(distance, kind="stable")[:kept]
         residual_mm = float(np.sqrt(np.square(distance[used]).mean()))
+        yield matrix, residual_mm
         if before_mm - residual_mm < SETTLED_MM:
-            return _Fit(matrix, residual_mm, step)
+            return
         before_mm = residual_mm
         fit = fit_rigid(image[used], physical[nearest[used]])
         matrix = np.eye(4)
@@ -135,7 +162,7 @@ def _iterate_closest_points(
 
 def _align_axes(image: Array, physical: Array) -> list[Array]:
     """Align the principal axes of two clouds in each of the four proper rotations."""
-    image_axes, physical_axes = _principal_axes(image, "image"), _principal_axes(physical, "physical")
+    image_axes, physical_axes = principal_axes(image, "image"), principal_axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):
         sign = first * second * np.linalg.det(image_axes) * np.linalg.det(physical_axes)
@@ -147,7 +174,7 @@ def _align_axes(image: Array, physical: Array) -> list[Array]:
     return starts
 
 
-def _principal_axes(points: Array, name: str) -> Array:
+def principal_axes(points: Array, name: str) -> Array:
     """Return the principal axes as columns, longest first. Raises REG-011 if two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):

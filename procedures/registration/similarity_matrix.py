@@ -10,6 +10,9 @@ The thesis says that the known errors of both sets validate a successful pairing
 pairs are fitted, and the sum of squared residuals must not exceed what the stated standard deviations
 explain.
 
+The text can also be read such that a distance counts whenever *any* of the other point's matches it
+(`Counting.ANY`). Two similar distances then make two points similar, which limits e from above.
+
 Many readings with equally many points are solved at once, because a study repeats this millions of times.
 """
 
@@ -17,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +35,14 @@ Indices = NDArray[np.intp]
 
 THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
 
+
+class Counting(StrEnum):
+    """How a cell counts: every distance at most once, or each that has any counterpart."""
+
+    ONE_TO_ONE = "one to one"
+    ANY = "with any counterpart"
+
+
 REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
 
 
@@ -43,21 +55,55 @@ class SimilarityPairs:
 
 
 def match_many_by_similarity(
-    image_mm: Array, physical_mm: Array, tolerance_mm: Array
+    image_mm: Array,
+    physical_mm: Array,
+    tolerance_mm: Array,
+    counting: Counting = Counting.ONE_TO_ONE,
 ) -> tuple[SimilarityPairs, ...]:
     """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the rule of the thesis.
 
     Each reading has its own e (b,), mm; n and m are at least 3. UNIQUE when every remaining point has exactly
     one partner, AMBIGUOUS when some have several, else INCONSISTENT.
     """
-    image, physical = _distances(image_mm), _distances(physical_mm)
     found: dict[int, SimilarityPairs] = {}
+    for readings, matrix in _iterate_matrices(image_mm, physical_mm, tolerance_mm, counting):
+        found |= readings.settle(matrix)
+    return tuple(found[one] for one in range(len(image_mm)))
+
+
+@dataclass(frozen=True)
+class SimilarityStep:
+    """One iteration: the remaining image and physical points, and the matrix between them."""
+
+    rows: Indices
+    columns: Indices
+    matrix: Indices
+
+
+def similarity_steps(
+    image_mm: Array, physical_mm: Array, tolerance_mm: float
+) -> tuple[tuple[SimilarityStep, ...], SimilarityPairs]:
+    """Return every iteration of one reading, points (n, 3) and (m, 3) in mm, and its result."""
+    steps: list[SimilarityStep] = []
+    found: dict[int, SimilarityPairs] = {}
+    for readings, matrix in _iterate_matrices(
+        image_mm[None], physical_mm[None], np.array([tolerance_mm]), Counting.ONE_TO_ONE
+    ):
+        steps.append(SimilarityStep(readings.rows[0], readings.columns[0], matrix[0]))
+        found |= readings.settle(matrix)
+    return tuple(steps), found[0]
+
+
+def _iterate_matrices(
+    image_mm: Array, physical_mm: Array, tolerance_mm: Array, counting: Counting
+) -> Iterator[tuple[_Readings, Indices]]:
+    """Yield readings with equally many remaining points, and their matrices, until all are settled."""
+    image, physical = _distances(image_mm), _distances(physical_mm)
+    count = similarity if counting is Counting.ONE_TO_ONE else similarity_to_any
     for readings in _iterate_groups(image, physical):
         rows = _sort_rows(image[readings.index], readings.rows)
         columns = _sort_rows(physical[readings.index], readings.columns)
-        matrix = similarity(rows, columns, tolerance_mm[readings.index])
-        found |= readings.settle(matrix)
-    return tuple(found[one] for one in range(len(image)))
+        yield readings, count(rows, columns, tolerance_mm[readings.index])
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
@@ -88,6 +134,12 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
         np.minimum(at_image, end_image, out=at_image)
         np.minimum(at_physical, end_physical, out=at_physical)
     return found
+
+
+def similarity_to_any(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
+    """Count the image distances (b, n, k) with any counterpart within e (b,) among (b, m, l): (b, n, m)."""
+    apart = np.abs(within_image_mm[:, :, None, :, None] - within_physical_mm[:, None, :, None, :])
+    return np.asarray((apart <= tolerance_mm[:, None, None, None, None]).any(axis=4).sum(axis=3))
 
 
 @dataclass

@@ -28,6 +28,8 @@ NOISE_FACTOR = 6.0  # ... and this many times the typical gradient, unless that 
 NOISY_SHARE = 0.5  # ... this share of the strong gradients
 GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: a step of six grey levels
 WEAK_SHARE = 0.5  # Canny's lower threshold relative to the upper
+# Local contrast enhancement (CLAHE): OpenCV's usual tiles, and a limit that leaves flat areas flat
+CONTRAST_LIMIT, CONTRAST_TILES = 2.0, (8, 8)
 
 Array = NDArray[np.float64]
 
@@ -104,6 +106,13 @@ def halve_image(image: GreyImage, times: int) -> GreyImage:
             height, width = height // 2, width // 2
             reduced = cv2.resize(reduced, (width, height), interpolation=cv2.INTER_AREA)
     return reduced
+
+
+def equalize_contrast(image: GreyImage) -> GreyImage:
+    """Enhance the contrast locally: adaptive histogram equalization with a limited gain."""
+    with _single_threaded():
+        enhanced: GreyImage = cv2.createCLAHE(CONTRAST_LIMIT, CONTRAST_TILES).apply(image)
+    return enhanced
 
 
 def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:

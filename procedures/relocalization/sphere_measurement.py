@@ -16,7 +16,14 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.circle_search import Circle, GreyImage, find_circles, find_edges, halve_image
+from procedures.relocalization.circle_search import (
+    Circle,
+    GreyImage,
+    equalize_contrast,
+    find_circles,
+    find_edges,
+    halve_image,
+)
 from procedures.relocalization.errors import (
     BadImage,
     BadMeasurement,
@@ -48,17 +55,20 @@ def measure_sphere(
     image: NDArray[np.uint8] | NDArray[np.uint16],
     *,
     radius_range_px: tuple[float, float] | None = None,
+    enhance_contrast: bool = False,
 ) -> SphereImage:
     """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image.
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
+    `enhance_contrast` equalizes the contrast first, as the thesis does (1.4); it moves the edges, and gains
+    nothing here: for comparison.
     Raises STE-001 for any other image, STE-004 for an empty range, STE-002 without contrast, STE-011 when
     fully saturated, STE-003 when no sphere is in view. A sphere with too little visible rim is returned as
     UNRELIABLE.
     """
     best: SphereImage | None = None
     round_shapes = 0
-    for sphere in _iterate_spheres(image, radius_range_px):
+    for sphere in _iterate_spheres(image, radius_range_px, enhance_contrast=enhance_contrast):
         round_shapes += 1
         if sphere is None:
             continue
@@ -86,10 +96,15 @@ def measure_spheres(
 
 
 def _iterate_spheres(
-    image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
+    image: NDArray[np.uint8] | NDArray[np.uint16],
+    radius_range_px: tuple[float, float] | None,
+    *,
+    enhance_contrast: bool = False,
 ) -> Iterator[SphereImage | None]:
     """Yield a measurement of each round shape, lazily, or None for shapes that are not discs."""
     grey = _validate_image(image)
+    if enhance_contrast:
+        grey = equalize_contrast(grey)
     if radius_range_px is not None and not 0.0 < radius_range_px[0] <= radius_range_px[1]:
         raise BadMeasurement(
             "the range of radii is empty",

@@ -43,6 +43,7 @@ from procedures.reporting.pictures import (
 from procedures.reporting.run_events import advisories, notable_events, questions
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import (
+    ALGORITHM_PROCESSOR,
     ALGORITHM_S,
     LOCALIZATION,
     OPERATOR_S,
@@ -143,7 +144,12 @@ def write_report(
         "link_counters": link_counters(reading.log),
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
-        "markers_in_ct": {"step": LOCALIZATION, "operator_s": OPERATOR_S, "algorithm_s": ALGORITHM_S},
+        "markers_in_ct": {
+            "step": LOCALIZATION,
+            "operator_s": OPERATOR_S,
+            "algorithm_s": ALGORITHM_S,
+            "algorithm_processor": ALGORITHM_PROCESSOR,
+        },
         "events": notable_events(reading.run.journal),
         "announced": advisories(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),

@@ -20,6 +20,7 @@ STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "i
 PHASE, STEP, QUESTION, HANDS = "phase", "step", "question", "hands"
 # Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
 OPERATOR_S, ALGORITHM_S = 191.5, 28.8
+ALGORITHM_PROCESSOR = "Intel i7-6700HQ"
 LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
 PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_steps(measure_targets=True)}

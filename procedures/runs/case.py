@@ -45,12 +45,15 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
 def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = None) -> CaseOrder:
     """Return the step order of a case from its strategy and its plan: the locked one, or else the file.
 
-    Raises the errors of reading the plan.
+    Raises the errors of reading the plan, and PLAN-030 if its markers are adhesive.
     """
+    from procedures.planning.plan_check import require_spheres
     from procedures.planning.plan_file import parse_plan_bytes, read_plan
 
     file = case_folder(case, folder) / "plan.toml"
-    return _build_order(case, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
+    plan = read_plan(file) if held is None else parse_plan_bytes(held.content, file.name)
+    require_spheres(plan)
+    return _build_order(case, plan)
 
 
 def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:

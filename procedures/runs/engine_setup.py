@@ -39,6 +39,7 @@ from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files
+from ronna_hw.host.processor import name_processor
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.registry import make_device
@@ -149,6 +150,7 @@ def build_engine(
         inputs=theatre_inputs(folder, previous),
         run=case.run,
         software=str(identify_software()),
+        processor=name_processor(),
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
         procedure=prepared.title,

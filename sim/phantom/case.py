@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from sim.phantom.head.obstacles import FREE, XFRAME
+from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, to_stored_values
@@ -96,8 +96,7 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
         "schema": PLAN_SCHEMA,
         "series_instance_uid": series_instance_uid,
         "patient_orientation": PATIENT_POSITION,
-        "implanted": len(scene.head.fiducials) if scan.fiducials == FREE else len(SPHERE_CENTRES_MM),
-        "fiducials": FREE if scan.fiducials == FREE else XFRAME,
+        **_plan_markers(scan),
         **({"template_mm": [list(one) for one in template]} if (template := scene.head.template_mm) else {}),
         "tool": TOOL,
         "standoff_mm": STANDOFF_MM,
@@ -114,6 +113,15 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
         ],
     }
     return tomli_w.dumps(content)
+
+
+def _plan_markers(scan: Scan) -> dict[str, Any]:
+    """Return number and kind of the markers, as the plan has them."""
+    if scan.fiducials == ADHESIVE:
+        return {"implanted": len(scan.scene.head.adhesives), "fiducials": ADHESIVE}
+    if scan.fiducials == FREE:
+        return {"implanted": len(scan.scene.head.fiducials), "fiducials": FREE}
+    return {"implanted": len(SPHERE_CENTRES_MM), "fiducials": XFRAME}
 
 
 def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
@@ -140,6 +148,16 @@ def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict
                 }
                 for marker in scan.anatomy.markers
             ],
+            **(
+                {
+                    "adhesives": [
+                        {"number": one.number, "centre_mm": list(one.centre_ct_mm)}
+                        for one in scene.head.adhesives
+                    ]
+                }
+                if scene.head.adhesives
+                else {}
+            ),
             "targets": [
                 {
                     "id": target.identifier,

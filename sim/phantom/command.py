@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,17 +16,23 @@ from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import escape_controls, format_count
 from sim.world.options import Carrier, InstrumentKind
 
+if TYPE_CHECKING:
+    from sim.phantom.scan import Scan
+    from sim.world.scene.model import Scene
+
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"
+ADHESIVES = 8  # on each patient of the thesis
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
 class Fiducials(StrEnum):
-    """Sphere mounting: on individual screws or on a frame."""
+    """Markers: spheres on individual screws or on a frame, or adhesive rings on the skin."""
 
     FREE = "free"
     XFRAME = "xframe"
     XFRAME_CLOSE = "xframe-close"
+    ADHESIVE = "adhesive"
 
 
 def _scanner_option(about: str, *names: str, **limits: Any) -> Any:
@@ -49,7 +55,8 @@ def phantom(
         Fiducials,
         typer.Option(
             help="Spheres on individual screws, on the x-shaped frame, or on the close-set frame of the "
-            "studies; with a family, --markers beyond four are on screws."
+            "studies; with a family, --markers beyond four are on screws. Or adhesive rings on the skin, "
+            "which only the CT shows, and no spheres."
         ),
     ] = Fiducials.FREE,
     tilt_deg: Annotated[float, _scanner_option("Gantry tilt.")] = 0.0,
@@ -120,7 +127,11 @@ def phantom(
         tilt_deg, table_scale, thickness_mm, beam_hardening, *shifts_mm, kernel, extended_range, tilt_hidden
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
-    if family is not None or carrier is None:
+    if fiducials is Fiducials.ADHESIVE:
+        if family is not None:
+            raise BadScene("a family has no adhesive markers", action="Omit --family or --fiducials.")
+        truth, scan = _scan_adhesives(scene, seed, markers, targets, protocol)
+    elif family is not None or carrier is None:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene(
                 "a family generates its own head and trajectory", action="Omit --scene and --targets."
@@ -140,6 +151,9 @@ def phantom(
         scan = plain_scan(truth)
     with progress_bar("scanning the phantom") as progress:
         case = write_case(truth, out, progress, scan=replace(scan, faults=faults))
+    shown, kind = len(truth.head.fiducials), "spheres"
+    if fiducials is Fiducials.ADHESIVE:
+        shown, kind = len(truth.head.adhesives), "adhesive rings"
     if as_json:
         print_json(
             {
@@ -148,17 +162,38 @@ def phantom(
                 "truth": str(case.truth),
                 "series_instance_uid": case.series_instance_uid,
                 "slices": case.slices,
-                "markers": len(truth.head.fiducials),
+                "markers": shown,
                 "targets": len(truth.head.targets),
             }
         )
         return
     typer.echo(
         escape_controls(
-            f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
+            f"{case.series}: {case.slices} slices, {shown} {kind}, "
             f"{format_count(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
         )
     )
+
+
+def _scan_adhesives(
+    scene: str, seed: int, markers: int | None, targets: int | None, protocol: str | None
+) -> tuple[Scene, Scan]:
+    """Return a scene with adhesive markers, those of its file or drawn ones, and their scan."""
+    from sim.phantom.families.family_scan import protocol_named
+    from sim.phantom.scan import adhesive_scan
+    from sim.world.noise import noise
+    from sim.world.process import load_scene
+    from sim.world.scene.head import stick_adhesives
+
+    truth = load_scene(scene, seed=seed, targets=targets, fiducials=Carrier.FREE)
+    if markers is not None or not truth.head.adhesives:
+        generator = noise(truth.seed, "adhesive sites", 0)
+        truth = truth.model_copy(
+            update={"head": stick_adhesives(truth.head, markers or ADHESIVES, generator)}
+        )
+    if protocol is not None:
+        truth = truth.model_copy(update={"ct": protocol_named(protocol)})
+    return truth, adhesive_scan(truth)
 
 
 def _write_postoperative(

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from sim.phantom.head.adhesive import skin_rings
 from sim.phantom.head.anatomy import AIR_HU, Anatomy, HeadLayers, draw_anatomy
-from sim.phantom.head.obstacles import FREE, XFRAME, frame_markers, frame_shapes
+from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME, frame_markers, frame_shapes
 from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.dicom_series import LARGEST_STORED
@@ -45,7 +46,7 @@ def plain_scan(scene: Scene) -> Scan:
     """Return the scan of an unmodified scene; raises SIM-001 if it cannot be scanned."""
     grid, head = place_grid(scene.head, scene.ct), scene.head
     if not head.x_frame:
-        return Scan(scene, grid, draw_anatomy(scene))
+        return Scan(scene, grid, with_rings(draw_anatomy(scene), scene))
     generator = noise(scene.seed, "ct frame", 0)
     bare = draw_anatomy(scene.model_copy(update={"head": head.model_copy(update={"fiducials": ()})}))
     anatomy = replace(
@@ -53,7 +54,24 @@ def plain_scan(scene: Scene) -> Scan:
         surroundings=(*bare.surroundings, *frame_shapes(head, XFRAME, generator)),
         markers=frame_markers(head, generator),
     )
-    return Scan(scene, grid, anatomy, XFRAME)
+    return Scan(scene, grid, with_rings(anatomy, scene), XFRAME)
+
+
+def adhesive_scan(scene: Scene) -> Scan:
+    """Return the scan of a head with its adhesive markers alone, before any screw; raises SIM-001."""
+    anatomy = with_rings(draw_anatomy(scene), scene)
+    return Scan(scene, place_grid(scene.head, scene.ct), replace(anatomy, markers=()), ADHESIVE)
+
+
+def with_rings(anatomy: Anatomy, scene: Scene) -> Anatomy:
+    """Add the scene's adhesive rings, painted as finely as markers."""
+    if not scene.head.adhesives:
+        return anatomy
+    return replace(
+        anatomy,
+        surroundings=(*anatomy.surroundings, *skin_rings(scene)),
+        deceiving=(*anatomy.deceiving, *(one.centre_ct_mm for one in scene.head.adhesives)),
+    )
 
 
 class Planes:

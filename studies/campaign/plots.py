@@ -31,6 +31,25 @@ def curves(
 ) -> bytes:
     """Plot labelled curves with their bounds as bands, over optional labelled ranges of the x axis."""
     figure, axes = _make_figure(title, x_label, y_label)
+    _draw_curves(axes, lines, bands or {})
+    return _png(figure)
+
+
+def curve_panels(title: str, x_label: str, panels: Mapping[str, Mapping[str, Curve]]) -> bytes:
+    """Plot labelled curves in panels above one x axis, one panel for each label of a y axis."""
+    figure, first = _make_figure(title, "", next(iter(panels)), rows=len(panels))
+    every = [
+        first,
+        *(figure.add_subplot(len(panels), 1, 1 + row, sharex=first) for row in range(1, len(panels))),
+    ]
+    for axes, (y_label, lines) in zip(every, panels.items(), strict=True):
+        axes.set_ylabel(y_label)
+        _draw_curves(axes, lines, {})
+    every[-1].set_xlabel(x_label)
+    return _png(figure)
+
+
+def _draw_curves(axes: Any, lines: Mapping[str, Curve], bands: Mapping[str, tuple[float, float]]) -> None:
     for name, points in lines.items():
         places, values = [x for x, _ in points], _list_bounded(points)
         (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
@@ -47,11 +66,10 @@ def curves(
         for one in _list_bounded(points)
     ):
         axes.fill_between([], [], [], color="grey", alpha=BAND_ALPHA, lw=0, label=LEGEND)
-    for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
+    for shade, (name, (left, right)) in enumerate(bands.items(), start=1):
         axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
-    return _png(figure)
 
 
 def bars(
@@ -131,13 +149,15 @@ def _bounds_or_value(one: Bounded) -> tuple[float, float]:
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 
-def _make_figure(title: str, x_label: str, y_label: str, **of_title: Any) -> tuple[Any, Any]:
+def _make_figure(
+    title: str, x_label: str, y_label: str, *, rows: int = 1, **of_title: Any
+) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=SIZE_IN, layout="constrained")
+    figure = Figure(figsize=(SIZE_IN[0], rows * SIZE_IN[1]), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    axes = figure.add_subplot(rows, 1, 1)
     axes.set_title(title, **of_title)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from studies.campaign import bounds
 from studies.campaign.bounds import Bounded, percent
-from studies.campaign.plots import Point, bars, curves
+from studies.campaign.plots import Point, bars, curve_panels
 from studies.campaign.study import Cell, Sums, Table
 from studies.correspondence.study import FALSE, LOST, PART, Method, condition_of
 from studies.heads import NoiseReading
 
 Range = tuple[float, float]
-# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.2.
+# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.1.
 THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
     range(5, 9), (0.0, 0.81)
 )
@@ -249,19 +249,26 @@ def _is_false_within(series: Series, one: Shares) -> bool:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot the success rate of the thesis' validated method against e, one plot per noise model."""
+    """Plot success and false pairings of the thesis' validated method against e, as its figure 13.
+
+    One picture per noise model.
+    """
     found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
-        lines: dict[str, list[Point]] = {}
+        success: dict[str, list[Point]] = {}
+        false: dict[str, list[Point]] = {}
         for series, one in found.items():
             e_mm = series.tolerance_mm
             if series.noise is noise and series.method == Method.VALIDATED.value and e_mm is not None:
-                success = one.bound_share(100.0 - one.unsuccessful - one.false)
-                lines.setdefault(f"{series.fiducials} fiducials", []).append((e_mm, success))
-        name = f"success-against-e-{noise.value.replace(' ', '-')}.png"
-        pictures[name] = curves(
-            f"Thesis' method, validated, noise {noise}, 0 to 4 outliers", "e, mm", "success, %", lines
+                who = f"{series.fiducials} fiducials"
+                share = one.bound_share(100.0 - one.unsuccessful - one.false)
+                success.setdefault(who, []).append((e_mm, share))
+                false.setdefault(who, []).append((e_mm, one.bound_share(one.false)))
+        pictures[f"figure-13-{noise.value.replace(' ', '-')}.png"] = curve_panels(
+            f"Thesis' method, validated, noise {noise}, 0 to 4 outliers",
+            "e, mm",
+            {"success, %": success, "false, %": false},
         )
     return pictures
 

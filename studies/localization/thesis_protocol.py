@@ -270,7 +270,7 @@ def _tabulate_errors(sums: Mapping[str, Sums]) -> Table:
         "Phantom scans; pixel size and table feed of each are wrong by up to that share, uniformly. "
         "The thesis states nothing about its scanners; the last share is chosen between its tables. "
         "Its table 3 is table 2 (the rms of its rows) times the square root of 2, within 1.5 % for "
-        "people and both fits: as if table 2 gave the FRE, without the factor n/(n-2) of eq. 36.",
+        "people and both fits. That table 2 gives the FRE, without the factor of eq. 36, is inferred.",
     )
 
 

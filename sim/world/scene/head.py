@@ -13,6 +13,7 @@ from math import cos, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.adhesive_marker import THICKNESS_MM
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STANDOFF_MM, bodies
 from sim.errors import BadScene
@@ -25,7 +26,7 @@ from sim.world.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
-from sim.world.scene.model import Fiducial, Head
+from sim.world.scene.model import Adhesive, Fiducial, Head
 from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
@@ -63,6 +64,11 @@ ENTRY_CLEARANCE_MM = 28.0  # from every sphere, so that guide and cameras fit
 
 ATTEMPTS = 20_000
 
+# Adhesive markers: as the study's sites (`studies.heads`), but not where the head lies.
+ADHESIVES_APART_MM = 25.0
+LOWEST_ADHESIVE = -0.1  # share of the direction towards the vertex
+MOST_BEHIND = 0.5  # share of the direction towards the back
+
 
 def draw_head(
     generator: np.random.Generator,
@@ -97,6 +103,31 @@ def draw_head(
         template_mm=template.centres_mm if template else None,
         targets=_draw_targets(generator, targets, fiducials, pose, frame),
     )
+
+
+def stick_adhesives(head: Head, count: int, generator: np.random.Generator) -> Head:
+    """Return the head with adhesive rings on its upper side, 25 mm apart or more; raises SIM-001."""
+    found: list[tuple[Vector, Vector]] = []
+    for _ in range(ATTEMPTS):
+        direction = generator.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        point, normal = skin_at(direction, head.semi_axes_mm)
+        high = direction[2] > LOWEST_ADHESIVE and direction[1] < MOST_BEHIND
+        if high and all(np.linalg.norm(point - other) > ADHESIVES_APART_MM for other, _ in found):
+            found.append((point, normal))
+        if len(found) == count:
+            break
+    else:
+        raise BadScene(f"{count} adhesive markers do not fit on the head")
+    adhesives = tuple(
+        Adhesive(
+            number=number,
+            centre_ct_mm=as_rounded_point(point + 0.5 * THICKNESS_MM * normal + head.centre_ct_mm),
+            normal_ct=as_rounded_point(normal),
+        )
+        for number, (point, normal) in enumerate(found, start=1)
+    )
+    return head.model_copy(update={"adhesives": adhesives})
 
 
 def _draw_pose(generator: np.random.Generator) -> Vector:

@@ -71,6 +71,16 @@ class Fiducial(Strict):
     missing: bool = Field(default=False, description="True: not refitted after the CT.")
 
 
+class Adhesive(Strict):
+    """A ring glued to the skin, seen by the CT only."""
+
+    number: Count = Field(description="Number that names the ring in the ground truth.")
+    centre_ct_mm: Numbers3 = Field(
+        description="Centre of its hole, half its thickness above the skin, CT frame."
+    )
+    normal_ct: Facing = Field(description="Outward normal of the skin under it, CT frame.")
+
+
 class Head(Strict):
     """Patient's head: true pose of the CT frame in the room, and ellipsoid in the CT frame."""
 
@@ -86,6 +96,9 @@ class Head(Strict):
         default=SEATING_ERROR_MM,
         description="Displacement of a refitted sphere from its CT position, per axis, one standard "
         "deviation.",
+    )
+    adhesives: tuple[Adhesive, ...] = Field(
+        default=(), description="Adhesive rings on the skin at the CT; neither tracker nor cameras see them."
     )
     x_frame: bool = Field(
         default=False, description="True if the spheres are the four of the x-shaped frame, in its order."
@@ -113,6 +126,9 @@ class Head(Strict):
         identifiers = [target.identifier for target in self.targets]
         if len(set(numbers)) < len(numbers):
             raise ValueError(f"fiducial numbers must be unique, got {numbers}")
+        rings = [ring.number for ring in self.adhesives]
+        if len(set(rings)) < len(rings):
+            raise ValueError(f"numbers of adhesive markers must be unique, got {rings}")
         if len(set(identifiers)) < len(identifiers):
             raise ValueError(f"target identifiers must be unique, got {identifiers}")
         return self

@@ -166,6 +166,7 @@ def _files() -> dict[str, str | bytes]:
         "same.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[5.0, -20.0, 20.0]"),
         "twice.toml": PLAN + PLAN[PLAN.index("[[") :],
         "pronate.toml": PLAN.replace('"HFS"', '"HFX"'),
+        "adhesive.toml": PLAN.replace('fiducials = "free"', 'fiducials = "adhesive"'),
         "count.toml": PLAN.replace("implanted = 4", "implanted = 0"),
         "nolength.toml": PLAN.replace("instrument_length_mm = 250.0\n", ""),
         "comma.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10,5, -50.0, 60.0]"),

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from strategy_arms import Stuck
 
 from procedures.planning.errors import (
+    MarkersAdhesive,
     NotIntoHead,
     NotReachable,
     NotTheFrame,
@@ -25,8 +26,14 @@ from procedures.planning.errors import (
     WrongSeries,
 )
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.plan_check import check_plan, least_side_difference_mm, warn_of_ambiguity
+from procedures.planning.plan_check import (
+    check_plan,
+    least_side_difference_mm,
+    require_spheres,
+    warn_of_ambiguity,
+)
 from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_model import FiducialKind
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
@@ -271,3 +278,13 @@ def test_one_sphere_out_of_the_plane_and_off_centre_removes_the_ambiguity():
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_fewer_than_three_fiducials_give_no_layout_warning(count):
     assert warn_of_ambiguity(np.eye(3)[:count] * 50.0) == []
+
+
+def test_a_plan_with_adhesive_markers_is_refused_with_their_number_and_what_a_case_needs(plan, make_volume):
+    adhesive = plan.model_copy(update={"fiducials": FiducialKind.ADHESIVE})
+    with pytest.raises(
+        MarkersAdhesive, match=r"PLAN-030.*4 adhesive.*\"free\".*\"adhesive\".*Implant screws"
+    ):
+        require_spheres(adhesive)
+    assert [one.code for one in check_plan(adhesive, make_volume(), fiducials_mm=()).findings] == ["PLAN-030"]
+    require_spheres(plan)

@@ -128,6 +128,14 @@ def test_the_radius_range_chooses_between_two_discs(renderer, look):
     assert measure_sphere(picture, radius_range_px=(140.0, 170.0)).axes_px[0] == pytest.approx(155.6, abs=1.0)
 
 
+@pytest.mark.parametrize("bits", [8, 12])
+def test_equalized_contrast_finds_the_same_sphere_but_moves_its_centre(renderer, look, bits):
+    picture = renderer.sphere(NOMINAL, look(blur_px=3.0, post=True, bits=bits))
+    plain, equalized = measure_sphere(picture), measure_sphere(picture, enhance_contrast=True)
+    assert equalized.status is SphereStatus.OK
+    assert error_um(plain, NOMINAL) < error_um(equalized, NOMINAL) < MICROMETRES_PER_PX
+
+
 @pytest.mark.parametrize("size", [(640, 640), (800, 576)])
 def test_an_area_of_interest_is_as_good_as_the_full_frame(renderer, look, size):
     centre = np.array([0.1, 0.05, 250.0])

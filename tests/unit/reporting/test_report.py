@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting import tables
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_statistics import timeline
@@ -42,6 +44,7 @@ from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 
+ROOT = Path(__file__).resolve().parents[3]
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
 
@@ -373,3 +376,36 @@ def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(regist
     assert table.count("<tr>") == 1 + len(predicted.budget) + 2
     assert f"Not included: {predicted.excluded}." in text
     assert [f"<th>{name}</th>" in table for name in TRAJECTORIES] == [True] * len(TRAJECTORIES)
+
+
+def test_published_means_stand_apart_from_the_case_beside_campaigns_with_their_ct_error(
+    registered: Path,
+) -> None:
+    write_report(registered, truth=TRUTH)
+    picture = (registered / "report" / "targets.svg").read_text()
+    words = [unescape(word) for word in re.findall(r"<text [^>]*>([^<]*)</text>", picture)]
+    case, phantoms = (
+        words.index("This case, with its own CT, seating and arm"),
+        words.index("Phantom studies, means"),
+    )
+    assert case < words.index(f"{FIRST}: predicted, rms") < phantoms
+    published = [word for word in words if word.endswith(": published")]
+    assert len(published) == len(PUBLISHED_MM)
+    assert all(words.index(word) > phantoms for word in published)
+    assert sum(word.endswith("simulated with its CT error") for word in words) == len(published)
+
+
+def test_the_campaigns_means_in_the_report_are_those_that_were_stored() -> None:
+    results = ROOT / "benchmarks" / "results" / "campaigns-2026-11-21"
+    cells: dict[tuple[str, ...], list[str]] = {}
+    for name in ("strategies.md", "application-error.md"):
+        for line in (results / name).read_text(encoding="utf-8").splitlines():
+            row = [cell.strip() for cell in line.strip("|").split("|")]
+            if len(row) > 5:
+                cells.setdefault(tuple(row[:4]), row)
+    table_4 = ("thesis-ocs", "0.26"), ("jdms", "0.369"), ("nos", "1.327")
+    stored = [
+        *(float(cells["free", strategy, "5", thesis][4]) for strategy, thesis in table_4),
+        *(float(cells[depth, "xframe", "thesis-ocs", "4"][5]) for depth in ("0-50 mm", "50-120 mm")),
+    ]
+    assert [campaign for _, _, campaign in PUBLISHED_MM] == pytest.approx(stored, abs=0.0006)

@@ -102,6 +102,16 @@ def test_a_campaign_shows_its_times_next_to_those_of_the_thesis(run: Path) -> No
     assert beside.rows[0][:2] == (OPERATOR_S, ALGORITHM_S)
 
 
+def test_times_name_the_processors_that_took_them(tmp_path: Path) -> None:
+    for name, processor in (("old", {}), ("new", {"processor": "AMD EPYC"})):
+        (tmp_path / name).mkdir()
+        journal = Journal(tmp_path / name)
+        journal.write(Entry.OPENED, 0.0, **processor)
+        journal.close()
+    _, beside = time_tables([tmp_path / "old", tmp_path / "new"])
+    assert beside.columns[1:] == ("thesis, algorithm, Intel i7-6700HQ", "here, not recorded, AMD EPYC")
+
+
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoRunToTime, match="STU-011"):
         time_tables([tmp_path / "nowhere"])

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.similarity_matrix import Counting, match_many_by_similarity
 from studies.campaign.study import Unit
 from studies.correspondence import clinical, template
 from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
@@ -54,6 +56,26 @@ def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by
         assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)
         assert shown["least % there, here"] == 100.0
         assert shown["100 % from e mm"] < shown["100 % to e mm"]
+
+
+def test_success_ends_at_the_most_similar_distances_only_where_a_distance_counts_with_any_counterpart() -> (
+    None
+):
+    random = np.random.default_rng(5)
+    seen = readings(60)
+    image = np.broadcast_to(FRAME_MM, seen.shape) + random.normal(size=seen.shape) * 0.1
+
+    def success(e_mm: float, counting: Counting) -> float:
+        found = match_many_by_similarity(image, seen, np.full(len(seen), e_mm), counting)
+        right = [
+            one.status is MatchStatus.UNIQUE and np.all(one.pairs[:, 0] == one.pairs[:, 1]) for one in found
+        ]
+        return float(np.mean(right))
+
+    for counting in Counting:
+        assert success(2.5, counting) == 1.0
+    assert success(6.0, Counting.ONE_TO_ONE) == 1.0
+    assert success(4.4, Counting.ANY) > 0.5 > success(5.0, Counting.ANY)
 
 
 def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_all: None) -> None:

@@ -211,7 +211,7 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
     pictures = bars_beside_thesis(sums) | plots(sums)
     assert sorted(pictures) == [
         f"{what}-{noise}.png"
-        for what in ("success-against-e", "unsuccessful")
+        for what in ("figure-13", "unsuccessful")
         for noise in ("norm", "per-axis")
     ]
     assert all(png.startswith(b"\x89PNG") for png in pictures.values())

@@ -1,0 +1,115 @@
+"""Every row of `docs/reference/thesis.md` names modules that import, and commands and links that exist."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from procedures.journal.journal import JOURNAL_FILE
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "reference" / "thesis.md"
+LINK = re.compile(r"\[[^\]]+\]\(([^)\s]+)\)")
+CODE = re.compile(r"`([^`]+)`")
+FILES, FOLDERS = ("FILE", "PLAN"), ("DIR", "RUN")  # what words in capitals stand for
+STATES = ("yes", "in part", "no")
+COLUMNS = ["thesis", "what", "here", "module", "command", "reached"]
+
+
+def table_rows() -> list[dict[str, str]]:
+    """Every row below a header with these columns, by column."""
+    rows = []
+    header: list[str] = []
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] if line.startswith("|") else []
+        if not cells:
+            header = []
+        elif not header:
+            header = cells
+        elif header == COLUMNS and not set("".join(cells)) <= set("-"):
+            rows.append(dict(zip(COLUMNS, cells, strict=True)))
+    return rows
+
+
+ROWS = table_rows()
+
+
+@pytest.fixture(params=ROWS, ids=[f"{row['thesis']}: {row['what'][:40]}" for row in ROWS])
+def row(request: pytest.FixtureRequest) -> dict[str, str]:
+    found: dict[str, str] = request.param
+    return found
+
+
+def test_the_table_is_there_with_sections_equations_tables_and_figures() -> None:
+    places = " ".join(row["thesis"] for row in ROWS)
+    assert len(ROWS) >= 30
+    for place in ("1.4", "5.1", "5.3.1", "5.3.2", "5.4", "eq. 35 and 36", "table 2", "table 3", "table 4"):
+        assert place in places
+    for figure in (4, 5, 6, 11, 13, 14, 15, 16):
+        assert re.search(rf"figures? [\d, ]*(and )?\b{figure}\b", places), figure
+
+
+def test_each_row_says_whether_it_is_here_and_if_so_by_which_command_and_to_which_figure(
+    row: dict[str, str],
+) -> None:
+    assert row["here"] in STATES
+    if row["here"] == "yes":
+        assert CODE.search(row["command"])
+        assert row["reached"]
+    else:
+        assert row["reached"], "a row that is not whole says what is missing"
+
+
+def test_each_module_of_a_row_imports(row: dict[str, str]) -> None:
+    for name in CODE.findall(row["module"]):
+        module, _, member = name.partition(":")
+        assert not member or hasattr(import_module(module), member), name
+        import_module(module)
+
+
+def test_each_command_of_a_row_exists_with_its_options(
+    row: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in FILES:
+        (tmp_path / name).touch()
+    for name in FOLDERS:
+        (tmp_path / name).mkdir()
+    (tmp_path / "RUN" / JOURNAL_FILE).touch()
+    monkeypatch.chdir(tmp_path)
+    for command in CODE.findall(row["command"]):
+        if command.startswith("make "):
+            target = command.split()[1]
+            assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+        else:
+            parse(command)
+
+
+def parse(line: str) -> None:
+    """Parse a command as its program does, without running it."""
+    program, *words = line.split()
+    (script,) = entry_points(group="console_scripts", name=program)
+    found: Any = typer.main.get_command(import_module(script.module).app)
+    while getattr(found, "commands", None):
+        found = found.commands[words.pop(0)]
+    found.make_context(program, words)
+
+
+def test_each_link_of_a_row_resolves(row: dict[str, str]) -> None:
+    for target in LINK.findall(" ".join(row.values())):
+        path, _, anchor = target.partition("#")
+        file = (PAGE.parent / path).resolve() if path else PAGE
+        assert file.exists(), target
+        assert not anchor or anchor in anchors_of(file), target
+
+
+def anchors_of(file: Path) -> set[str]:
+    """The anchors of a page's headings, as a reader of Markdown makes them."""
+    headings = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = [re.sub(r"[`*]|\[([^\]]+)\]\([^)]+\)", r"\1", one).lower() for one in headings]
+    return {re.sub(r"[^\w\- ]", "", one).replace(" ", "-") for one in plain}
