@@ -210,9 +210,7 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
     assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
     pictures = bars_beside_thesis(sums) | plots(sums)
     assert sorted(pictures) == [
-        f"{what}-{noise}.png"
-        for what in ("figure-13", "unsuccessful")
-        for noise in ("norm", "per-axis")
+        f"{what}-{noise}.png" for what in ("figure-13", "unsuccessful") for noise in ("norm", "per-axis")
     ]
     assert all(png.startswith(b"\x89PNG") for png in pictures.values())
     five = found[Series(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
