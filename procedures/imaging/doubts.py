@@ -18,7 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch, stretch_matrix, stretch_terms
+from procedures.imaging.sphere_centre.ball_model import (
+    METAL_HU,
+    Stretch,
+    mark_metal_slices,
+    stretch_matrix,
+    stretch_terms,
+)
 from procedures.imaging.sphere_centre.radial_edge import (
     INLIER,
     OUTSIDE_FROM,
@@ -49,6 +55,10 @@ EXTENT_PRIOR = 2.0  # rays by which the extents are shrunk towards equality when
 # `joined` exceed at least one by half.
 AMISS_SHARE = 0.04  # of the surface, that is off the sphere
 AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
+# the same two limits for all of it, where metal in the same slices throws streaks: only what is in other slices
+# then counts against the usual ones
+AMISS_UNDER_SHADOWS = 0.12
+HOLLOW_UNDER_SHADOWS = 0.2
 BORDER_HU = 20.0  # fall at the surface, where it is smallest; to a moist bandage it is 40 HU
 NARROW_SHARE = 0.15  # of the surface: air around a narrow cover increases the fall next to it
 NARROW_BORDER_HU = 50.0
@@ -107,6 +117,11 @@ def _judge_region(
     profiles = region.sample(
         centre_mm + edge.radius_mm * shares[None, :, None] * directions[:, None, :], smooth=True
     )
+    shadowed = np.zeros(profiles.shape, dtype=bool)
+    if streaked:
+        heights = (centre_mm[0] + edge.radius_mm * shares[None] * directions[:, :1]) / region.spacing_mm[0]
+        slices = np.rint(heights).astype(int) - int(region.start[0])
+        shadowed = mark_metal_slices(region)[np.clip(slices, 0, region.values.shape[0] - 1)]
     scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
@@ -129,6 +144,11 @@ def _judge_region(
     # at the rim of a cover or of metal the edge belongs to that
     clear = opens & ~_mark_adjacent_rays(directions, (covered & ~joined) | metal)
     off_sphere = clear & (np.abs(place - 1.0) > INLIER)
+    amiss = off_sphere.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE)
+    if shadowed.any():
+        at_surface = shadowed[:, int(np.argmin(np.abs(shares - 1.0)))]
+        lit_amiss = (off_sphere & ~at_surface).mean() / AMISS_UNDER_STREAKS
+        amiss = max(lit_amiss, off_sphere.mean() / AMISS_UNDER_SHADOWS)
     if stretch is None:
         difference_mm = edge.radius_mm * _extent_difference(directions[clear], place[clear] - 1.0)
         elongation = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
@@ -139,21 +159,19 @@ def _judge_region(
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
-    hollow = (
-        float((odd[informative][:, core] @ volume).sum() / (informative.sum() * volume.sum()))
-        if informative.any()
-        else 1.0
-    )
+    inside, lit = odd[informative][:, core], ~shadowed[informative][:, core]
+    all_of_it = informative.sum() * volume.sum()
+    hollow = float((inside @ volume).sum() / all_of_it) if informative.any() else 1.0
+    hollow_excess = hollow / (HOLLOW_UNDER_SHADOWS if shadowed.any() else HOLLOW_SHARE)
+    if shadowed.any() and informative.any():
+        hollow_excess = max(hollow_excess, float(((inside & lit) @ volume).sum() / all_of_it) / HOLLOW_SHARE)
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
-        Doubt(
-            f"{off_sphere.mean():.0%} of its surface is off a sphere",
-            off_sphere.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
-        ),
+        Doubt(f"{off_sphere.mean():.0%} of its surface is off a sphere", amiss),
         Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
         Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
         Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", elongation),
-        Doubt(f"{hollow:.0%} of its core is a different material", hollow / HOLLOW_SHARE),
+        Doubt(f"{hollow:.0%} of its core is a different material", hollow_excess),
         Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 

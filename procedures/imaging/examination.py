@@ -25,7 +25,7 @@ from procedures.imaging.markers import (
     odds,
     reasons,
 )
-from procedures.imaging.sphere_centre.ball_model import Stretch
+from procedures.imaging.sphere_centre.ball_model import Stretch, mark_metal_slices
 from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
 from procedures.imaging.sphere_centre.radial_edge import (
     RadialEdge,
@@ -286,7 +286,7 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
             None if ball is None else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None)
         )
     under_streaks = None
-    if rough.background_unevenness > STREAKED_AT_SIGHT:
+    if rough.background_unevenness > STREAKED_AT_SIGHT or mark_metal_slices(region).any():
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
         if under_streaks is not None and under_streaks.is_evident:
             return under_streaks

@@ -32,6 +32,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     guess_ball,
     intensities,
     mark_directions,
+    mark_metal_slices,
     scale,
     select_ball_voxels,
 )
@@ -59,6 +60,7 @@ FIELD_LIMITS_HU = (1.0, 1600.0)
 AWAY_MM = 1.3  # from the edge, where its blur ends
 EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
 MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
+MOST_SHADOWED = 0.12  # the same, with the narrow shadows in slices that metal passes through
 LEAST_NOISE_HU = 1.0
 NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
 FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
@@ -134,13 +136,24 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
             break
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
         return None
-    if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
+    near_metal = mark_metal_slices(region)[np.argwhere(usable)[:, 0]]
+    is_free = np.array([not near_metal[one].any() for one in field.slices])
+    odd = weights < 0.5
+    if field_hu2[is_free].max(initial=0.0) >= FIELD_LIMITS_HU[1] ** 2:
         return None  # something else than streaks is in the image
+    if float((odd & ~near_metal).mean()) > MOST_ODD or float(odd.mean()) > MOST_SHADOWED:
+        return None
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = add_stretch_derivatives(points_mm, unknowns, derivatives)
-    is_evident = _is_evident(
-        points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
+    # narrow streaks look like noise: that of the slices without metal is the scan's
+    quiet = (known > 0.99) & ~near_metal & ~odd
+    quiet_hu = white_hu if quiet.sum() < MIN_VOXELS else min(white_hu, scale(remaining[quiet]))
+    is_evident = any(
+        _is_evident(
+            points_mm, unknowns, ray_directions()[~edge.seen], one, working - modelled, streaks, quiet_hu
+        )
+        for one in (known > 0.99, (known > 0.99) & near_metal)
     )
     noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
     stretch_result = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)

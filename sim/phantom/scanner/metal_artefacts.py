@@ -69,11 +69,12 @@ BONE_EXCESS = 0.92  # g/cm3 of cortical bone over water (ICRP: 1.92)
 
 RAY_MM = 0.35  # between rays; a clinical detector has 0.5 to 0.6 mm at the centre
 APERTURE = (0.25, 0.5, 0.25)  # of focal spot and detector, over neighbouring rays: 0.6 mm
-VIEWS = 720  # over half a turn
-COARSE_MM, COARSE_VIEWS = 2.0, 90  # of the tissue, whose chords change slowly
-FAR_MM, FAR_VIEWS = 1.5, 240  # of the picture away from the markers, where streaks are smooth
+VIEWS = 480  # over half a turn: 0.65 mm apart at 100 mm from the metal, less than the blur
+COARSE_MM, COARSE_VIEWS = 2.0, 60  # of the tissue, whose chords change slowly
+FAR_MM, FAR_VIEWS = 2.0, 160  # of the picture away from the markers, where streaks are smooth
 NEAR_MM = 12.0  # half side of the exact picture around a marker
 INSIDE_MM = 5.0  # from a marker's centre: clear of its surface
+DENSE_FROM_HU, METAL_REACH_MM = 900.0, 2.2  # nearer to metal, no localizer uses a pixel
 HEIGHTS = 5  # within the slice profile
 HEAD_CM = 18.0  # of water, behind which the stated noise holds
 LONGEST_CM = 60.0  # of water: range of the water correction
@@ -147,9 +148,8 @@ class MetalArtefacts:
             return
         view, ray = np.nonzero(shadow)
         chords = self._chords_cm(parts, z_mm, self._angles[view], self._rays_mm[ray])
-        water, bone = self._tissue_cm(image)
-        error = np.zeros(shadow.shape)
-        error[shadow] = self._error_cm(parts, chords, water[shadow], bone[shadow], generator)
+        error = np.zeros(shadow.shape, dtype=np.float32)
+        error[shadow] = self._error_cm(parts, chords, *self._tissue_cm(image, view, ray), generator)
         self._add_reconstruction(image, self._filtered(error), number)
 
     def _mark_shadows(self, parts: Sequence[MetalPart], z_mm: float) -> NDArray[np.bool_]:
@@ -182,8 +182,10 @@ class MetalArtefacts:
                 taken.append((low, high))
         return chords
 
-    def _tissue_cm(self, image: Values) -> tuple[Array, Array]:
-        """Return the water in cm, and the bone in excess of it in g/cm2, along all rays (views, rays)."""
+    def _tissue_cm(
+        self, image: Values, view: NDArray[np.intp], ray: NDArray[np.intp]
+    ) -> tuple[Array, Array]:
+        """Return the water in cm, and the bone in excess of it in g/cm2, along rays (n,) of views (n,)."""
         import cv2
 
         step = max(1, round(COARSE_MM / self._grid.pixel_mm))
@@ -208,11 +210,11 @@ class MetalArtefacts:
                 along = cv2.warpAffine(content, turn, (side, side)).sum(axis=0)
                 sums[sort, view] = np.interp(self._rays_mm, places_mm, along * cell_mm / MM_PER_CM)
         sums[:, -1] = sums[:, 0, ::-1]
-        place = np.arange(VIEWS) * COARSE_VIEWS / VIEWS
+        place = view * COARSE_VIEWS / VIEWS
         first = place.astype(int)
-        share = (place - first)[:, None]
+        share = place - first
         water_cm, bone_cm = (
-            (1.0 - share) * one[first] + share * one[first + 1] for one in sums
+            (1.0 - share) * one[first, ray] + share * one[first + 1, ray] for one in sums
         )
         return water_cm, bone_cm
 
@@ -240,16 +242,19 @@ class MetalArtefacts:
         measured = np.maximum(counted, FEWEST) / self._photons
         return np.asarray(_as_water_cm(measured) - _as_water_cm(alone) - shown_cm)
 
-    def _filtered(self, error: Array) -> Values:
+    def _filtered(self, error: Values) -> Values:
         """Filter all views (views, rays), in HU to be summed over the views."""
+        from scipy import fft
+
         low, middle, high = APERTURE
-        seen = middle * error
-        seen[:, 1:] += low * error[:, :-1]
-        seen[:, :-1] += high * error[:, 1:]
+        seen = np.float32(middle) * error
+        seen[:, 1:] += np.float32(low) * error[:, :-1]
+        seen[:, :-1] += np.float32(high) * error[:, 1:]
+        seen *= np.float32(HU_PER_WATER * MM_PER_CM * pi / VIEWS)
         count = 2 * (len(self._filter) - 1)
-        spectrum = np.fft.rfft(seen, count, axis=1) * self._filter
-        back = np.fft.irfft(spectrum, count, axis=1)[:, : error.shape[1]]
-        return np.asarray(back * (HU_PER_WATER * MM_PER_CM * pi / VIEWS), dtype=np.float32)
+        spectrum = fft.rfft(seen, count, axis=1, overwrite_x=True)
+        spectrum *= self._filter
+        return np.ascontiguousarray(fft.irfft(spectrum, count, axis=1, overwrite_x=True)[:, : error.shape[1]])
 
     def _add_reconstruction(self, image: Values, views: Values, number: int) -> None:
         """Back-project: coarsely everywhere, and finely around the markers in this slice."""
@@ -281,7 +286,9 @@ class MetalArtefacts:
                 views, self._angles, first, grid.pixel_mm, whole[part].shape
             )
             distance2 = (grid.x_mm[part[1]] - x_mm) ** 2 + (grid.y_mm[part[0]] - y_mm)[:, None] ** 2
-            inside = (distance2 + height_mm**2 < INSIDE_MM**2) & (image[part] < METAL_FROM_HU)
+            reach = 2 * round(METAL_REACH_MM / grid.pixel_mm) + 1
+            metal = cv2.dilate(np.uint8(image[part] > DENSE_FROM_HU), np.ones((reach, reach), np.uint8))
+            inside = (distance2 + height_mm**2 < INSIDE_MM**2) & (metal == 0)
             self._squares[number, marker] = (whole[part][inside] ** 2).sum(), inside.sum()
         image += whole
 
@@ -371,20 +378,23 @@ def _as_water_cm(transmitted: Array) -> Array:
     return np.interp(-np.log(transmitted / SPECTRUM.sum()), logs, lengths_cm)
 
 
-def _filter(rays: int, sigma_mm: float, enhanced: float) -> Array:
+def _filter(rays: int, sigma_mm: float, enhanced: float) -> Values:
     """Return a ramp filter with a reconstruction kernel's transfer, in 1/mm, for padded views."""
-    count = 1 << int(np.ceil(np.log2(2 * rays)))
+    from scipy import fft
+
+    count = fft.next_fast_len(2 * rays, real=True)
+    count += count % 2
     places = np.minimum(np.arange(count), count - np.arange(count))
     odd = places % 2 == 1
     # the band-limited ramp in space: exact at frequency zero, where a sampled one would be off
     ramp = np.where(odd, -1.0 / (pi * np.where(odd, places, 1) * RAY_MM) ** 2, 0.0)
     ramp[0] = 0.25 / RAY_MM**2
-    cycles = np.fft.rfftfreq(count, RAY_MM)
+    cycles = fft.rfftfreq(count, RAY_MM)
     sharp, wide = (np.exp(-2.0 * (pi * cycles * size) ** 2) for size in (sigma_mm, 2.0 * sigma_mm))
     aperture = APERTURE[1] + 2.0 * APERTURE[0] * np.cos(2.0 * pi * cycles * RAY_MM)
     # the aperture is part of the stated blur
     transfer = ((1.0 + enhanced) * sharp - enhanced * wide) / np.maximum(aperture, 0.3)
-    return np.asarray(np.fft.rfft(ramp).real * RAY_MM * transfer)
+    return np.asarray(fft.rfft(ramp).real * RAY_MM * transfer, dtype=np.float32)
 
 
 def _photons(noise_HU: float, sigma_mm: float) -> float:
