@@ -201,14 +201,14 @@ class MetalArtefacts:
         middle = 0.5 * (side - 1)
         places_mm = (np.arange(side) - middle) * cell_mm
         sums = np.empty((2, COARSE_VIEWS + 1, len(self._rays_mm)))
-        for view in range(COARSE_VIEWS):
+        for turned in range(COARSE_VIEWS):
             turn = cv2.getRotationMatrix2D(
-                (0.5 * (columns - 1), 0.5 * (rows - 1)), 180.0 * view / COARSE_VIEWS, 1.0
+                (0.5 * (columns - 1), 0.5 * (rows - 1)), 180.0 * turned / COARSE_VIEWS, 1.0
             )
             turn[:, 2] += (middle - 0.5 * (columns - 1), middle - 0.5 * (rows - 1))
             for sort, content in enumerate((water, bone)):
                 along = cv2.warpAffine(content, turn, (side, side)).sum(axis=0)
-                sums[sort, view] = np.interp(self._rays_mm, places_mm, along * cell_mm / MM_PER_CM)
+                sums[sort, turned] = np.interp(self._rays_mm, places_mm, along * cell_mm / MM_PER_CM)
         sums[:, -1] = sums[:, 0, ::-1]
         place = view * COARSE_VIEWS / VIEWS
         first = place.astype(int)
