@@ -56,6 +56,7 @@ OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
 FITTED_DEGREES = (1, 2, 3)
 METAL_HU = 900.0
 METAL_REACH_MM = 2.2  # reach of blur from metal
+STREAKING_HU = 2000.0  # denser than a skull
 SLICE_REACH_MM = 1.0  # along the slices
 FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
 HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
@@ -371,7 +372,7 @@ def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
 
 def mark_metal_slices(region: Region) -> NDArray[np.bool_]:
     """Mark the slices (n,) that metal, or its blur along the slices, passes through: these may hold streaks."""
-    metal = (region.values > METAL_HU).any(axis=(1, 2))
+    metal = (region.values > STREAKING_HU).any(axis=(1, 2))
     reach = max(1, round(SLICE_REACH_MM / float(region.spacing_mm[0])))
     return np.asarray(binary_dilation(metal, iterations=reach)) if metal.any() else metal
 

@@ -61,6 +61,7 @@ AWAY_MM = 1.3  # from the edge, where its blur ends
 EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
 MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
 MOST_SHADOWED = 0.12  # the same, with the narrow shadows in slices that metal passes through
+QUIET_VOXELS = 100  # of a slice, to tell whether it is quiet
 LEAST_NOISE_HU = 1.0
 NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
 FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
@@ -146,14 +147,16 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = add_stretch_derivatives(points_mm, unknowns, derivatives)
-    # narrow streaks look like noise: that of the slices without metal is the scan's
-    quiet = (known > 0.99) & ~near_metal & ~odd
-    quiet_hu = white_hu if quiet.sum() < MIN_VOXELS else min(white_hu, scale(remaining[quiet]))
+    # narrow streaks look like noise: that of the quietest slice is the scan's
+    quiet_hu = min(
+        [scale(remaining[one][known[one] > 0.99]) for one in field.slices if len(one) > QUIET_VOXELS],
+        default=white_hu,
+    )
     is_evident = any(
         _is_evident(
-            points_mm, unknowns, ray_directions()[~edge.seen], one, working - modelled, streaks, quiet_hu
+            points_mm, unknowns, ray_directions()[~edge.seen], one, working - modelled, streaks, min(quiet_hu, white_hu)
         )
-        for one in (known > 0.99, (known > 0.99) & near_metal)
+        for one in (known > 0.99, (known > 0.99) & near_metal & ~odd)
     )
     noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
     stretch_result = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
