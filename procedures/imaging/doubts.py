@@ -55,10 +55,11 @@ EXTENT_PRIOR = 2.0  # rays by which the extents are shrunk towards equality when
 # `joined` exceed at least one by half.
 AMISS_SHARE = 0.04  # of the surface, that is off the sphere
 AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
-# the same two limits for all of it, where metal in the same slices throws streaks: only what is in other slices
-# then counts against the usual ones
+# limits for a whole body where metal in the same slices throws streaks; the usual ones then count for what
+# is in other slices
 AMISS_UNDER_SHADOWS = 0.12
-HOLLOW_UNDER_SHADOWS = 0.2
+HOLLOW_UNDER_SHADOWS, THROUGH_SHADOWS = 0.27, 0.4  # a hollow ball with a wall of 3 mm: 0.29
+WALL = (0.80, 0.92)  # of the radius
 BORDER_HU = 20.0  # fall at the surface, where it is smallest; to a moist bandage it is 40 HU
 NARROW_SHARE = 0.15  # of the surface: air around a narrow cover increases the fall next to it
 NARROW_BORDER_HU = 50.0
@@ -68,6 +69,7 @@ STRETCH = 0.023  # the same, measured by voxels: 0.13 mm; a capsule 0.28 mm long
 STRETCH_DEVIATIONS = 5.0  # plus this many standard deviations of the noise
 MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anything attached raises it by half
 NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
+METAL_DOUBT = 5  # the last one: metal shines in the image with its streaks and in that without
 HOLLOW_SHARE = 0.08  # of the core; 0.02 in markers under strong streaks
 METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
 EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
@@ -101,11 +103,14 @@ def assess_shape(
     cleaned_doubts, streaked_doubts = (
         _judge_region(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region)
     )
-    worse = [
+    return tuple(
         max(pair, key=lambda doubt: doubt.excess)
-        for pair in zip(cleaned_doubts, streaked_doubts, strict=True)
-    ]
-    return tuple(worse[k] if k in NOT_BY_STREAKS else cleaned_doubts[k] for k in range(len(cleaned_doubts)))
+        if number in NOT_BY_STREAKS
+        else min(pair, key=lambda doubt: doubt.excess)
+        if number == METAL_DOUBT
+        else pair[0]
+        for number, pair in enumerate(zip(cleaned_doubts, streaked_doubts, strict=True))
+    )
 
 
 def _judge_region(
@@ -159,12 +164,17 @@ def _judge_region(
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
-    inside, lit = odd[informative][:, core], ~shadowed[informative][:, core]
     all_of_it = informative.sum() * volume.sum()
-    hollow = float((inside @ volume).sum() / all_of_it) if informative.any() else 1.0
-    hollow_excess = hollow / (HOLLOW_UNDER_SHADOWS if shadowed.any() else HOLLOW_SHARE)
+    different = odd[informative][:, core]
+    hollow = float((different @ volume).sum() / all_of_it) if informative.any() else 1.0
+    hollow_excess = hollow / (THROUGH_SHADOWS if shadowed.any() else HOLLOW_SHARE)
     if shadowed.any() and informative.any():
-        hollow_excess = max(hollow_excess, float(((inside & lit) @ volume).sum() / all_of_it) / HOLLOW_SHARE)
+        lit = different & ~shadowed[informative][:, core]
+        # a shadow enters through the surface, a hollow has a wall
+        (wall_hu,) = _levels_hu(profiles[informative], shares, WALL)
+        walled = np.abs(wall_hu - edge.inside_hu) < SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
+        for one, limit in ((lit, HOLLOW_SHARE), (different & walled[:, None], HOLLOW_UNDER_SHADOWS)):
+            hollow_excess = max(hollow_excess, float((one @ volume).sum() / all_of_it) / limit)
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
         Doubt(f"{off_sphere.mean():.0%} of its surface is off a sphere", amiss),

@@ -118,7 +118,9 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
 
 def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
-    streaks = [{"streak_HU": round(one, 1)} for one in planes.streaks_HU()] or [{}] * len(scan.anatomy.markers)
+    streaks = [{"streak_HU": round(one, 1)} for one in planes.streaks_HU()] or [{}] * len(
+        scan.anatomy.markers
+    )
     return (
         scan.truth
         | planes.active()

@@ -75,7 +75,8 @@ def phantom(
     kernel: Annotated[str, _scanner_option("standard, smooth or sharp.")] = "standard",
     extended_range: Annotated[bool, _scanner_option("Store metal above 3071 HU.")] = False,
     metal_artefacts: Annotated[
-        bool, _scanner_option("Streaks and shadows of metal, from the physics of the scan.", "--metal-artefacts")
+        bool,
+        _scanner_option("Streaks and shadows of metal, from the physics of the scan.", "--metal-artefacts"),
     ] = False,
     postoperative: Annotated[
         Path | None,
@@ -121,7 +122,15 @@ def phantom(
         return
     shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
-        tilt_deg, table_scale, thickness_mm, beam_hardening, *shifts_mm, kernel, extended_range, tilt_hidden, metal_artefacts
+        tilt_deg,
+        table_scale,
+        thickness_mm,
+        beam_hardening,
+        *shifts_mm,
+        kernel,
+        extended_range,
+        tilt_hidden,
+        metal_artefacts,
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if family is not None or carrier is None:

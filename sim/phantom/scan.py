@@ -206,7 +206,12 @@ class SlicePainter:
         self._metal = None
         if faults.metal_artefacts:
             self._metal = MetalArtefacts(
-                metal_parts(anatomy), anatomy.places, grid, self._kernel, self._thickness_mm, scene.ct.noise_HU
+                metal_parts(anatomy),
+                anatomy.places,
+                grid,
+                self._kernel,
+                self._thickness_mm,
+                scene.ct.noise_HU,
             )
 
     def paint_patch(self, number: int) -> Patch:

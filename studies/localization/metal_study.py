@@ -116,9 +116,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         Table.of(
             "Spheres on metal screws",
             rows,
-            f"Streaks: metal artefacts of more than {STREAKED_HU:g} HU rms inside the sphere. Errors are 3-D. "
-            "chi² / 3n is 1 when the stated covariances are right. A doubtful sphere is listed with its "
-            "picture and odds; a missed one is not listed.",
+            f"Streaks: metal artefacts of more than {STREAKED_HU:g} HU rms inside the sphere. Errors "
+            "are 3-D. chi² / 3n is 1 when the stated covariances are right. A doubtful sphere is listed "
+            "with its picture and odds; a missed one is not listed.",
         ),
         Table("Goals", ("figure", "value", "goal", "met"), _judge(together)),
     ]
@@ -129,7 +129,9 @@ def _make_row(protocol: str, kind: str, total: Mapping[str, float]) -> dict[str,
     return {
         "protocol": protocol,
         "streaks": kind,
-        **{what: int(total.get(f"{kind}|{what}", 0.0)) for what in ("spheres", "found", "doubtful", "missed")},
+        **{
+            what: int(total.get(f"{kind}|{what}", 0.0)) for what in ("spheres", "found", "doubtful", "missed")
+        },
         "rms µm": 1e3 * sqrt(total[f"{kind}|error2"] / found) if found else None,
         "chi² / 3n": total[f"{kind}|chi2"] / (3.0 * found) if found else None,
         "outside 99 %": int(total.get(f"{kind}|tail", 0.0)),
@@ -153,7 +155,9 @@ def _judge(total: Mapping[str, float]) -> list[Sequence[Cell]]:
     for kind, most_um in RMS_UM.items():
         if count := total.get(f"{kind}|found", 0.0):
             rms_um = 1e3 * sqrt(total[f"{kind}|error2"] / count)
-            rows.append((f"rms µm, {kind} streaks", rms_um, f"at most {most_um:g}", yes_or_no(rms_um <= most_um)))
+            rows.append(
+                (f"rms µm, {kind} streaks", rms_um, f"at most {most_um:g}", yes_or_no(rms_um <= most_um))
+            )
     if found:
         (low, high), per_degree = CHI2, chi2 / (3.0 * found)
         rows.append(("chi² / 3n", per_degree, f"{low:g} to {high:g}", yes_or_no(low <= per_degree <= high)))

@@ -57,7 +57,7 @@ FITTED_DEGREES = (1, 2, 3)
 METAL_HU = 900.0
 METAL_REACH_MM = 2.2  # reach of blur from metal
 STREAKING_HU = 2000.0  # denser than a skull
-SLICE_REACH_MM = 1.0  # along the slices
+SLICE_REACH_MM = 1.5  # along the slices: the cone of the beam takes streaks that far
 FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
 HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
 HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
@@ -371,8 +371,8 @@ def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
 
 
 def mark_metal_slices(region: Region) -> NDArray[np.bool_]:
-    """Mark the slices (n,) that metal, or its blur along the slices, passes through: these may hold streaks."""
-    metal = (region.values > STREAKING_HU).any(axis=(1, 2))
+    """Mark the slices (n,) at or next to metal, which may hold its streaks."""
+    metal = np.asarray((region.values > STREAKING_HU).any(axis=(1, 2)))
     reach = max(1, round(SLICE_REACH_MM / float(region.spacing_mm[0])))
     return np.asarray(binary_dilation(metal, iterations=reach)) if metal.any() else metal
 

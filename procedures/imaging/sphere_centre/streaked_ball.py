@@ -154,7 +154,13 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     )
     is_evident = any(
         _is_evident(
-            points_mm, unknowns, ray_directions()[~edge.seen], one, working - modelled, streaks, min(quiet_hu, white_hu)
+            points_mm,
+            unknowns,
+            ray_directions()[~edge.seen],
+            one,
+            working - modelled,
+            streaks,
+            min(quiet_hu, white_hu),
         )
         for one in (known > 0.99, (known > 0.99) & near_metal & ~odd)
     )

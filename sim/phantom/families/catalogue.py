@@ -247,7 +247,7 @@ FAMILIES: dict[str, Family] = {
         Family(
             "metal",
             Purpose.JUDGING,
-            "titanium and steel screws, amalgam and screws beside them: artefacts from the physics of the scan",
+            "titanium and steel screws, amalgam and screws beside them, and their artefacts from the physics",
             half_width_mm=(70.0, 80.0),
             standoff_mm=(9.0, 18.0),
             bases=MetalBases(

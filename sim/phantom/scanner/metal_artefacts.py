@@ -1,4 +1,4 @@
-"""Streaks and shadows of metal in a slice, from the physics of the scan: beam hardening and photon starvation.
+"""Streaks and shadows of metal, from the physics of a scan: beam hardening and photon starvation.
 
 The slice's tissue and the chords of every metal part are projected with a spectrum, through a detector of
 finite width and a slice of finite thickness, with the few photons that the metal leaves. The scanner takes
@@ -125,8 +125,10 @@ class MetalArtefacts:
         centre = (grid.x_mm.mean(), grid.y_mm.mean())
         self._centre_mm = np.array(centre)
         half_mm = 0.5 * float(np.hypot(grid.columns, grid.rows)) * grid.pixel_mm
-        self._rays_mm = RAY_MM * np.arange(-int(half_mm / RAY_MM), int(half_mm / RAY_MM) + 1)
-        self._angles = pi * np.arange(VIEWS) / VIEWS
+        self._rays_mm: Array = np.float64(RAY_MM) * np.arange(
+            -int(half_mm / RAY_MM), int(half_mm / RAY_MM) + 1
+        )
+        self._angles: Array = pi * np.arange(VIEWS, dtype=np.float64) / VIEWS
         sigma_mm = sqrt(kernel.plane_sigma_mm**2 + BOX_VARIANCE * grid.pixel_mm**2)
         self._squares = np.zeros((grid.slices, len(near), 2))  # HU2 and pixels within markers
         self._filter = _filter(len(self._rays_mm), sigma_mm, kernel.enhanced)
@@ -182,9 +184,7 @@ class MetalArtefacts:
                 taken.append((low, high))
         return chords
 
-    def _tissue_cm(
-        self, image: Values, view: NDArray[np.intp], ray: NDArray[np.intp]
-    ) -> tuple[Array, Array]:
+    def _tissue_cm(self, image: Values, view: NDArray[np.intp], ray: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the water in cm, and the bone in excess of it in g/cm2, along rays (n,) of views (n,)."""
         import cv2
 
@@ -213,9 +213,7 @@ class MetalArtefacts:
         place = view * COARSE_VIEWS / VIEWS
         first = place.astype(int)
         share = place - first
-        water_cm, bone_cm = (
-            (1.0 - share) * one[first, ray] + share * one[first + 1, ray] for one in sums
-        )
+        water_cm, bone_cm = ((1.0 - share) * one[first, ray] + share * one[first + 1, ray] for one in sums)
         return water_cm, bone_cm
 
     def _error_cm(
@@ -270,9 +268,9 @@ class MetalArtefacts:
         angles = self._angles.reshape(FAR_VIEWS, skip).mean(axis=1)
         start = np.array([grid.x_mm[0], grid.y_mm[0]]) + 0.5 * (step - 1) * grid.pixel_mm
         coarse = self._back_project(groups, angles, start, far_mm[0], (rows, columns))
-        whole = cv2.resize(
-            coarse, (columns * step, rows * step), interpolation=cv2.INTER_LINEAR
-        )[: image.shape[0], : image.shape[1]]
+        whole = cv2.resize(coarse, (columns * step, rows * step), interpolation=cv2.INTER_LINEAR)[
+            : image.shape[0], : image.shape[1]
+        ]
         for marker, (x_mm, y_mm, z_mm) in enumerate(self._near):
             height_mm = float(grid.z_mm[number]) - z_mm
             if abs(height_mm) > NEAR_MM:
@@ -282,9 +280,7 @@ class MetalArtefacts:
                 grid.indices(0, x_mm - NEAR_MM, x_mm + NEAR_MM),
             )
             first = np.array([grid.x_mm[part[1]][0], grid.y_mm[part[0]][0]])
-            whole[part] = self._back_project(
-                views, self._angles, first, grid.pixel_mm, whole[part].shape
-            )
+            whole[part] = self._back_project(views, self._angles, first, grid.pixel_mm, whole[part].shape)
             distance2 = (grid.x_mm[part[1]] - x_mm) ** 2 + (grid.y_mm[part[0]] - y_mm)[:, None] ** 2
             reach = 2 * round(METAL_REACH_MM / grid.pixel_mm) + 1
             metal = cv2.dilate(np.uint8(image[part] > DENSE_FROM_HU), np.ones((reach, reach), np.uint8))
@@ -375,7 +371,7 @@ def _water_table() -> tuple[Array, Array]:
 def _as_water_cm(transmitted: Array) -> Array:
     """Return the water, in cm, that transmits this share of the photons."""
     logs, lengths_cm = _water_table()
-    return np.interp(-np.log(transmitted / SPECTRUM.sum()), logs, lengths_cm)
+    return np.asarray(np.interp(-np.log(transmitted / SPECTRUM.sum()), logs, lengths_cm))
 
 
 def _filter(rays: int, sigma_mm: float, enhanced: float) -> Values:
@@ -403,7 +399,7 @@ def _photons(noise_HU: float, sigma_mm: float) -> float:
         pi**2 / VIEWS * RAY_MM * sqrt(pi) / 2.0 / (4.0 * pi**2 * sigma_mm**2) ** 1.5
     )
     behind = float((SPECTRUM * np.exp(-HEAD_CM * WATER)).sum())
-    return 1.0 / (log_variance * behind)
+    return float(1.0 / (log_variance * behind))
 
 
 def _effective_per_mm() -> float:
