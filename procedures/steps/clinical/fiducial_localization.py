@@ -10,7 +10,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Marker
-from procedures.imaging.pictures import draw_markers
+from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -51,6 +51,8 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
+    for number, picture in enumerate(draw_candidates(volume, found.doubtful), start=1):
+        context.keep_picture(f"ct-doubtful-{number}.png", picture)
     return Outcome(
         LocalizedFiducials(
             series_instance_uid=found.series_instance_uid,

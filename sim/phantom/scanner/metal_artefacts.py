@@ -76,6 +76,7 @@ NEAR_MM = 12.0  # half side of the exact picture around a marker
 INSIDE_MM = 5.0  # from a marker's centre: clear of its surface
 DENSE_FROM_HU, METAL_REACH_MM = 900.0, 2.2  # nearer to metal, no localizer uses a pixel
 HEIGHTS = 5  # within the slice profile
+LEAST_NOISE_HU = 1.0  # a scan without noise has very many photons
 HEAD_CM = 18.0  # of water, behind which the stated noise holds
 LONGEST_CM = 60.0  # of water: range of the water correction
 ELECTRONIC = 8.0  # photons: noise of the detector without any
@@ -395,7 +396,7 @@ def _filter(rays: int, sigma_mm: float, enhanced: float) -> Values:
 
 def _photons(noise_HU: float, sigma_mm: float) -> float:
     """Return the photons per ray in air that give this noise behind a head of water."""
-    log_variance = (noise_HU / HU_PER_WATER * _effective_per_mm()) ** 2 / (
+    log_variance = (max(noise_HU, LEAST_NOISE_HU) / HU_PER_WATER * _effective_per_mm()) ** 2 / (
         pi**2 / VIEWS * RAY_MM * sqrt(pi) / 2.0 / (4.0 * pi**2 * sigma_mm**2) ** 1.5
     )
     behind = float((SPECTRUM * np.exp(-HEAD_CM * WATER)).sum())
