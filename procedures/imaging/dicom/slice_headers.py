@@ -300,8 +300,8 @@ def _list_oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
         warnings.append("the unit of the intensities is unspecified: assuming Hounsfield units")
     if not read_attribute_text(path, header, "ConvolutionKernel"):
         warnings.append(
-            "no reconstruction kernel is named: the stated errors hold from soft to sharp kernels, not for an "
-            "unknown filter; ask for the series with its kernel"
+            "no reconstruction kernel is named: the stated errors hold from soft to sharp kernels, not for "
+            "an unknown filter; ask for the series with its kernel"
         )
     return tuple(warnings)
 

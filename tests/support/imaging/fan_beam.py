@@ -51,7 +51,9 @@ def scan(mounted: Mounted, seed: int = 0) -> Volume:
     angles = 2.0 * np.pi * np.arange(VIEWS) / VIEWS
     voxels = np.empty((SLICES, SIDE, SIDE), dtype=np.int16)
     for number, height in enumerate(heights.tolist()):
-        through = np.mean([_transmit(mounted, z, angles, fan) for z in height + np.array([-0.3, 0.0, 0.3])], 0)
+        through = np.mean(
+            [_transmit(mounted, z, angles, fan) for z in height + np.array([-0.3, 0.0, 0.3])], 0
+        )
         counted = np.maximum(random.poisson(PHOTONS * through), 1) / PHOTONS
         hu = 1000.0 * (_reconstruct(_as_water(counted), angles, fan, places) - 1.0)
         voxels[number] = np.clip(np.rint(hu), -1024, 3071)
