@@ -172,7 +172,8 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     purposes = {name: family.purpose for name, family in FAMILIES.items() if name != "bare"}
-    assert purposes == dict.fromkeys(TUNING, Purpose.TUNING) | dict.fromkeys(JUDGING, Purpose.JUDGING)
+    judging = (*JUDGING, metal_study.FAMILY)
+    assert purposes == dict.fromkeys(TUNING, Purpose.TUNING) | dict.fromkeys(judging, Purpose.JUDGING)
     monkeypatch.setattr(study_module, "JUDGING", ("plain",))
     study = LocalizationStudy(1, families=("plain",))
 
