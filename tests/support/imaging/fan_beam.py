@@ -26,7 +26,7 @@ POLYMER = 1.12  # g/cm3, attenuating like water
 SOURCE_MM, VIEWS, PHOTONS = 570.0, 600, 2e6
 RAY_RAD = 0.4 / SOURCE_MM
 PIXEL_MM, SLICE_MM, SIDE, SLICES = 0.5, 1.0, 72, 30
-BALL_MM, BLUR_MM = 5.75, 0.42
+BLUR_MM, WATER_MM = 0.42, 22.0
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,14 @@ class Mounted:
     centre: tuple[float, float, float]
     down: tuple[float, float, float]
     metal: str
+    ball_mm: float = 5.75
     screw_mm: float = 1.6
     flange_mm: float = 1.6
     flange_below_mm: float = 11.0
 
 
-def scan(mounted: Mounted, seed: int = 0) -> Volume:
-    """Project and reconstruct the ball on its metal, over water, as a volume in LPS mm."""
+def scan(*mounted: Mounted, seed: int = 0) -> Volume:
+    """Project and reconstruct balls on their metal, over water, as a volume in LPS mm."""
     random = np.random.default_rng(seed)
     fan = RAY_RAD * (np.arange(260) - 129.75)  # a quarter of a ray off the middle, as scanners have it
     half_mm = 0.5 * (SIDE - 1) * PIXEL_MM
@@ -64,23 +65,30 @@ def scan(mounted: Mounted, seed: int = 0) -> Volume:
     return Volume(voxels, geometry, "1.2.3", "1.2.4")
 
 
-def _transmit(mounted: Mounted, z: float, angles: Array, fan: Array) -> Array:
+def _transmit(mounted: tuple[Mounted, ...], z: float, angles: Array, fan: Array) -> Array:
     """Return the transmitted share of the photons (views, rays) at a height."""
     source = SOURCE_MM * np.column_stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)))
     source[:, 2] = z
     heading = angles[:, None] + np.pi + fan
     ray = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=-1)
+    exponents = sum(_attenuate(one, source, ray) for one in mounted)
+    return np.asarray(np.exp(-exponents) @ SPECTRUM)
+
+
+def _attenuate(mounted: Mounted, source: Array, ray: Array) -> Array:
+    """Return the exponents (views, rays, energies) of a ball with its screw and flange, and water below."""
     centre, down = np.array(mounted.centre), np.array(mounted.down)
-    water = POLYMER * _chord_of_ball(source, ray, centre, BALL_MM)
-    water += _chord_of_ball(source, ray, centre + (mounted.flange_below_mm + 24.0) * down, 22.0)
-    screw = _ends_of_cylinder(source, ray, centre + 4.25 * down, down, 19.0, mounted.screw_mm)
+    water = POLYMER * _chord_of_ball(source, ray, centre, mounted.ball_mm)
+    water += _chord_of_ball(source, ray, centre + (mounted.flange_below_mm + 24.0) * down, WATER_MM)
+    screw = _ends_of_cylinder(
+        source, ray, centre + (mounted.ball_mm - 1.5) * down, down, 19.0, mounted.screw_mm
+    )
     flange = _ends_of_cylinder(
         source, ray, centre + mounted.flange_below_mm * down, down, mounted.flange_mm, 4.0
     )
     shared = np.minimum(screw[1], flange[1]) - np.maximum(screw[0], flange[0])
     metal = (screw[1] - screw[0]) + (flange[1] - flange[0]) - np.maximum(shared, 0.0)
-    exponents = np.multiply.outer(0.1 * water, WATER) + np.multiply.outer(0.1 * metal, METALS[mounted.metal])
-    return np.asarray(np.exp(-exponents) @ SPECTRUM)
+    return np.multiply.outer(0.1 * water, WATER) + np.multiply.outer(0.1 * metal, METALS[mounted.metal])
 
 
 def _chord_of_ball(source: Array, ray: Array, centre: Array, radius: float) -> Array:
