@@ -16,6 +16,8 @@ from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.calibration import Numbers3
 
+PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
+
 
 class DoubtfulSphere(Values):
     """Object of the right size that was not accepted as a sphere."""
@@ -51,7 +53,8 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
-    for number, picture in enumerate(draw_candidates(volume, found.doubtful), start=1):
+    doubtful = found.doubtful[:PICTURED_DOUBTFUL]
+    for number, picture in enumerate(draw_candidates(volume, doubtful), start=1):
         context.keep_picture(f"ct-doubtful-{number}.png", picture)
     return Outcome(
         LocalizedFiducials(

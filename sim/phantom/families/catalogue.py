@@ -24,7 +24,7 @@ PAIR_DISTANCE_MM = 14.0
 PROTOCOLS: dict[str, CtProtocol] = {
     "good": CtProtocol(),
     "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
-    "fine": CtProtocol(pixel_mm=0.45, slice_mm=0.6, columns=512, rows=512, slices=250, noise_HU=25.0),
+    "fine": CtProtocol(pixel_mm=0.45, slice_mm=0.6, columns=512, rows=512, slices=280, noise_HU=25.0),
     "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
 }
 

@@ -16,7 +16,7 @@ from studies.campaign.folder import Ledger
 from studies.campaign.study import Unit, add_up
 from studies.campaign.workers import run_study
 from studies.errors import NotForJudging, PhantomFailed, UnitFailed
-from studies.localization import phantom_scans
+from studies.localization import metal_study, phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
 from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
