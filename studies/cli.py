@@ -221,6 +221,12 @@ def localization(
             "--thesis", help="Only the thesis protocol: 20 scans, 116 spheres, scanners with scale errors."
         ),
     ] = False,
+    metal: Annotated[
+        bool,
+        typer.Option(
+            "--metal", help="Only spheres on metal, with shadows and streaks from the physics of the scan."
+        ),
+    ] = False,
     families: Annotated[
         list[str] | None,
         typer.Option(
@@ -237,10 +243,14 @@ def localization(
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
     from studies.localization.tables import plots, tables_and_goals
 
-    if thesis + tuning + frames + bool(families) > 1:
-        raise UsageMistake("--thesis, --tuning, --frames and --family are separate studies: give one of them")
-    if thesis and methods:
-        raise UsageMistake("--method cannot be combined with --thesis: give --family, --frames or neither")
+    if thesis + tuning + frames + metal + bool(families) > 1:
+        raise UsageMistake(
+            "--thesis, --tuning, --frames, --metal and --family are separate studies: give one of them"
+        )
+    if (thesis or metal) and methods:
+        raise UsageMistake(
+            "--method cannot be combined with --thesis or --metal: give --family, --frames or neither"
+        )
     for family in families or ():
         if family not in JUDGING:
             raise UsageMistake(
@@ -256,6 +266,11 @@ def localization(
             None,
             study_options,
         )
+        return
+    if metal:
+        from studies.localization import metal_study
+
+        _run(metal_study.MetalStudy(volumes, study_options.seed), metal_study.tables, None, study_options)
         return
     study = LocalizationStudy(volumes, sets, study_options.seed, own=own)
     if tuning:

@@ -179,9 +179,12 @@ def localize(
         found = find_layout(layout_mm, result.centres_mm)
         result = replace(result, markers=tuple(result.markers[place] for place in found.order))
     if pictures is not None:
-        from procedures.imaging.pictures import draw_markers
+        from procedures.imaging.pictures import draw_candidates, draw_markers
 
         _write_pictures(pictures, "marker", draw_markers(volume, result))
+        doubtful = result.doubtful[:PICTURED_CANDIDATES]
+        if doubtful:
+            _write_pictures(pictures, "doubtful", draw_candidates(volume, doubtful))
     write_spheres(result, write or (), patient)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:

@@ -18,7 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch, stretch_matrix, stretch_terms
+from procedures.imaging.sphere_centre.ball_model import (
+    METAL_HU,
+    Stretch,
+    mark_metal_slices,
+    stretch_matrix,
+    stretch_terms,
+)
 from procedures.imaging.sphere_centre.radial_edge import (
     INLIER,
     OUTSIDE_FROM,
@@ -49,6 +55,11 @@ EXTENT_PRIOR = 2.0  # rays by which the extents are shrunk towards equality when
 # `joined` exceed at least one by half.
 AMISS_SHARE = 0.04  # of the surface, that is off the sphere
 AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
+# limits for a whole body where metal in the same slices throws streaks; the usual ones then count for what
+# is in other slices
+AMISS_UNDER_SHADOWS = 0.12
+HOLLOW_UNDER_SHADOWS, THROUGH_SHADOWS = 0.27, 0.4  # a hollow ball with a wall of 3 mm: 0.29
+WALL = (0.80, 0.92)  # of the radius
 BORDER_HU = 20.0  # fall at the surface, where it is smallest; to a moist bandage it is 40 HU
 NARROW_SHARE = 0.15  # of the surface: air around a narrow cover increases the fall next to it
 NARROW_BORDER_HU = 50.0
@@ -58,6 +69,7 @@ STRETCH = 0.023  # the same, measured by voxels: 0.13 mm; a capsule 0.28 mm long
 STRETCH_DEVIATIONS = 5.0  # plus this many standard deviations of the noise
 MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anything attached raises it by half
 NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
+METAL_DOUBT = 5  # the last one: metal shines in the image with its streaks and in that without
 HOLLOW_SHARE = 0.08  # of the core; 0.02 in markers under strong streaks
 METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
 EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
@@ -91,11 +103,14 @@ def assess_shape(
     cleaned_doubts, streaked_doubts = (
         _judge_region(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region)
     )
-    worse = [
+    return tuple(
         max(pair, key=lambda doubt: doubt.excess)
-        for pair in zip(cleaned_doubts, streaked_doubts, strict=True)
-    ]
-    return tuple(worse[k] if k in NOT_BY_STREAKS else cleaned_doubts[k] for k in range(len(cleaned_doubts)))
+        if number in NOT_BY_STREAKS
+        else min(pair, key=lambda doubt: doubt.excess)
+        if number == METAL_DOUBT
+        else pair[0]
+        for number, pair in enumerate(zip(cleaned_doubts, streaked_doubts, strict=True))
+    )
 
 
 def _judge_region(
@@ -107,6 +122,11 @@ def _judge_region(
     profiles = region.sample(
         centre_mm + edge.radius_mm * shares[None, :, None] * directions[:, None, :], smooth=True
     )
+    shadowed = np.zeros(profiles.shape, dtype=bool)
+    if streaked:
+        heights = (centre_mm[0] + edge.radius_mm * shares[None] * directions[:, :1]) / region.spacing_mm[0]
+        slices = np.rint(heights).astype(int) - int(region.start[0])
+        shadowed = mark_metal_slices(region)[np.clip(slices, 0, region.values.shape[0] - 1)]
     scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
@@ -129,6 +149,11 @@ def _judge_region(
     # at the rim of a cover or of metal the edge belongs to that
     clear = opens & ~_mark_adjacent_rays(directions, (covered & ~joined) | metal)
     off_sphere = clear & (np.abs(place - 1.0) > INLIER)
+    amiss = off_sphere.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE)
+    if shadowed.any():
+        at_surface = shadowed[:, int(np.argmin(np.abs(shares - 1.0)))]
+        lit_amiss = (off_sphere & ~at_surface).mean() / AMISS_UNDER_STREAKS
+        amiss = max(lit_amiss, off_sphere.mean() / AMISS_UNDER_SHADOWS)
     if stretch is None:
         difference_mm = edge.radius_mm * _extent_difference(directions[clear], place[clear] - 1.0)
         elongation = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
@@ -139,21 +164,24 @@ def _judge_region(
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
-    hollow = (
-        float((odd[informative][:, core] @ volume).sum() / (informative.sum() * volume.sum()))
-        if informative.any()
-        else 1.0
-    )
+    all_of_it = informative.sum() * volume.sum()
+    different = odd[informative][:, core]
+    hollow = float((different @ volume).sum() / all_of_it) if informative.any() else 1.0
+    hollow_excess = hollow / (THROUGH_SHADOWS if shadowed.any() else HOLLOW_SHARE)
+    if shadowed.any() and informative.any():
+        lit = different & ~shadowed[informative][:, core]
+        # a shadow enters through the surface, a hollow has a wall
+        (wall_hu,) = _levels_hu(profiles[informative], shares, WALL)
+        walled = np.abs(wall_hu - edge.inside_hu) < SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
+        for one, limit in ((lit, HOLLOW_SHARE), (different & walled[:, None], HOLLOW_UNDER_SHADOWS)):
+            hollow_excess = max(hollow_excess, float((one @ volume).sum() / all_of_it) / limit)
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
-        Doubt(
-            f"{off_sphere.mean():.0%} of its surface is off a sphere",
-            off_sphere.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
-        ),
+        Doubt(f"{off_sphere.mean():.0%} of its surface is off a sphere", amiss),
         Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
         Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
         Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", elongation),
-        Doubt(f"{hollow:.0%} of its core is a different material", hollow / HOLLOW_SHARE),
+        Doubt(f"{hollow:.0%} of its core is a different material", hollow_excess),
         Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 

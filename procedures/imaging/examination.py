@@ -25,7 +25,7 @@ from procedures.imaging.markers import (
     odds,
     reasons,
 )
-from procedures.imaging.sphere_centre.ball_model import Stretch
+from procedures.imaging.sphere_centre.ball_model import Stretch, mark_metal_slices
 from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
 from procedures.imaging.sphere_centre.radial_edge import (
     RadialEdge,
@@ -44,6 +44,7 @@ REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
 COVERED_SURFACE_SHARE = 0.35  # enough if what covers the rest shows an edge there
 COVERED_COHERENCE = 0.85
+SHADOWED_SURFACE_SHARE = 0.3  # enough to list a ball in the slices of metal, whose shadows hide the rest
 COVERED_STEP_HU = 30.0  # a moist bandage is 50 to 100 HU below the polymer
 RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
 
@@ -129,7 +130,7 @@ def examine_place(
 ) -> Sphere | Candidate:
     """Examine a position (3,) in grid mm; return a sphere, or the rejected candidate with the reason."""
 
-    def reject(edge: RadialEdge | None, reason: str) -> Candidate:
+    def reject(edge: RadialEdge | None, reason: str, likely: float = 0.0) -> Candidate:
         return Candidate(
             centre_mm=volume.patient_mm(edge.centre_mm if edge is not None else place_mm),
             accepted=False,
@@ -137,13 +138,16 @@ def examine_place(
             contrast_hu=contrast_hu,
             surface_share=edge.surface_share if edge is not None else None,
             radius_mm=edge.radius_mm if edge is not None else None,
+            odds=likely,
         )
 
     region = cut_region(volume, place_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, place_mm, radius_mm)
     if edge is None:
         return reject(None, NOT_POLYMER)
-    if edge.surface_share < min_surface_share and not _is_half_covered(edge):
+    shows_little = edge.surface_share < min_surface_share and not _is_half_covered(edge)
+    is_shadowed = edge.surface_share > SHADOWED_SURFACE_SHARE and mark_metal_slices(region).any()
+    if shows_little and not is_shadowed:
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         is_cut = edge.cut_share > CUT_FLAG
         return reject(
@@ -158,6 +162,15 @@ def examine_place(
         return reject(edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
+    if shows_little:
+        sphere = measure_under_streaks(region, refined, radius_mm)
+        if sphere is None or not sphere.is_evident or sphere.edge.surface_share < min_surface_share:
+            doubt = Doubt(
+                f"shows only {edge.surface_share:.0%} of a sphere's surface in the slices of metal",
+                min_surface_share / edge.surface_share,
+            )
+            return reject(edge, f"is doubtful: {doubt.reason}", odds([doubt]))
+        return replace(sphere, contrast_hu=contrast_hu)
     sphere = measure_ball(region, refined, radius_mm)
     if sphere is None:
         reason = "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER
@@ -286,7 +299,7 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
             None if ball is None else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None)
         )
     under_streaks = None
-    if rough.background_unevenness > STREAKED_AT_SIGHT:
+    if rough.background_unevenness > STREAKED_AT_SIGHT or mark_metal_slices(region).any():
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
         if under_streaks is not None and under_streaks.is_evident:
             return under_streaks

@@ -126,6 +126,9 @@ def _plan_markers(scan: Scan) -> dict[str, Any]:
 
 def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
+    streaks = [{"streak_HU": round(one, 1)} for one in planes.streaks_HU()] or [{}] * len(
+        scan.anatomy.markers
+    )
     return (
         scan.truth
         | planes.active()
@@ -145,8 +148,9 @@ def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict
                     "post_material": marker.post,
                     "HU": marker.hu,
                     **scan.marks.get(marker.fiducial.number, {}),
+                    **streak,
                 }
-                for marker in scan.anatomy.markers
+                for marker, streak in zip(scan.anatomy.markers, streaks, strict=True)
             ],
             **(
                 {

@@ -81,6 +81,10 @@ def phantom(
     ] = 0.0,
     kernel: Annotated[str, _scanner_option("standard, smooth or sharp.")] = "standard",
     extended_range: Annotated[bool, _scanner_option("Store metal above 3071 HU.")] = False,
+    metal_artefacts: Annotated[
+        bool,
+        _scanner_option("Streaks and shadows of metal, from the physics of the scan.", "--metal-artefacts"),
+    ] = False,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -99,15 +103,16 @@ def phantom(
 ) -> None:
     """Write the CT series of a head phantom, a plan for it, and its ground truth.
 
-    Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps. For testing it:
-    narrow, broad, clamp, electrodes, bandage, soaked, crowded, edge, streaks, rays, bare and, with objects
+    Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps,
+    sizes, screws. For testing it: narrow, broad, clamp, electrodes, bandage, soaked, crowded, edge, streaks,
+    rays, metal, bare and, with objects
     that are not spheres, ends, plates, hollow, fittings.
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
-    from sim.phantom.scanner.faults import ScannerFaults
+    from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
     from sim.world.process import end_with_parent, load_scene
 
     if with_parent:
@@ -124,7 +129,15 @@ def phantom(
         return
     shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
-        tilt_deg, table_scale, thickness_mm, beam_hardening, *shifts_mm, kernel, extended_range, tilt_hidden
+        tilt_deg,
+        table_scale,
+        thickness_mm,
+        beam_hardening,
+        *shifts_mm,
+        kernel,
+        extended_range,
+        tilt_hidden,
+        metal_artefacts,
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if fiducials is Fiducials.ADHESIVE:
@@ -144,6 +157,8 @@ def phantom(
             fiducials=fiducials.value,
         )
         truth = scan.scene
+        if faults == NO_FAULTS:
+            faults = scan.faults
     else:
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier)
         if protocol is not None:

@@ -20,6 +20,7 @@ from sim.phantom.scanner.dicom_series import LARGEST_STORED
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults, hardening
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
+from sim.phantom.scanner.metal_artefacts import MetalArtefacts, metal_parts
 from sim.world.noise import noise
 from sim.world.scene.model import Scene
 
@@ -116,6 +117,10 @@ class Planes:
         if self.moved_from:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}
+
+    def streaks_HU(self) -> list[float]:
+        """Return the rms metal artefact inside each marker, once all slices are painted."""
+        return self._before.streaks_HU()
 
     def paint_patches(self, pool: Executor, progress: Callable[[int], None] = lambda done: None) -> None:
         """Paint the regions that must be exact, calling `progress` with the number done."""
@@ -216,6 +221,16 @@ class SlicePainter:
                 (_, _, low), (_, _, high) = shape.bounds()
                 self._bodies.append((low - 0.5 * self._edge_mm, high + 0.5 * self._edge_mm, shape))
         self.patches: tuple[Patch, ...] = ()
+        self._metal = None
+        if faults.metal_artefacts:
+            self._metal = MetalArtefacts(
+                metal_parts(anatomy),
+                anatomy.places,
+                grid,
+                self._kernel,
+                self._thickness_mm,
+                scene.ct.noise_HU,
+            )
 
     def paint_patch(self, number: int) -> Patch:
         """Paint the surroundings of a centre; complete all `patches` before painting slices."""
@@ -240,13 +255,20 @@ class SlicePainter:
         for patch in self.patches:
             if patch.slices.start <= number < patch.slices.stop:
                 image[patch.rows, patch.columns] = patch.hu[number - patch.slices.start]
-        for filling in self._anatomy.fillings:
-            add_filling_streaks(image, self._x, self._y, z_mm, filling)
-        for streak in self._anatomy.streaks:
-            add_streak(image, self._x, self._y, z_mm, streak)
+        if self._metal is None:
+            for filling in self._anatomy.fillings:
+                add_filling_streaks(image, self._x, self._y, z_mm, filling)
+            for streak in self._anatomy.streaks:
+                add_streak(image, self._x, self._y, z_mm, streak)
         for band in self._anatomy.bands:
             add_band(image, self._x, self._y, z_mm, band)
+        if self._metal is not None:
+            self._metal.add(image, number, noise(self._scene.seed, "ct metal", number))
         return image
+
+    def streaks_HU(self) -> list[float]:
+        """Return the rms artefact inside each marker, once all slices are painted; none without artefacts."""
+        return [] if self._metal is None else self._metal.strengths_HU()[: len(self._anatomy.markers)]
 
     def _paint_background(self) -> Values:
         """Paint the air and headrest shared by all slices."""

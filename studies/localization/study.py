@@ -31,13 +31,13 @@ from studies.thesis_tables import OPERATORS, TABLE_3
 Array = NDArray[np.float64]
 BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
 COVERED = ("bandage", "soaked")
-STREAKED = ("streaks", "rays", "posts")  # families whose posts cause streaks
+STREAKED = ("streaks", "rays", "posts", "screws")  # families whose posts cause streaks
 JUDGING = (
     *("narrow", "broad", "clamp", "electrodes", "crowded", "edge", "streaks", "rays"),
     *COVERED,
     *BESIDE_OBJECTS,
 )
-TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps", "sizes")
+TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps", "sizes", "screws")
 PROTOCOLS = ("good", "poor")
 FRAMES = "frames"
 FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each

@@ -65,6 +65,7 @@ _IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # these distinguish an image f
 _TAGS = (
     "ImageType",
     "LossyImageCompression",
+    "ConvolutionKernel",
     "Modality",
     "SeriesInstanceUID",
     "FrameOfReferenceUID",
@@ -297,6 +298,11 @@ def _list_oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
         warnings.append("lossy compression: edges may have moved")
     if read_attribute_text(path, header, "RescaleType").upper() in _UNSPECIFIED:
         warnings.append("the unit of the intensities is unspecified: assuming Hounsfield units")
+    if not read_attribute_text(path, header, "ConvolutionKernel"):
+        warnings.append(
+            "no reconstruction kernel is named: the stated errors hold from soft to sharp kernels, not for "
+            "an unknown filter; ask for the series with its kernel"
+        )
     return tuple(warnings)
 
 

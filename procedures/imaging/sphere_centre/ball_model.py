@@ -21,7 +21,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.spatial import cKDTree
 from scipy.special import erfc
 
@@ -56,6 +56,8 @@ OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
 FITTED_DEGREES = (1, 2, 3)
 METAL_HU = 900.0
 METAL_REACH_MM = 2.2  # reach of blur from metal
+STREAKING_HU = 2000.0  # denser than a skull
+SLICE_REACH_MM = 1.5  # along the slices: the cone of the beam takes streaks that far
 FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
 HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
 HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
@@ -366,6 +368,13 @@ def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
     if not metal.any():
         return np.ones(metal.shape, dtype=bool)
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+
+
+def mark_metal_slices(region: Region) -> NDArray[np.bool_]:
+    """Mark the slices (n,) at or next to metal, which may hold its streaks."""
+    metal = np.asarray((region.values > STREAKING_HU).any(axis=(1, 2)))
+    reach = max(1, round(SLICE_REACH_MM / float(region.spacing_mm[0])))
+    return np.asarray(binary_dilation(metal, iterations=reach)) if metal.any() else metal
 
 
 def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:

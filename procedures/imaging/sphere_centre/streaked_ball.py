@@ -32,6 +32,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     guess_ball,
     intensities,
     mark_directions,
+    mark_metal_slices,
     scale,
     select_ball_voxels,
 )
@@ -59,13 +60,18 @@ FIELD_LIMITS_HU = (1.0, 1600.0)
 AWAY_MM = 1.3  # from the edge, where its blur ends
 EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
 MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
+MOST_SHADOWED = 0.12  # the same, with the narrow shadows in slices that metal passes through
+QUIET_VOXELS = 100  # of a slice, to tell whether it is quiet
 LEAST_NOISE_HU = 1.0
+NOISE_PRIOR = 4.0  # modes by which a slice is drawn to the mean; a slice through a ball has 60
 NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
 FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
-# Not in the model: neighbouring slices share streaks, which are narrower than its field in places. Chosen so
-# that chi-square is 1 on bands of 150 to 450 HU across `plain`, seed 100.
-COVARIANCE_FACTOR = 1.7
-NOISE_FACTOR = 1.5
+# Not in the model: neighbouring slices share streaks. What the fields add to the covariance counts twice, the
+# likeliest for 59 spheres of `screws`, `bands` and `posts` (chi² / 3n 0.8, 1.2 and 1.2).
+SHARED = 2.0
+NO_FIELD_HU2 = 0.01
+NOISE_FACTOR = 1.5  # in the weights: streaks narrower than their field are no noise
+STRETCH_FACTOR = 1.7  # of its variance, chosen on bands of 150 to 450 HU across `plain`
 MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its limit
 
 
@@ -102,7 +108,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     unknowns, weights = start.copy(), np.ones(len(values))
     streaks = np.zeros(len(values))
     field_hu2 = np.full(len(field.slices), START_FIELD_HU**2)
-    white_hu, noise_hu2 = START_NOISE_HU, START_NOISE_HU**2
+    white_hu, noise_hu2 = START_NOISE_HU, np.full(len(field.slices), START_NOISE_HU**2)
     modes: tuple[NoiseModes, ...] = ()
     for number in range(STEPS):
         modelled, derivatives = intensities(points_mm, unknowns, no_background)
@@ -118,10 +124,10 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         counted = weights * known
         white_hu2 = float(counted @ remaining**2) / max(float(counted.sum()) - solved.degrees, 1.0)
         white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
-        noise_hu2 = white_hu**2
+        noise_hu2 = np.full(len(field.slices), white_hu**2)
         if number >= NOISE_FROM_STEP:
             modes = modes or field.noise_modes((weights > 0.5) & ~censored)
-            noise_hu2 = max(noise_power(modes, remaining), noise_hu2)
+            noise_hu2 = noise_powers(modes, remaining, white_hu**2, len(field.slices))
         weights = flat_weights(remaining, scale(remaining[~censored]))
         step = solved.step
         step[:3] = np.clip(step[:3], -MOST_STEP_MM, MOST_STEP_MM)
@@ -134,21 +140,45 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
             break
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
         return None
-    if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
+    near_metal = mark_metal_slices(region)[np.argwhere(usable)[:, 0]]
+    is_free = np.array([not near_metal[one].any() for one in field.slices])
+    odd = weights < 0.5
+    if field_hu2[is_free].max(initial=0.0) >= FIELD_LIMITS_HU[1] ** 2:
         return None  # something else than streaks is in the image
+    if float((odd & ~near_metal).mean()) > MOST_ODD or float(odd.mean()) > MOST_SHADOWED:
+        return None
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = add_stretch_derivatives(points_mm, unknowns, derivatives)
-    is_evident = _is_evident(
-        points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
+    # narrow streaks look like noise: that of the quietest slice is the scan's
+    quiet_hu = min(
+        [scale(remaining[one][known[one] > 0.99]) for one in field.slices if len(one) > QUIET_VOXELS],
+        default=white_hu,
     )
-    noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
-    stretch_result = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
-    if stretch_result is None:
+    is_evident = any(
+        _is_evident(
+            points_mm,
+            unknowns,
+            ray_directions()[~edge.seen],
+            one,
+            working - modelled,
+            streaks,
+            min(quiet_hu, white_hu),
+        )
+        for one in (known > 0.99, (known > 0.99) & near_metal & ~odd)
+    )
+    given = weights * known, working - modelled
+    stretch_result = _solve(field, *given, stretched, field_hu2, STRETCH_FACTOR * NOISE_FACTOR * noise_hu2)
+    by_noise, by_all = (
+        _solve(field, *given, derivatives, one, noise_hu2)
+        for one in (np.full_like(field_hu2, NO_FIELD_HU2), field_hu2)
+    )
+    if stretch_result is None or by_noise is None or by_all is None:
         return None
+    covariance = by_noise.covariance + SHARED * (by_all.covariance - by_noise.covariance)
     return StreakedBall(
         centre_mm=unknowns[:3],
-        covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
+        covariance_mm2=covariance[:3, :3],
         radius_mm=float(unknowns[RADIUS]),
         metal_share=metal_share,
         cleaned=_remove_streaks(
@@ -203,16 +233,24 @@ class Waves:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModes:
-    """Noise patterns (k, m) over k voxels of a slice, indexed among all voxels by `rows` (k,)."""
+    """Noise patterns (k, m) over k voxels of slice `number`, indexed among all voxels by `rows` (k,)."""
 
+    number: int
     rows: NDArray[np.intp]
     patterns: Array
 
 
-def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
-    """Return the mean square of residuals (n,) along the modes, HU² per voxel."""
-    squares = sum(float(((residuals[one.rows] @ one.patterns) ** 2).sum()) for one in modes)
-    return float(squares / max(sum(one.patterns.shape[1] for one in modes), 1))
+def noise_powers(modes: tuple[NoiseModes, ...], residuals: Array, white_hu2: float, slices: int) -> Array:
+    """Return the mean square of residuals (n,) along the modes of each slice, HU² per voxel.
+
+    Metal makes some slices much noisier than others. A slice of few modes is drawn to the mean of all.
+    """
+    squares, counts = np.zeros(slices), np.zeros(slices)
+    for one in modes:
+        squares[one.number] = ((residuals[one.rows] @ one.patterns) ** 2).sum()
+        counts[one.number] = one.patterns.shape[1]
+    mean_hu2 = max(float(squares.sum() / max(counts.sum(), 1.0)), white_hu2)
+    return np.asarray((squares + NOISE_PRIOR * mean_hu2) / (counts + NOISE_PRIOR))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,13 +288,15 @@ class SliceField:
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
         """Combine noise-band waves into modes that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
-        for one, waves in zip(self.slices, self.noise_terms, strict=True):
+        for number, (one, waves) in enumerate(zip(self.slices, self.noise_terms, strict=True)):
             seen = clear[one]
             if seen.sum() < FEWEST_VOXELS:
                 continue
             values, vectors = np.linalg.eigh(waves[seen].T @ waves[seen])
             kept = values > CLEAR_SHARE * values[-1]
-            modes.append(NoiseModes(one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept]))))
+            modes.append(
+                NoiseModes(number, one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept])))
+            )
         return tuple(modes)
 
     def fill_region(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
@@ -330,7 +370,7 @@ def _solve(
     residuals: Array,
     derivatives: Array,
     field_hu2: Array,
-    noise_hu2: float,
+    noise_hu2: Array,
 ) -> _StepResult | None:
     """Solve generalized least squares with noise and a random field in each slice (Woodbury identity).
 
@@ -340,8 +380,8 @@ def _solve(
     normal, pull = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
     found, sizes_hu2 = [], np.empty(len(field.slices))
     streaks, degrees = np.empty(len(residuals)), 0.0
-    slices = zip(field.slices, field.terms, field_hu2.tolist(), strict=True)
-    for number, (one, terms, size_hu2) in enumerate(slices):
+    slices = zip(field.slices, field.terms, field_hu2.tolist(), noise_hu2.tolist(), strict=True)
+    for number, (one, terms, size_hu2, noisy_hu2) in enumerate(slices):
         root = np.sqrt(weights[one])
         weighted, remaining, weighted_derivatives = (
             terms * root[:, None],
@@ -349,14 +389,14 @@ def _solve(
             derivatives[one] * root[:, None],
         )
         count = weighted.shape[1]
-        spread = np.linalg.inv(weighted.T @ weighted / noise_hu2 + np.eye(count) / size_hu2)
+        spread = np.linalg.inv(weighted.T @ weighted / noisy_hu2 + np.eye(count) / size_hu2)
         whitened = (
-            weighted_derivatives / noise_hu2
-            - weighted @ (spread @ (weighted.T @ weighted_derivatives)) / noise_hu2**2
+            weighted_derivatives / noisy_hu2
+            - weighted @ (spread @ (weighted.T @ weighted_derivatives)) / noisy_hu2**2
         )
         normal += weighted_derivatives.T @ whitened
         pull += whitened.T @ remaining
-        coefficients = spread @ (weighted.T @ remaining) / noise_hu2
+        coefficients = spread @ (weighted.T @ remaining) / noisy_hu2
         used_degrees = count - float(np.trace(spread)) / size_hu2
         streaks[one] = terms @ coefficients
         found.append(coefficients)

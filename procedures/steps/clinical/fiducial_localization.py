@@ -11,13 +11,15 @@ from procedures.engine.methods import NOT_CLINICAL, Localizer
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Localization, Marker
-from procedures.imaging.pictures import draw_markers
+from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.thesis_localizer import REPORTED_FLE_MM, ThesisFit, localize_as_thesis
 from procedures.imaging.volume import Volume
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.calibration import Numbers3
+
+PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
 
 
 class DoubtfulSphere(Values):
@@ -67,6 +69,9 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     found = _localize(context, volume, localizer)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
+    doubtful = found.doubtful[:PICTURED_DOUBTFUL]
+    for number, picture in enumerate(draw_candidates(volume, doubtful), start=1):
+        context.keep_picture(f"ct-doubtful-{number}.png", picture)
     return Outcome(
         LocalizedFiducials(
             series_instance_uid=found.series_instance_uid,

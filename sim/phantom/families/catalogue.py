@@ -12,7 +12,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from sim.phantom.head.anatomy import Marker, shift_point
+from sim.phantom.head.anatomy import METAL_HU, POST_METAL_HU, Marker, shift_point
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
 from sim.phantom.head.painting import Band
 from sim.world.scene.model import CtProtocol
@@ -24,6 +24,7 @@ PAIR_DISTANCE_MM = 14.0
 PROTOCOLS: dict[str, CtProtocol] = {
     "good": CtProtocol(),
     "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
+    "fine": CtProtocol(pixel_mm=0.45, slice_mm=0.6, columns=512, rows=512, slices=280, noise_HU=25.0),
     "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
 }
 
@@ -73,6 +74,22 @@ class MarkerBands:
 
 
 @dataclass(frozen=True)
+class MetalBases:
+    """Markers on metal screws, scanned with the artefacts that the metal causes.
+
+    Post radius and flange thickness; `beside` is the share of markers with more metal at `beside_mm` from the
+    sphere's centre. The kernel is drawn, too.
+    """
+
+    hu: tuple[float, ...]
+    radius_mm: Range
+    flange_mm: Range
+    beside: float
+    beside_mm: Range
+    kernels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Family:
     """A scan family, from whose ranges each scan draws its values uniformly."""
 
@@ -97,6 +114,7 @@ class Family:
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # polymer balls and cylinders, this many of each
     look_alikes: tuple[Draw, ...] = ()  # objects that are not spheres, two of each kind
+    bases: MetalBases | None = None
     bare: bool = False  # spheres have neither film nor post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
 
@@ -133,6 +151,16 @@ FAMILIES: dict[str, Family] = {
             "a moist bandage that covers spheres up to the middle",
             bandage_mm=(6.0, 14.0),
             bandage_hu=(20.0, 60.0),
+        ),
+        Family(
+            "screws",
+            Purpose.TUNING,
+            "metal screws and their artefacts from the physics of the scan, other metal beside them",
+            standoff_mm=(9.0, 16.0),
+            bases=MetalBases(
+                (POST_METAL_HU, METAL_HU), (1.2, 2.0), (1.2, 2.0), 0.4, (9.0, 15.0), ("standard", "sharp")
+            ),
+            cable=False,
         ),
         _define_look_alike_family(
             "rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED
@@ -215,6 +243,23 @@ FAMILIES: dict[str, Family] = {
                 (3, 6), (200.0, 500.0), (0.8, 2.5), (1.5, 4.0), (-2.0, 2.0), (3.0, 9.0), from_metal=True
             ),
             fillings=(6, 12),
+        ),
+        Family(
+            "metal",
+            Purpose.JUDGING,
+            "titanium and steel screws, amalgam and screws beside them, and their artefacts from the physics",
+            half_width_mm=(70.0, 80.0),
+            standoff_mm=(9.0, 18.0),
+            bases=MetalBases(
+                (POST_METAL_HU, POST_METAL_HU, METAL_HU),
+                (1.2, 2.0),
+                (1.2, 2.0),
+                0.5,
+                (8.5, 16.0),
+                ("standard", "smooth", "sharp"),
+            ),
+            headrest=Headrest.CUSHION,
+            cable=False,
         ),
         Family(
             "bare",

@@ -10,15 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SEE_PHANTOM, BadScene
-from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest, draw_bands
+from sim.phantom.families.catalogue import (
+    FAMILIES,
+    PAIR_DISTANCE_MM,
+    PROTOCOLS,
+    Family,
+    Headrest,
+    MetalBases,
+    draw_bands,
+)
 from sim.phantom.head import obstacles
 from sim.phantom.head.anatomy import (
     CABLE_BEHIND_MM,
     CABLE_GAP_MM,
+    SPHERE_HU,
     Anatomy,
     Marker,
     bare_marker,
     jaw_teeth,
+    marker_on_metal,
     marker_on_post,
     shift_point,
     side_cable,
@@ -40,6 +50,7 @@ from sim.phantom.head.obstacles import (
 from sim.phantom.head.painting import Streak
 from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.scan import Scan
+from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.world.noise import noise
 from sim.world.rigid import as_rounded_point
@@ -84,6 +95,9 @@ def family_scan(
     objects = _draw_look_alikes(family, head, grid, sphere_centres, generator)
     if family.bare:
         built = tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
+    elif family.bases is not None:
+        built, beside = _draw_metal(family.bases, head, generator)
+        around += beside
     elif fiducials in FRAMES:
         built = frame_markers(head, generator)
     else:
@@ -107,7 +121,28 @@ def family_scan(
         truth["look_alikes"] = [
             {"kind": one.kind, "places_mm": [list(place) for place in one.places]} for one in objects
         ]
-    return Scan(scene, grid, anatomy, fiducials, truth, marks)
+    faults = NO_FAULTS
+    if family.bases is not None:
+        faults = ScannerFaults(kernel=str(generator.choice(family.bases.kernels)), metal_artefacts=True)
+    return Scan(scene, grid, anatomy, fiducials, truth, marks, faults)
+
+
+def _draw_metal(
+    kind: MetalBases, head: Head, generator: np.random.Generator
+) -> tuple[tuple[Marker, ...], Obstacles]:
+    """Draw the markers of a head on metal screws, and the metal beside them."""
+    markers, around = [], Obstacles()
+    for fiducial in head.fiducials:
+        radius_mm, flange_mm, sphere_hu = (
+            float(generator.uniform(*one)) for one in (kind.radius_mm, kind.flange_mm, SPHERE_HU)
+        )
+        post_hu = float(generator.choice(kind.hu))
+        markers.append(marker_on_metal(fiducial, head, post_hu, radius_mm, flange_mm, sphere_hu))
+        if generator.uniform() < kind.beside:
+            apart_mm = float(generator.uniform(*kind.beside_mm))
+            hu = float(generator.choice(kind.hu))
+            around += obstacles.metal_beside(fiducial, head, apart_mm, hu, generator)
+    return tuple(markers), around
 
 
 def protocol_named(name: str) -> CtProtocol:

@@ -194,6 +194,25 @@ def marker_on_foot(
     return Marker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
 
 
+def marker_on_metal(
+    fiducial: Fiducial, head: Head, post_hu: float, post_radius_mm: float, flange_mm: float, sphere_hu: float
+) -> Marker:
+    """Return a sphere on a metal screw of this radius, with a metal flange of this thickness on the skin."""
+    to_skin = distance_to_skin(fiducial, head)
+    centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
+    inward = scale_vector(fiducial.post_ct, -1.0)
+    top = radius - POST_DEPTH_MM
+    tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
+    flange = shift_point(centre, inward, to_skin - flange_mm)
+    shapes = (
+        Ball(FILM_HU, centre, radius + FILM_MM),
+        Ball(sphere_hu, centre, radius),
+        Rod(post_hu, shift_point(centre, inward, top), inward, tip - top, post_radius_mm),
+        Rod(post_hu, flange, inward, flange_mm, FLANGE_RADIUS_MM),
+    )
+    return Marker(fiducial, sphere_hu, "metal", shapes)
+
+
 def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     """Return the distance in mm from the sphere's centre along its post to the skin."""
     axes = np.array(head.semi_axes_mm)

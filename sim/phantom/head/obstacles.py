@@ -49,6 +49,10 @@ CUP_RADIUS_MM, CUP_MM, CUP_HU = 5.0, 2.0, 3500.0
 LEAD_RADIUS_MM, LEAD_MM = 0.6, 60.0
 BOLT_RADIUS_MM, BOLT_MM, BOLT_IN_SKULL_MM = 1.4, 30.0, 10.0
 
+HEADS_BESIDE = 0.33  # share of amalgam balls, as large as a filling, among the metal beside markers
+HEAD_BESIDE_MM, BESIDE_ABOVE_MM = 1.7, 4.0
+BESIDE_RADIUS_MM, BESIDE_LENGTH_MM = (0.8, 1.5), (12.0, 22.0)
+
 DISTRACTOR_HU = (100.0, 150.0)  # polymer, like the markers
 DISTRACTOR_BALL_MM, DISTRACTOR_CYLINDER_MM = 16.0, 12.0  # diameters
 CYLINDER_LENGTH_MM = (24.0, 40.0)
@@ -135,6 +139,22 @@ def bolt(head: Head, direction: Vector) -> Obstacles:
     outward = as_point(normal)
     start = shift_point(as_point(skin), outward, -BOLT_IN_SKULL_MM)
     return Obstacles((Rod(CUP_HU, start, outward, BOLT_IN_SKULL_MM + BOLT_MM, BOLT_RADIUS_MM),))
+
+
+def metal_beside(
+    fiducial: Fiducial, head: Head, apart_mm: float, hu: float, generator: np.random.Generator
+) -> Obstacles:
+    """Return a bare screw, or the head of one, that stands beside a marker at the height of its sphere."""
+    normal = np.array(fiducial.post_ct)
+    side = np.cross(normal, generator.standard_normal(3))
+    side /= np.linalg.norm(side)
+    centre = as_point(np.array(fiducial.centre_ct_mm) + apart_mm * side)
+    if generator.uniform() < HEADS_BESIDE:
+        return Obstacles((Ball(METAL_HU, centre, HEAD_BESIDE_MM),))
+    top = shift_point(centre, fiducial.post_ct, float(generator.uniform(-2.0, BESIDE_ABOVE_MM)))
+    down = as_point(-normal)
+    length = float(generator.uniform(*BESIDE_LENGTH_MM))
+    return Obstacles((Rod(hu, top, down, length, float(generator.uniform(*BESIDE_RADIUS_MM))),))
 
 
 def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:

@@ -66,6 +66,10 @@ class DicomSeries:
 
     def prepare(self) -> None:
         """Create the folder and remove the slices of an earlier series."""
+        # pydicom imports itself in circles: threads that begin it together may see half of it
+        import pydicom.encaps
+        import pydicom.filewriter  # noqa: F401
+
         self._folder.mkdir(parents=True, exist_ok=True)
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()

@@ -60,6 +60,7 @@ class ScannerFaults:
     kernel: str = "standard"
     extended_range: bool = False  # metal is stored beyond 3071 HU
     tilt_hidden: bool = False  # the headers show upright slices whatever the tilt
+    metal_artefacts: bool = False  # streaks and shadows of metal, from the physics of the scan
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:

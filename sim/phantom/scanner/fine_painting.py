@@ -87,7 +87,7 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
     """Paint a rod into slice `number`, an array (rows, columns)."""
     z_mm = float(grid.z_mm[number])
     half_mm = blur_spread_mm(grid.slice_mm, SLICE_SIGMA_MM)
-    part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
+    part = part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return
     spread_mm = blur_spread_mm(grid.pixel_mm, PLANE_SIGMA_MM)
@@ -117,14 +117,14 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
 
 def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | None:
     """Return the centre (x, y) of a rod's part within `half_mm` of a height, or None if there is none."""
-    part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
+    part = part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return None
     (x0, y0, _), (x1, y1, _) = part
     return 0.5 * (x0 + x1), 0.5 * (y0 + y1)
 
 
-def _part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
+def part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
     """Return the axis ends of a rod clipped between two heights plus its radius, or None if outside."""
     start, along = np.array(rod.start), np.array(rod.along)
     margin_mm = rod.radius * float(np.hypot(along[0], along[1]))

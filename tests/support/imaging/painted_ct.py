@@ -204,6 +204,7 @@ def write_series(
         data.PatientName = "Secret^Name"
         data.PatientID = "SECRET-ID"
         data.PatientPosition = "HFS"
+        data.ConvolutionKernel = "STANDARD"
         data.InstanceNumber = len(voxels) - number if reverse else number + 1
         position = np.asarray(origin_mm) + number * spacing_mm[0] * normal
         data.ImagePositionPatient = [f"{value:.6f}" for value in position]

@@ -208,12 +208,13 @@ def test_thick_slices_gaps_and_large_pixels_give_warnings(dicom_series: Write) -
     [
         ({"ImageType": ["DERIVED", "SECONDARY", "REFORMATTED"]}, "derived images"),
         ({"LossyImageCompression": "01"}, "lossy compression"),
+        ({"ConvolutionKernel": ""}, "no reconstruction kernel is named"),
         ({"RescaleType": "US"}, "unit of the intensities is unspecified"),
         ({"RescaleIntercept": "0"}, "no air in the scan, the darkest voxel has 24 HU"),
         ({"ImagesInAcquisition": 7}, "the scanner states 7 images in the acquisition, the folder has 5"),
         ({"InstanceNumber": 3}, "the slices are numbered from 3: those before are missing"),
     ],
-    ids=["derived", "lossy", "unit", "no air", "fewer than stated", "the first missing"],
+    ids=["derived", "lossy", "kernel", "unit", "no air", "fewer than stated", "the first missing"],
 )
 def test_a_series_of_doubtful_origin_gives_a_warning(
     dicom_series: Write, attributes: dict[str, object], words: str

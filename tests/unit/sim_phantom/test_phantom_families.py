@@ -43,10 +43,10 @@ def test_a_drawn_family_has_its_markers_and_nothing_intersects_its_spheres(name:
     assert spacing[spacing > 0].min() > (PAIR_DISTANCE_MM - 0.01 if FAMILIES[name].pairs else 25.0)
 
 
-def test_eight_families_are_for_tuning_and_fifteen_for_judging() -> None:
+def test_nine_families_are_for_tuning_and_sixteen_for_judging() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
-    assert purposes.count(Purpose.TUNING) == 8
-    assert purposes.count(Purpose.JUDGING) == 15
+    assert purposes.count(Purpose.TUNING) == 9
+    assert purposes.count(Purpose.JUDGING) == 16
 
 
 def test_bare_spheres_have_no_post_and_no_other_shape() -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from localized_spheres import localized_marker
 
-from procedures.imaging import Localization, Volume, VoxelGeometry
+from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry
 from sim.phantom.families.catalogue import FAMILIES, Purpose
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Unit, add_up
 from studies.campaign.workers import run_study
 from studies.errors import NotForJudging, PhantomFailed, UnitFailed
-from studies.localization import phantom_scans
+from studies.localization import metal_study, phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
 from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
@@ -172,7 +172,8 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     purposes = {name: family.purpose for name, family in FAMILIES.items() if name != "bare"}
-    assert purposes == dict.fromkeys(TUNING, Purpose.TUNING) | dict.fromkeys(JUDGING, Purpose.JUDGING)
+    judging = (*JUDGING, metal_study.FAMILY)
+    assert purposes == dict.fromkeys(TUNING, Purpose.TUNING) | dict.fromkeys(judging, Purpose.JUDGING)
     monkeypatch.setattr(study_module, "JUDGING", ("plain",))
     study = LocalizationStudy(1, families=("plain",))
 
@@ -180,6 +181,29 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
     monkeypatch.setattr(study_module, "phantom_scan", lambda *_: nullcontext(scan))
     with pytest.raises(NotForJudging, match="plain is for tuning"):
         study.run(Unit("plain|poor", 0, 1))
+
+
+def test_spheres_on_metal_are_found_doubtful_or_missed_apart_from_what_is_false() -> None:
+    covariance = 0.01**2 * np.eye(3)
+    markers = [localized_marker(point, covariance) for point in ((0.01, 0.0, 0.0), (200.0, 0.0, 0.0))]
+    doubtful = [
+        Candidate((40.0, 0.5, 0.0), accepted=False, reason="is doubtful", contrast_hu=900.0, odds=0.3),
+        Candidate((90.0, 90.0, 0.0), accepted=False, reason="is doubtful", contrast_hu=900.0, odds=0.1),
+        Candidate((0.0, 50.0, 0.0), accepted=False, reason="shows only 20%", contrast_hu=900.0),
+    ]
+    streaked = np.array([True, True, False, False])
+    sums = metal_study.count_spheres(markers, doubtful, CENTRES, streaked)
+    expected = {"with|spheres": 2, "with|found": 1, "with|doubtful": 1, "with|tail": 0}
+    expected |= {"without|spheres": 2, "without|missed": 2, "false": 1, "other doubtful": 1}
+    assert expected.items() <= sums.items()
+    assert sums["with|error2"] == pytest.approx(0.01**2)
+    assert sums["with|chi2"] == pytest.approx(1.0)
+    spheres, goals_of_it = metal_study.tables({"good": sums})
+    assert [row[spheres.columns.index("missed")] for row in spheres.rows] == [2, 0, 2, 0]
+    met = {row[0]: row[-1] for row in goals_of_it.rows}
+    assert met["missed: not even listed"] == met["false"] == met["spheres"] == "NO"
+    assert met["rms µm, with streaks"] == "yes"
+    assert "rms µm, without streaks" not in met  # none was found
 
 
 def test_a_phantom_failure_is_reported_with_the_generators_own_message() -> None:

@@ -59,6 +59,7 @@ def test_a_doubtful_sphere_is_stored_with_its_reason_and_odds(cell: ClinicalCell
     assert doubtful.centre_mm == pytest.approx((25.0, -10.0, 60.0), abs=0.2)
     assert "of its core is a different material" in doubtful.reason
     assert 0.0 < doubtful.odds < 0.5
+    assert (cell.folder / "pictures" / "ct-doubtful-1.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_what_the_spheres_together_say_of_the_scan_is_stored(cell: ClinicalCell) -> None:
