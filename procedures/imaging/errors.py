@@ -208,3 +208,14 @@ class AdhesiveCountWrong(DataError):
     code = "CT-026"
     action = "Look at the skin in the CT: a ring may be bent, touch a support, or be outside the field."
     exit_code = EXIT_REFUSED
+
+
+class KernelUnnamed(DataError):
+    """A series for a case does not name its kernel, so the errors of its spheres are unknown."""
+
+    code = "CT-027"
+    action = (
+        "Export the series again with its acquisition parameters, or have it reconstructed anew with a soft to "
+        "sharp kernel. To look at it without a case: ronna-ct localize."
+    )
+    exit_code = EXIT_REFUSED

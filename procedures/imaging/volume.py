@@ -84,8 +84,9 @@ class Volume:
     """One CT series, without patient identity.
 
     `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the scanner's code
-    for the patient's position (`HFS` is head first, supine), empty if not stated. `warnings` are sentences
-    for the user on limits of the accuracy. Raises CT-022 for other voxels.
+    for the patient's position (`HFS` is head first, supine), `kernel` its name for the reconstruction kernel;
+    both are empty if not stated. `warnings` are sentences for the user on limits of the accuracy. Raises
+    CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]
@@ -93,6 +94,7 @@ class Volume:
     series_instance_uid: str
     frame_of_reference_uid: str
     patient_position: str = ""
+    kernel: str = ""
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -106,6 +106,7 @@ class SliceHeader:
     intercept: float
     number: float | None  # counted from 1, as a rule
     stated_count: float | None  # of all images of the acquisition
+    kernel: str = ""  # of the reconstruction, as the scanner names it
     oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
 
 
@@ -267,6 +268,7 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
         intercept=intercept,
         number=read_optional_number(path, header, "InstanceNumber"),
         stated_count=read_optional_number(path, header, "ImagesInAcquisition"),
+        kernel=read_attribute_text(path, header, "ConvolutionKernel"),
         oddities=_list_oddities(path, header),
     )
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import list_dicom_files
+from procedures.imaging.errors import KernelUnnamed
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
@@ -28,6 +29,7 @@ class ImportedCt(StepResult, kind="ct_import"):
     spacing_mm: Numbers3 = Field(description="Between slices, rows, columns.")
     origin_mm: Numbers3 = Field(description="Centre of the first voxel, LPS.")
     axes: Matrix3 = Field(description="Directions of slices, rows and columns in LPS.")
+    kernel: str = Field(default="", description="Reconstruction kernel, as the scanner names it.")
     voxels_sha256: str = Field(description="SHA-256 of the voxels in HU.")
     warnings: tuple[str, ...] = Field(description="Warnings of the import.")
 
@@ -44,6 +46,7 @@ class ImportedCt(StepResult, kind="ct_import"):
             spacing_mm=geometry.spacing_mm.tolist(),
             origin_mm=geometry.origin_mm.tolist(),
             axes=geometry.axes.tolist(),
+            kernel=volume.kernel,
             voxels_sha256=hashlib.sha256(volume.voxels.data).hexdigest(),
             warnings=tuple(volume.warnings),
         )
@@ -61,12 +64,22 @@ class ImportedCt(StepResult, kind="ct_import"):
 
 
 def run(context: StepContext) -> Outcome[ImportedCt]:
-    """Read and check the series, and record its identity with the hash of its voxels."""
+    """Read and check the series, and record its identity with the hash of its voxels.
+
+    Raises CT-027 for a series without the name of its kernel: the registration weighs the spheres by stated
+    errors, which were not checked for an unknown filter.
+    """
     series = context.clinical.series
     with ThreadPoolExecutor(1) as pool:  # hashing leaves the interpreter to the reader most of the time
         noting = pool.submit(lambda: context.note_inputs(*list_dicom_files(series)))
         volume = read_series(series, progress=lambda share: context.progress(share, "reading the CT series"))
         noting.result()
+    if not volume.kernel:
+        raise KernelUnnamed(
+            f"series {volume.series_instance_uid} does not name its reconstruction kernel",
+            expected="ConvolutionKernel (0018,1210), such as B30f or H60s",
+            got="none",
+        )
     context.setting.memory.keep(volume)
     imported = ImportedCt.from_volume(volume)
     slices, rows, columns = imported.shape

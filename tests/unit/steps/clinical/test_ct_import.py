@@ -7,7 +7,7 @@ import pytest
 from clinical_case import ClinicalCell
 from painted_ct import write_series
 
-from procedures.imaging.errors import SeriesNotFound
+from procedures.imaging.errors import KernelUnnamed, SeriesNotFound
 from procedures.steps.clinical.ct_import import STEP
 from ronna_hw.evidence.manifest import ROOM_FILE
 from ronna_hw.log_output import LOG_FILE, keep_log
@@ -42,6 +42,13 @@ def test_the_patients_identity_does_not_enter_the_run_folder(cell: ClinicalCell)
     assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json", ROOM_FILE, LOG_FILE}
     assert "step done" in (cell.folder / LOG_FILE).read_text()
     assert not any(b"SECRET" in path.read_bytes().upper() for path in written)
+
+
+def test_a_series_without_the_name_of_its_kernel_is_refused(cell: ClinicalCell) -> None:
+    write_series(cell.series, PLAIN, edit=lambda data, _: data.__delattr__("ConvolutionKernel"))
+    with pytest.raises(KernelUnnamed, match=r"CT-027: .* expected ConvolutionKernel \(0018,1210\)"):
+        cell.run(STEP)
+    assert cell.case.standing == ()
 
 
 def test_a_missing_series_leaves_no_result(cell: ClinicalCell) -> None:
