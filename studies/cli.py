@@ -266,13 +266,29 @@ def strategies(
             "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
         ),
     ] = False,
+    one_experiment: Annotated[
+        bool,
+        typer.Option(
+            "--one-experiment",
+            help="Only arms whose tool frame and CT are fitted to table 4: at most 40, tilted alike.",
+        ),
+    ] = False,
     methods: OwnOption = None,
     *,
     study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
-    if identified and methods:
-        raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
+    if identified and one_experiment:
+        raise UsageMistake("--identified and --one-experiment are separate studies: give one of them")
+    if methods and (identified or one_experiment):
+        given = "--identified" if identified else "--one-experiment"
+        raise UsageMistake(f"--method cannot be combined with {given}, which has its own strategies")
+    if one_experiment:
+        from studies.strategies import one_experiment as fitted
+
+        few = min(arms, fitted.MOST_ARMS)
+        _run(fitted.OneExperimentStudy(few, study_options.seed), fitted.tables, None, study_options)
+        return
     if identified:
         from studies.strategies import identified as identified_arms
 
