@@ -284,10 +284,11 @@ def strategies(
         given = "--identified" if identified else "--one-experiment"
         raise UsageMistake(f"--method cannot be combined with {given}, which has its own strategies")
     if one_experiment:
-        from studies.strategies import one_experiment as fitted
+        from studies.strategies import experiment_tables
+        from studies.strategies.one_experiment import MOST_ARMS, OneExperimentStudy
 
-        few = min(arms, fitted.MOST_ARMS)
-        _run(fitted.OneExperimentStudy(few, study_options.seed), fitted.tables, None, study_options)
+        fitted = OneExperimentStudy(min(arms, MOST_ARMS), study_options.seed)
+        _run(fitted, experiment_tables.tables, None, study_options)
         return
     if identified:
         from studies.strategies import identified as identified_arms
