@@ -103,7 +103,7 @@ def _tabulate_spread(series: Mapping[str, Array]) -> Table:
         rows,
         "Statistics of each fitted arm over its 80 trials, as table 4 has them of its one arm; then their "
         "mean and range over the arms. No figure here is in the fit of an arm; tilts and positions were "
-        "chosen for the sd of NOS and its share between trajectories.",
+        "chosen for the sd of NOS.",
     )
 
 
@@ -171,5 +171,5 @@ def _tabulate_numbers(series: Mapping[str, Array]) -> Table:
         "What the fit has moved",
         rows,
         f"{share:.0f} % of the fitted arms have a sum below {limit:.1f}, as {100 * LIKELY:.0f} % of set S "
-        "do: table 4 is an ordinary draw where that share is near it.",
+        "do. The nearer the two shares, the more ordinary a draw is table 4.",
     )
