@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 
 LOW_SHARE, HIGH_SHARE = 5.0, 95.0  # per cent of the arms
 LIKELY = 0.95
+ALIKE = 1.5  # factor between two spreads
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
@@ -96,8 +97,15 @@ def _tabulate_spread(series: Mapping[str, Array]) -> Table:
         for name, value in printed.items():
             each = series[f"{GIVEN}|{key_of(cell)}|{name}"]
             row |= {f"thesis {name}": value, name: float(each.mean()), f"{name}, 5-95 %": _range(each)}
-        within = series[f"{GIVEN}|{key_of(cell)}|sd"] / thesis.sd_mm
-        rows.append(row | {"sd of thesis' as factor": float(within.mean())})
+        factors = series[f"{GIVEN}|{key_of(cell)}|sd"] / thesis.sd_mm
+        alike = np.maximum(factors, 1.0 / factors) <= ALIKE
+        rows.append(
+            row
+            | {
+                "sd by that of the thesis": float(factors.mean()),
+                f"arms within a factor of {ALIKE} %": 100.0 * float(alike.mean()),
+            }
+        )
     return Table.of(
         "Spread within one arm",
         rows,
