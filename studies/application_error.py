@@ -1,7 +1,8 @@
 """Application error by depth (RONNA G3, Svaco et al. 2017), at superficial and deep phantom targets.
 
 The paper's protocol is known from its summary only. Here: the phantom of the strategies study with targets
-anywhere in the head, the thesis' OCS beside ours, set S of the arm's errors.
+anywhere in the head, the thesis' OCS beside ours, set S of the arm's errors. The tool is at the target, or a
+guide is held outside the head.
 """
 
 from __future__ import annotations
@@ -17,18 +18,17 @@ from studies.accuracy.scene import Scene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Cell, Sums, Table, Unit, blocks
+from studies.guide_direction import DEPTHS_MM, PUBLISHED_MM, RESTS_MM, TARGETS, WHOLE_HEAD, run_guided
+from studies.guide_direction import tables as guide_tables
 
 Array = NDArray[np.float64]
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres
 
 STRATEGIES = ("thesis-ocs", "ocs")
 PLACES = (5, 20, 21, 31, 40, 45, 46, 49)  # the first eight from which the arm reaches everything
-TARGETS = 10
-WHOLE_HEAD = 1.0
-DEPTHS_MM: Mapping[str, tuple[float, float]] = {"0-50 mm": (0.0, 50.0), "50-120 mm": (50.0, 120.0)}
-# Strojniski vestnik 63(2017)12, 725-735: mean and quartiles, mm.
-PUBLISHED_MM = {"0-50 mm": (0.43, 0.22, 0.60), "50-120 mm": (0.88, 0.66, 1.10)}
-COMPARED = (Markers.FRAME, "thesis-ocs", 4)  # the paper's conditions
+COMPARED = (Markers.FRAME, "thesis-ocs", 4)  # the thesis' own frame
+TIP_AT_TARGET = "tip at the target"
+MOST_ARMS_OF_GUIDES = 40  # enough for a mean
 BLOCK_ARMS = 125
 QUARTILES = (25.0, 75.0)
 
@@ -45,20 +45,29 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """List the units for every depth, marker type and position."""
-        conditions = [
-            f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES
+        """List the units for every rest of the tool, depth, marker type and position."""
+        few = min(self.arms, MOST_ARMS_OF_GUIDES)
+        return [
+            unit
+            for rest in (TIP_AT_TARGET, *RESTS_MM)
+            for depth in DEPTHS_MM
+            for kind in Markers
+            for place in PLACES
+            for unit in blocks(
+                f"{rest}|{depth}|{kind}|{place}", self.arms if rest == TIP_AT_TARGET else few, BLOCK_ARMS
+            )
         ]
-        return [unit for condition in conditions for unit in blocks(condition, self.arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return all error lengths in mm, keyed `strategy|spheres|arm|target`."""
-        depth, kind, number = unit.condition.split("|")
+        """Return all error lengths in mm, keyed `strategy|spheres|arm|target`; with a guide, histograms."""
+        rest, depth, kind, number = unit.condition.split("|")
+        first = unit.block * BLOCK_ARMS
+        arms = range(first, first + unit.runs)
+        if rest != TIP_AT_TARGET:
+            return run_guided(self.seed, (rest, depth, kind, number), arms)
         markers = Markers(kind)
         drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
-        first = unit.block * BLOCK_ARMS
-        scene = Scene.of(self.seed, drawn, markers, int(number))
-        return scene.trials(range(first, first + unit.runs), STRATEGIES)
+        return Scene.of(self.seed, drawn, markers, int(number)).trials(arms, STRATEGIES)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
@@ -87,10 +96,11 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         Table.of(
             "Application error by depth",
             rows,
-            "Depth of the target below the skin, along the trajectory. Published: RONNA G3 on a "
-            "phantom, one arm. Compared with the closest case here: the x-shaped frame, the thesis' "
-            f"OCS. {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
-        )
+            "The tool itself is at the target. Depth of the target below the skin, along the trajectory. "
+            "Published: RONNA G3 on a phantom, one arm. Compared with the closest case here: the x-shaped "
+            f"frame, the thesis' OCS. {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
+        ),
+        *guide_tables(sums),
     ]
 
 
@@ -107,7 +117,9 @@ def _collect_errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
     """Collect the errors of each series, (arms, n) in mm."""
     found: dict[Series, dict[int, list[float]]] = {}
     for condition, content in sums.items():
-        depth, markers, _ = condition.split("|")
+        rest, depth, markers, _ = condition.split("|")
+        if rest != TIP_AT_TARGET:
+            continue
         for key, error_mm in content.items():
             strategy, count, arm, _ = key.split("|")
             of_series = found.setdefault((depth, markers, strategy, int(count)), {})

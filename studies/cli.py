@@ -304,22 +304,36 @@ def strategies(
             help="Only the prediction, on arms with effects that their model lacks; takes 20 arms well.",
         ),
     ] = False,
+    one_experiment: Annotated[
+        bool,
+        typer.Option(
+            "--one-experiment",
+            help="Only arms whose tool frame and CT are fitted to table 4: at most 40, tilted alike.",
+        ),
+    ] = False,
     methods: OwnOption = None,
     *,
     study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
-    if (identified or wrong) and methods:
-        raise UsageMistake(
-            "--method cannot be combined with --identified or --wrong, which have their own strategies"
-        )
-    if identified and wrong:
-        raise UsageMistake("--identified and --wrong are separate studies: give one of them")
+    separate = {"--identified": identified, "--wrong": wrong, "--one-experiment": one_experiment}
+    given = [option for option, chosen in separate.items() if chosen]
+    if len(given) > 1:
+        raise UsageMistake(f"{' and '.join(given)} are separate studies: give one of them")
+    if given and methods:
+        raise UsageMistake(f"--method cannot be combined with {given[0]}, which has its own strategies")
     if wrong:
         from studies.strategies import wrong as wrong_arms
         from studies.strategies import wrong_tables
 
         _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_tables.tables, None, study_options)
+        return
+    if one_experiment:
+        from studies.strategies import experiment_tables
+        from studies.strategies.one_experiment import MOST_ARMS, OneExperimentStudy
+
+        fitted = OneExperimentStudy(min(arms, MOST_ARMS), study_options.seed)
+        _run(fitted, experiment_tables.tables, None, study_options)
         return
     if identified:
         from studies.strategies import identified as identified_arms

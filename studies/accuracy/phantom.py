@@ -116,11 +116,11 @@ def draw_phantom(
     return Phantom(spheres_mm(markers), tuple(drawn))
 
 
-def phantom_pose(number: int) -> Transform:
-    """Return the phantom's pose, ROBOT <- CT, at position `number`."""
+def phantom_pose(number: int, turn_share: float = 1.0) -> Transform:
+    """Return the phantom's pose, ROBOT <- CT, at position `number`, turned by that share of the usual."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM
-    turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3) * PLACE_TURN_RAD)
+    turn = Rotation.from_rotvec(turn_share * random.uniform(-1.0, 1.0, 3) * PLACE_TURN_RAD)
     return Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(shift, turn))
 
 

@@ -53,7 +53,7 @@ BEST = "best"  # per target and number of spheres, the strategy with the smalles
 FROM = tuple(one.name for one in CANDIDATES)
 CT_FLE_MM = 0.38  # parameter set S: 3-D rms of a sphere in the CT, including reseating
 AXES = 3
-CT_KEY, LOOKS_KEY = 7, 8  # of the random numbers
+CT_KEY, LOOKS_KEY, GUIDE_KEY = 7, 8, 10  # of the random numbers; 9 is that of identification
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ class Chance:
     rest: Array  # (a, s, n, 3) the same, for the arm at rest
     sides: Array  # (a, s, n, 6) -1 or 1: side on which the servo's last step may leave each joint
     target_rest: Array  # (a, t, 3) for the arm at rest at the target
+    guide: Array  # (a, 2) direction of the bore, across the tool axis; the same in every place
 
     @classmethod
     def draw(
@@ -89,6 +90,7 @@ class Chance:
             scan = [CT_KEY, number, place] if scan_again else [CT_KEY, number]
             ct = np.random.default_rng(np.random.SeedSequence([seed, kind, *scan]))
             looks = np.random.default_rng(np.random.SeedSequence([seed, kind, LOOKS_KEY, number, place]))
+            guide = np.random.default_rng(np.random.SeedSequence([seed, GUIDE_KEY, number]))
             rows.append(
                 (
                     ct.normal(size=(spheres, AXES)),
@@ -96,6 +98,7 @@ class Chance:
                     looks.normal(size=(targets, spheres, AXES)),
                     looks.choice((-1.0, 1.0), size=(targets, spheres, 6)),
                     looks.normal(size=(targets, AXES)),
+                    guide.normal(size=2),
                 )
             )
         return cls(*(np.array(column) for column in zip(*rows, strict=True)))
@@ -103,10 +106,15 @@ class Chance:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Magnitudes of the errors outside the arm, as 3-D rms in mm."""
+    """Magnitudes of the errors outside the arm, as 3-D rms in mm.
+
+    `guide_rad` per axis is the direction of the guide's bore in the tool. It acts only on a trajectory on
+    which the guide rests before the target.
+    """
 
     ct_mm: float = CT_FLE_MM
     servo_mm: float = SERVO_MM
+    guide_rad: float = 0.0
 
     def only(self, source: Source) -> Sizes:
         """Return the sizes with all but one error source set to zero."""
@@ -255,8 +263,9 @@ class Scene:
     ) -> Array:
         """Return error vectors (a, t, c, 3) in mm, robot frame: tip minus target, for each sphere count.
 
-        With `any_side`, the servo's last step leaves each joint on either side of its backlash at the
-        spheres; without it, the line of approach to a sphere decides, or a strategy that controls it.
+        Where the tool rests before the target, a straight instrument goes on along its true axis. With
+        `any_side`, the servo's last step leaves each joint on either side of its backlash at the spheres;
+        without it, the line of approach to a sphere decides, or a strategy that controls it.
         """
         targets_ct = np.array([one.target_mm for one in self.phantom.trajectories])
         recorded = self._localize_spheres(arms, planned, chance, sizes, any_side)
@@ -264,13 +273,20 @@ class Scene:
         serving = [planned.set_of(target) for target in range(self.targets)]
         flanks = np.broadcast_to(planned.target_arrival, (len(arms), *planned.target_arrival.shape))
         true_targets = self.robot_from_ct.apply(targets_ct)
+        beyond_mm = np.array([[one.beyond_mm] for one in self.phantom.trajectories])
+        axes = planned.targets.rotations[..., 2]
+        bores = np.concatenate([sizes.guide_rad * chance.guide, np.ones((len(arms), 1))], axis=1)
+        along = replace(arms, tool_error_mm=arms.tool_error_mm + bores)
         found = []
         for count in self.counts:
             fit = fit_rigid(image[:, None, :count], recorded[:, :, :count])
             places = np.einsum("atij,tj->ati", fit.rotation[:, serving], targets_ct)
-            joints = reach_positions(arms, planned.targets, places + fit.translation_mm[:, serving])
-            tips = arms.tool_points_mm(joints, flanks) + arms.repeatability_mm * chance.target_rest
-            found.append(tips - true_targets)
+            places = places + fit.translation_mm[:, serving] + beyond_mm * axes
+            joints = reach_positions(arms, planned.targets, places)
+            tips = arms.tool_points_mm(joints, flanks)
+            if beyond_mm.any():
+                tips = tips - beyond_mm * (along.tool_points_mm(joints, flanks) - tips)
+            found.append(tips + arms.repeatability_mm * chance.target_rest - true_targets)
         return np.stack(found, axis=2)
 
     def _localize_spheres(

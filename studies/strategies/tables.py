@@ -170,8 +170,9 @@ def _tabulate_table_4(errors: Mapping[Series, Array]) -> Table:
         rows,
         "Mean, sd, max and min of each arm over 8 positions and 10 targets, then the mean over the "
         "arms. Between trajectories: variance of the ten means over the whole variance. The thesis "
-        "measured one arm; its OCS leaves the approach free, as thesis-ocs does; ocs is ours, which "
-        "controls it. Table 4 does not distinguish its two kinds of markers; the x-shaped frame has "
+        "measured one arm. Set S was chosen so that these means come out; that they do is no evidence. "
+        "The thesis' OCS leaves the approach free, as thesis-ocs does; ocs is ours, which controls it."
+        " Table 4 does not distinguish its two kinds of markers; the x-shaped frame has "
         f"four spheres only. {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
     )
 

@@ -248,6 +248,11 @@ def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Pa
     assert measured in write_report(registered, truth=TRUTH).read_text()
 
 
+def test_a_simulated_report_says_how_the_arms_error_sizes_were_chosen(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    assert "parameter set S, whose sizes were chosen so that the thesis' means for RONNA come out" in text
+
+
 def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: ClinicalCell) -> None:
     first, second = "ronna-hw 0.1.0 (abc), lock 123", "ronna-hw 0.1.0 (def), lock 123"
     for software in (first, first, second):

@@ -22,6 +22,8 @@ from studies.accuracy.scene import CT_FLE_MM, FINE_CT_MM, SCENARIOS, SET_S, Scen
 from studies.application_error import ApplicationErrorStudy
 from studies.campaign.study import Unit
 from studies.errors import PhantomOutOfReach, PoseNotSolved
+from studies.guide_direction import BIN_MM, EFFECTS, FITTED_REST, PUBLISHED_MM, SIZES_MRAD, rest_outside
+from studies.guide_direction import tables as guide_tables
 from studies.strategies import identified as by_looks
 from studies.strategies.identified import (
     EXPECTED,
@@ -39,6 +41,7 @@ HERE = phantom_pose(1)
 SMALL = draw_phantom(Markers.FREE, (30.0, 120.0), 2)
 COUNTS = (3, 5)
 SCENE = Scene(1, Markers.FREE, 1, SMALL, HERE, COUNTS)
+ALONE = [(effect, 1.0) for effect in EFFECTS]
 
 
 def errors_mm(strategy: str, arms: RandomArms, sizes: Sizes, numbers: range) -> np.ndarray:
@@ -188,15 +191,55 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
 @pytest.mark.slow
 def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy() -> None:
     study = ApplicationErrorStudy(arms=1)
-    (table,) = application_error.tables(
+    table, effects, sizes, fitted = application_error.tables(
         {unit.condition: study.run(unit) for unit in study.units() if unit.condition.endswith("|5")}
     )
+    assert len(effects.rows) == 2 * 3 * 2
+    assert [row[-1] for row in sizes.rows].count("fitted") == 2
+    assert [row[0] for row in fitted.rows] == ["pooled", "free", "xframe"]
     beside = {tuple(row[:4]): row[4] for row in table.rows if row[4] is not None}
     assert beside == {
         ("0-50 mm", "xframe", "thesis-ocs", 4): 0.43,
         ("50-120 mm", "xframe", "thesis-ocs", 4): 0.88,
     }
     assert len(table.rows) == 2 * 2 * (3 + 2)
+
+
+def test_a_bore_that_points_wrongly_moves_the_tip_by_its_angle_times_the_lever() -> None:
+    numbers, standoff_mm, angle_rad = range(2), 10.0, 0.004
+    scene = rest_outside(SCENE, standoff_mm)
+    chance = scene.chance(numbers)
+    still = RandomArms.draw(0, numbers).only(Source.CT)
+    errors = scene.errors_mm(still, scene.planned("ocs"), chance, Sizes(0.0, 0.0, guide_rad=angle_rad))
+    lever_mm = np.array([one.depth_mm + standoff_mm for one in SMALL.trajectories])
+    turns = angle_rad * np.linalg.norm(chance.guide, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(errors, axis=-1)[..., 0], turns[:, None] * lever_mm, rtol=1e-3)
+
+
+def test_a_straight_bore_and_an_ideal_arm_reach_the_target_from_outside() -> None:
+    scene = rest_outside(SCENE, 10.0)
+    still = RandomArms.draw(0, range(1)).only(Source.CT)
+    errors = scene.errors_mm(still, scene.planned("ocs"), scene.chance(range(1)), Sizes(0.0, 0.0))
+    assert np.abs(errors).max() < 1e-4
+
+
+def test_the_direction_whose_errors_are_the_published_ones_is_the_fitted_one() -> None:
+    def errors(mean_mm: float) -> dict[str, float]:
+        return {"mm": mean_mm, str(int(mean_mm / BIN_MM)): 1.0}
+
+    sums = {
+        f"{FITTED_REST}|{depth}|{kind}|5": {
+            f"{effect}|{what}": value
+            for effect, factor in [*((str(one), 1.0 + 0.1 * (one - 6)) for one in SIZES_MRAD), *ALONE]
+            for what, value in errors(factor * published[0]).items()
+        }
+        for depth, published in PUBLISHED_MM.items()
+        for kind in Markers
+    }
+    sums |= {key.replace(FITTED_REST, "guide 30 mm before it"): one for key, one in sums.items()}
+    *_, fitted = guide_tables(sums)
+    assert "6 mrad per axis" in fitted.note
+    assert [row[-1] for row in fitted.rows] == pytest.approx([0.0] * 3, abs=1e-9)
 
 
 def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
