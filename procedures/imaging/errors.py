@@ -215,7 +215,7 @@ class KernelUnnamed(DataError):
 
     code = "CT-027"
     action = (
-        "Export the series again with its acquisition parameters, or have it reconstructed anew with a kernel "
-        "from soft to sharp. To look at it without a case: ronna-ct localize."
+        "Export the series again with its acquisition parameters, or have it reconstructed anew with a usual "
+        "kernel, soft to sharp. To look at it without a case: ronna-ct localize."
     )
     exit_code = EXIT_REFUSED

@@ -250,7 +250,7 @@ def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Pa
 
 def test_a_simulated_report_says_how_the_arms_error_sizes_were_chosen(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
-    assert "parameter set S, whose sizes were chosen so that the thesis' means for RONNA come out" in text
+    assert "so that table 4 of the thesis comes out, so to be near it confirms nothing" in text
 
 
 def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: ClinicalCell) -> None:
