@@ -28,6 +28,7 @@ from sim.world.scene.named_scenes import draw_scene
 FIRST_SEED, LAST_SEED = 100, 119  # neither the scene nor any constant was chosen on these
 CASE_LIMIT_S = 900.0  # on a busy machine
 CASES_FILE = "cases.jsonl"
+FINISHED = ("done", "in doubt", "missed")  # outcomes of a case whose steps were all done
 TARGETS = 3  # of the default scene
 HEADER = "| arm | strategy | cases | refused | targets | mean mm | largest mm | predicted, rms mm |"
 
@@ -64,7 +65,7 @@ def tabulate(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
         if len(errors_mm):
             predicted = f"{predicted_mm.min():.2f}-{predicted_mm.max():.2f}"
             figures = (f"{errors_mm.mean():.3f}", f"{errors_mm.max():.3f}", predicted)
-        refused = sum(one["outcome"] != "done" for one in own)
+        refused = sum(one["outcome"] not in FINISHED for one in own)
         arm = "calibrated" if calibrated else "uncalibrated"
         reached = f"{len(errors_mm)} of {TARGETS * len(own)}"
         yield f"| {arm} | `{strategy}` | {len(own)} | {refused} | {reached} | {' | '.join(figures)} |"

@@ -80,7 +80,9 @@ class RunOutcome(Values):
 class FinishedRun(RunOutcome):
     """A run that reached the end of its case."""
 
-    outcome: Literal["done", "in doubt"] = "done"
+    outcome: Literal["done", "in doubt", "missed"] = Field(
+        default="done", description="A target beyond its margin is missed, whatever else is doubted."
+    )
     markers: int = Field(description="Found in the CT.")
     ct: CtOutcome | None
     registration: RegistrationOutcome

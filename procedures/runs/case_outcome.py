@@ -153,12 +153,15 @@ def build_finished_outcome(
     measured_mm = {name: _read_measured_error_mm(case, name) for name in names}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
     known_mm = {name: max(errors_mm.get(name, 0.0), measured_mm.get(name) or 0.0) for name in names}
+    beyond_margin_mm = {
+        one.id: error_mm for one in planned if (error_mm := known_mm.get(one.id, 0.0)) > one.margin_mm
+    }
     from procedures.engine.run_folder import targets_in_doubt
 
     in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
     return FinishedRun(
         run=case.folder.name,
-        outcome="in doubt" if in_doubt else "done",
+        outcome="missed" if beyond_margin_mm else "in doubt" if in_doubt else "done",
         seed=request.seed,
         strategy=request.case.strategy,
         localizer=request.case.methods.localizer,
@@ -179,9 +182,7 @@ def build_finished_outcome(
             for name in names
         ),
         left_out=left_out,
-        beyond_margin={
-            one.id: error_mm for one in planned if (error_mm := known_mm.get(one.id, 0.0)) > one.margin_mm
-        },
+        beyond_margin=beyond_margin_mm,
         in_doubt=in_doubt,
         mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
         max_application_error_mm=max(errors_mm.values(), default=None),

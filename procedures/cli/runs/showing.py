@@ -88,6 +88,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     for target in row["targets"]:
         error_mm = target["application_error_mm"]
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
+        if error_mm is not None and error_mm > target["limit_mm"]:
+            known += f": more than the limit of {target['limit_mm']:.3f} mm that the operator accepted"
         say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
@@ -144,6 +146,7 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
             {
                 "id": predicted.target,
                 "predicted_tre_mm": predicted.rms_mm,
+                "limit_mm": predicted.limit_mm,
                 "application_error_mm": errors_mm.get(predicted.target),
             }
             for used in reading.registrations

@@ -302,6 +302,13 @@ class TrackerTruth(Strict):
         default=0, description="Number of intermittent reflections."
     )
 
+    @model_validator(mode="after")
+    def _tool_names_are_unique(self) -> Self:
+        names = [tool.name for tool in self.tools]
+        if len(set(names)) < len(names):
+            raise ValueError(f"tool names must be unique, got {names}")
+        return self
+
 
 class Stand(Strict):
     """Calibration stand on the table, empty until a ball or divot is placed on it.
@@ -362,7 +369,7 @@ class Scene(Strict):
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of this file format."
     )
-    name: str = Field(description="Name of the scene.")
+    name: str = Field(pattern=r"^[^\x00-\x1f\x7f-\x9f]+$", description="Name of the scene.")
     seed: Annotated[int, Field(ge=0)] = Field(
         default=0, description="Seed of everything drawn at random later."
     )

@@ -89,6 +89,8 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("tracker", "tools", 0, "markers_mm", 1), [1e39, 0.0, 0.0], "tracker.tools 1.markers_mm 2"),
         (("tracker", "tools", 0, "normal"), [0.0, 0.0, 0.0], "tracker.tools 1.normal"),
         (("tracker", "tools", 0, "name"), "../frame", "tracker.tools 1.name"),
+        (("tracker", "tools", 0, "name"), "guide_frame", "tracker: tool names must be unique"),
+        (("name",), "mini\x1b[2J", "name"),
         (("tracker", "tools", 0, "part_number"), "RONNA-µ", "tracker.tools 1.part_number"),
         (("head", "targets", 0, "identifier"), "../T1", "head.targets 1.identifier"),
         (("head", "targets", 0, "identifier"), "T\n1", "head.targets 1.identifier"),
