@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.registration.thesis_settings import (
+    REFUSED_SHARE,
+    REFUSED_SHARE_RANGE,
+    THESIS_TOLERANCES_MM,
+)
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder, with_option_records
@@ -100,10 +105,11 @@ def correspondence(
         float | None,
         typer.Option(
             "--refuse",
-            min=1e-6,
-            max=0.5,
+            min=REFUSED_SHARE_RANGE[0],
+            max=REFUSED_SHARE_RANGE[1],
             metavar="SHARE",
-            help="Share of correct pairings that the validation of the thesis method refuses [0.001].",
+            help="Share of correct pairings that the validation of the thesis method refuses "
+            f"[{REFUSED_SHARE:g}].",
         ),
     ] = None,
     xframe: Annotated[
@@ -122,7 +128,6 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
-    from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
