@@ -151,11 +151,11 @@ def correspondence(
         )
         return
     if wrong:
-        from studies.correspondence import wrong as wrong_study
+        from studies.correspondence import pairing_misspecified as misspecified
 
         _run(
-            wrong_study.WrongAssumptionsStudy(runs, study_options.seed),
-            wrong_study.tables,
+            misspecified.MisspecifiedPairingStudy(runs, study_options.seed),
+            misspecified.tables,
             None,
             study_options,
         )
@@ -306,10 +306,14 @@ def strategies(
     if identified and wrong:
         raise UsageMistake("--identified and --wrong are separate studies: give one of them")
     if wrong:
-        from studies.strategies import wrong as wrong_arms
-        from studies.strategies import wrong_tables
+        from studies.strategies import unmodelled_arm, unmodelled_arm_tables
 
-        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_tables.tables, None, study_options)
+        _run(
+            unmodelled_arm.UnmodelledArmStudy(arms, study_options.seed),
+            unmodelled_arm_tables.tables,
+            None,
+            study_options,
+        )
         return
     if identified:
         from studies.strategies import identified as identified_arms
