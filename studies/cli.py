@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.registration.thesis_settings import (
+    REFUSED_SHARE,
+    REFUSED_SHARE_RANGE,
+    THESIS_TOLERANCES_MM,
+)
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder, with_option_records
@@ -100,10 +105,11 @@ def correspondence(
         float | None,
         typer.Option(
             "--refuse",
-            min=1e-6,
-            max=0.5,
+            min=REFUSED_SHARE_RANGE[0],
+            max=REFUSED_SHARE_RANGE[1],
             metavar="SHARE",
-            help="Share of correct pairings that the validation of the thesis method refuses [0.001].",
+            help="Share of correct pairings that the validation of the thesis method refuses "
+            f"[{REFUSED_SHARE:g}].",
         ),
     ] = None,
     xframe: Annotated[
@@ -122,7 +128,6 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
-    from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
@@ -146,11 +151,11 @@ def correspondence(
         )
         return
     if wrong:
-        from studies.correspondence import wrong as wrong_study
+        from studies.correspondence import pairing_misspecified as misspecified
 
         _run(
-            wrong_study.WrongAssumptionsStudy(runs, study_options.seed),
-            wrong_study.tables,
+            misspecified.MisspecifiedPairingStudy(runs, study_options.seed),
+            misspecified.tables,
             None,
             study_options,
         )
@@ -323,10 +328,14 @@ def strategies(
     if given and methods:
         raise UsageMistake(f"--method cannot be combined with {given[0]}, which has its own strategies")
     if wrong:
-        from studies.strategies import wrong as wrong_arms
-        from studies.strategies import wrong_tables
+        from studies.strategies import unmodelled_arm, unmodelled_arm_tables
 
-        _run(wrong_arms.WrongArmsStudy(arms, study_options.seed), wrong_tables.tables, None, study_options)
+        _run(
+            unmodelled_arm.UnmodelledArmStudy(arms, study_options.seed),
+            unmodelled_arm_tables.tables,
+            None,
+            study_options,
+        )
         return
     if one_experiment:
         from studies.strategies import experiment_tables

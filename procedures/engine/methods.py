@@ -8,13 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-NOT_CLINICAL = "not for clinical use"
+from procedures.registration.thesis_settings import E_MM, REFUSED_SHARE, check_thesis_settings
 
-E_RANGE_MM = (1.0, 6.0)  # as tried in the thesis, 5.3.1
-# Comes nearest to the thesis' figures for five to eight spheres; the thesis states no single value.
-E_MM = 2.5
-REFUSED_SHARE_RANGE = (1e-6, 0.5)
-REFUSED_SHARE = 1e-3  # ours, as the thesis states no rule for its validation
+NOT_CLINICAL = "not for clinical use"
 
 
 class Localizer(StrEnum):
@@ -34,7 +30,10 @@ class Matcher(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CaseMethods:
-    """Localizer and matcher of a case; `e_mm` and `refused_share` are of the thesis' matcher."""
+    """Localizer and matcher of a case; `e_mm` and `refused_share` are of the thesis' matcher.
+
+    Raises REG-007 if one of the two is out of range.
+    """
 
     # for request files and tapes, whose text holds an enumeration by its value
     __pydantic_config__ = {"strict": False, "extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
@@ -43,6 +42,9 @@ class CaseMethods:
     matcher: Matcher = Matcher.OURS
     e_mm: float = E_MM
     refused_share: float = REFUSED_SHARE
+
+    def __post_init__(self) -> None:
+        check_thesis_settings(self.e_mm, self.refused_share)
 
     def describe(self) -> str:
         """Name the methods with their mark, or return '' if both are ours."""

@@ -35,7 +35,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.records import canonical_json, write_atomically
 
 MAKER = "ronna-hw"
-NOT_CLINICAL = "research software, not a medical device"
+NO_MEDICAL_DEVICE = "research software, not a medical device"
 FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
 CONTENT_ALIGNMENT = ("125024", "DCM", "Image Content-based Alignment")
 REGISTRATION_FILE = "postoperative-registration.dcm"
@@ -234,7 +234,7 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.InstanceNumber = 1
     made.Modality = modality
     made.Manufacturer = MAKER
-    made.ManufacturerModelName = NOT_CLINICAL
+    made.ManufacturerModelName = NO_MEDICAL_DEVICE
     made.DeviceSerialNumber = "none"
     made.SoftwareVersions = version("ronna-hw")
     made.ContentDate = origin.made.strftime("%Y%m%d")

@@ -75,13 +75,16 @@ def turn_rad(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Possible correspondence: `pairs` (k, 2) of image and physical indices, with transform and score."""
+    """Possible correspondence: `pairs` (k, 2) of image and physical indices, with transform and score.
+
+    The score is None from a matcher that states no odds.
+    """
 
     pairs: NDArray[np.intp]
     transform: RigidTransform
     chi_square: float
     chi_square_limit: float
-    score_nats: float
+    score_nats: float | None
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class Match:
     image; `runner_up` is the best contradicting hypothesis, if one came close. AMBIGUOUS: the best hypothesis
     in `pairs` and `transform`, for display only, and its rival in `runner_up`. TOO_FEW and INCONSISTENT: no
     pairs, no transform; `runner_up` is the nearest miss, None if no three points agree. `margin_nats` is a
-    lower bound on the log odds of the best against its rival.
+    lower bound on the log odds of the best against its rival, None from a matcher that states no odds.
     """
 
     status: MatchStatus
@@ -100,7 +103,7 @@ class Match:
     transform: RigidTransform | None
     reason: str
     runner_up: Hypothesis | None
-    margin_nats: float
+    margin_nats: float | None
     unmatched_image: tuple[int, ...]
     unmatched_physical: tuple[int, ...]
 
@@ -113,7 +116,7 @@ class Match:
         counts: tuple[int, int],
         *,
         runner_up: Hypothesis | None = None,
-        margin_nats: float = 0.0,
+        margin_nats: float | None = 0.0,
     ) -> Self:
         """Build the result from the best hypothesis, if any; `counts` are the image and physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs

@@ -50,7 +50,7 @@ class NotConverged(DataError):
 
 
 class BadParameter(DataError):
-    """A standard deviation, count, prior or confidence is invalid."""
+    """A standard deviation, count, prior, confidence or setting of a matcher is invalid."""
 
     code = "REG-007"
     action = "Give a positive finite length in mm."

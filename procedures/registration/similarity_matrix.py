@@ -29,11 +29,10 @@ from procedures.registration.correspondence import MatchStatus
 from procedures.registration.pairings import gate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid, residuals
+from procedures.registration.thesis_settings import REFUSED_SHARE
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
 
 
 class Counting(StrEnum):
@@ -41,9 +40,6 @@ class Counting(StrEnum):
 
     ONE_TO_ONE = "one to one"
     ANY = "with any counterpart"
-
-
-REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ def match_by_template(
     (pairing,) = evaluate([nodes], image, physical, weigh_evidence(sigma_image_mm, sigma_physical_mm))
     paired = as_hypothesis(pairing, len(physical))
     counts = len(image), len(physical)
+    margins = [one.margin_nats for one in (ct_match, room_match) if one.margin_nats is not None]
     if not pairing.passed:
         reason = "image and physical points differ beyond the noise"
         return Match.of(MatchStatus.INCONSISTENT, reason, None, counts, runner_up=paired)
@@ -83,7 +84,7 @@ def match_by_template(
         f"all {len(template)} template points were found on both sides",
         paired,
         counts,
-        margin_nats=min(ct_match.margin_nats, room_match.margin_nats),
+        margin_nats=min(margins, default=None),
     )
 
 

@@ -6,13 +6,10 @@ the number of markers nor the patient's position: with those its pairing can onl
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior
-from procedures.registration.errors import BadParameter
 from procedures.registration.matching import weigh_evidence
 from procedures.registration.pairings import LINE_RATIO, gate
 from procedures.registration.points import FEWEST_PAIRS, validate_points
@@ -22,6 +19,7 @@ from procedures.registration.similarity_matrix import (
     match_many_by_similarity,
     validate_many,
 )
+from procedures.registration.thesis_settings import check_thesis_settings
 
 
 def match_as_thesis(
@@ -37,22 +35,22 @@ def match_as_thesis(
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3), in mm; other arguments as for `match`.
 
-    `margin_nats` and the score are NaN. Raises REG-001 and REG-007.
+    `margin_nats` and the score are None. Raises REG-001 and REG-007.
     """
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     variance_mm2 = weigh_evidence(sigma_image_mm, sigma_physical_mm).variance_mm2
-    _check_settings(e_mm, refused_share)
+    check_thesis_settings(e_mm, refused_share)
     counts = len(image), len(physical)
     fewest = expected or FEWEST_PAIRS
     if min(counts) < fewest:
         sizes = f"{counts[0]} image and {counts[1]} physical points, {fewest} needed"
-        return Match.of(MatchStatus.TOO_FEW, sizes, None, counts, margin_nats=math.nan)
+        return Match.of(MatchStatus.TOO_FEW, sizes, None, counts, margin_nats=None)
     stacked = image[None], physical[None]
     (raw,) = match_many_by_similarity(*stacked, np.array([e_mm]))
     (found,) = validate_many(*stacked, [raw], variance_mm2, refused_share)
     if found.status is not MatchStatus.UNIQUE:
         reason = _explain(raw, e_mm)
-        return Match.of(found.status, reason, None, counts, margin_nats=math.nan)
+        return Match.of(found.status, reason, None, counts, margin_nats=None)
     pairs = found.pairs[np.argsort(found.pairs[:, 0])]
     of_image, of_physical = image[pairs[:, 0]], physical[pairs[:, 1]]
     fit = fit_rigid(of_image, of_physical)
@@ -68,26 +66,14 @@ def match_as_thesis(
         as_transform(fit.rotation, fit.translation_mm),
         float(np.square(residuals(fit, of_image, of_physical)).sum()) / variance_mm2,
         gate(len(pairs), refused_share),
-        math.nan,
+        None,
     )
     if objection:
         return Match.of(
-            MatchStatus.INCONSISTENT, objection, None, counts, runner_up=hypothesis, margin_nats=math.nan
+            MatchStatus.INCONSISTENT, objection, None, counts, runner_up=hypothesis, margin_nats=None
         )
     reason = f"{len(pairs)} pairs agree within e = {e_mm:g} mm"
-    return Match.of(MatchStatus.UNIQUE, reason, hypothesis, counts, margin_nats=math.nan)
-
-
-def _check_settings(e_mm: float, refused_share: float) -> None:
-    if not (math.isfinite(e_mm) and e_mm > 0.0):
-        raise BadParameter("e is not a length", expected="a positive length in mm", got=f"{e_mm}")
-    if not 0.0 < refused_share < 1.0:
-        raise BadParameter(
-            "the refused share is out of range",
-            limit="between 0 and 1",
-            got=f"{refused_share}",
-            action="Give the share of correct pairings that the validation may refuse, such as 0.001.",
-        )
+    return Match.of(MatchStatus.UNIQUE, reason, hypothesis, counts, margin_nats=None)
 
 
 def _explain(raw: SimilarityPairs, e_mm: float) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -67,9 +68,12 @@ class CartMove:
 
 
 def cart_pose(moves: Iterable[tuple[Fault, float]], now_s: float) -> Matrix:
-    """Return the pose (4, 4) of a moved cart's base in the base before all moves, given their onsets."""
+    """Return the pose (4, 4) of a moved cart's base in the base before all moves, given their onsets.
+
+    Each move is along the axes at its onset; of moves with the same one, the earlier line goes first.
+    """
     pose = np.eye(4)
-    for move, onset_s in moves:
+    for move, onset_s in sorted(moves, key=itemgetter(1)):
         *by_mm, turn_deg, duration_s = (float(argument) for argument in move.arguments[1:])
         share = min(1.0, (now_s - onset_s) / duration_s) if duration_s > 0.0 else 1.0
         turn = rotation_from_vector((0.0, 0.0, math.radians(share * turn_deg)))

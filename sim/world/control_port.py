@@ -50,6 +50,7 @@ from sim.world.faults import (
     parse_request,
     without_fault,
 )
+from sim.world.faults.board import format_beginning
 from sim.world.faults.fault import Fault
 from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
 from sim.world.options import OnStand
@@ -275,7 +276,7 @@ class Room:
         number, turn_deg = _require_number(request["cart"]), _require_number(request["turn_deg"])
         move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
         move.check(self._world.scene)
-        if (inserted := self._staff.inserted) is not None and request.get("anyway") is not True:
+        if (inserted := self._world.inserted()) is not None and request.get("anyway") is not True:
             raise InstrumentInGuide(
                 f"cart {move.number} is not moved: an instrument is in the guide at {inserted}",
                 expected="no instrument in the guide",
@@ -297,12 +298,13 @@ class Room:
 
     def _clear_faults(self, request: dict[str, Any]) -> None:
         line = request.get("line")
-        _, text = self._world.fault_script()
         if line is not None:
+            _, text = self._world.fault_script()
             self._world.set_fault_script(without_fault(text, str(line)))
             return
-        moves = {one.line for one in parse_faults(text) if one.kind is MOVE}  # these carts stay there
-        kept = [one for number, one in enumerate(text.split("\n"), 1) if number in moves]
+        # Carts that were moved stay there, beyond a step to which the move was bound.
+        begun = [one for one in self._board.acting_since() if one[0].kind is MOVE]
+        kept = [f"{format_beginning(onset_s)}: {move.phrase}" for move, onset_s in begun]
         self._world.set_fault_script("\n".join(kept))
 
     def _add_to_script(self, line: str) -> None:

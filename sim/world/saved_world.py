@@ -1,4 +1,4 @@
-"""Saved world state from which another theatre can continue: arm, tool and time.
+"""Saved world state from which another theatre can continue: arm, tool, instrument and time.
 
 The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
 faults have moved, bent or rotated; a continued world has no other fault until one is injected.
@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -57,6 +58,9 @@ class SavedWorld(Strict):
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
     mountings: Count = Field(default=0, description="How often the guide was mounted: its seat.")
+    inserted: str | None = Field(
+        default=None, description="Trajectory at which an instrument is in the guide."
+    )
     arm: SavedArm | None = Field(description="None until the robot has started.")
     standing_faults: str = Field(
         default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
@@ -70,6 +74,7 @@ class SavedWorld(Strict):
             theatre_time_ns=world.clock.now_ns(),
             mounted_tool=world.mounted_tool(),
             mountings=world.mountings(),
+            inserted=world.inserted(),
             arm=None
             if arm is None
             else SavedArm(
@@ -85,6 +90,7 @@ class SavedWorld(Strict):
         """Create a world from this state and the given scene."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool, self.mountings)
+        world.put_in_guide(self.inserted)
         world.set_fault_script(self.standing_faults)
         if (arm := self.arm) is not None:
             # The robot simulator publishes the flange's true pose before anyone can read it.
@@ -118,14 +124,17 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """Return a script reproducing fault displacements and bends, each with its remaining duration."""
+    """Return a script reproducing fault displacements and bends, each with its remaining duration.
+
+    They all begin at the present time, so their lines are in the order in which they began.
+    """
     now_s = world.clock.now_s()
     lines = []
     for roll_mm in list_cart_rolls_mm(FaultBoard(world, ROOM), now_s):
         roll = " ".join(f"{value:.6f}" for value in roll_mm)
         lines.append(f"{format_beginning(now_s)}: {ROOM} shift {CART} {roll} mm")
     for device in sorted({kind.device for kind in STANDING}):
-        for fault, onset_s in FaultBoard(world, device).acting_since():
+        for fault, onset_s in sorted(FaultBoard(world, device).acting_since(), key=itemgetter(1)):
             if fault.kind in STANDING:
                 remaining_s = onset_s + fault.duration_s - now_s
                 end = "" if math.isinf(remaining_s) else f" for {remaining_s:.6f} s"

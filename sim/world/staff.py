@@ -72,7 +72,6 @@ class Staff:
         self._guide = TrueGuide(world)
         self._board = FaultBoard(world, DEVICE)
         self._stop_mm: float | None = None
-        self.inserted: str | None = None  # trajectory at which an instrument is in the guide
         self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
@@ -111,11 +110,11 @@ class Staff:
         sample = sample_instrument(self._world, self._guide, trajectory, self._stop_mm, again)
         if self._folder is not None:
             append_sample(sample, self._folder)
-        self.inserted = trajectory
+        self._world.put_in_guide(trajectory)
         return ()
 
     def _take_out(self) -> Readings:
-        self.inserted = None
+        self._world.put_in_guide(None)
         return ()
 
     def _push_cart(self) -> Readings:

@@ -5,7 +5,7 @@ disappears with the last process that holds it, however that process ends. The c
 so that the procedure can open the clock without access to the scene.
 
 Each changing part has a single writer: the robot simulator writes the arm, the theatre's control port the
-mounted tool, the step and the fault script.
+mounted tool, the instrument in it, the step and the fault script.
 """
 
 from __future__ import annotations
@@ -56,6 +56,12 @@ class StepRow(NamedTuple):
     name: Annotated[str, text(64)]
 
 
+class InstrumentRow(NamedTuple):
+    """The instrument in the guide as plain data."""
+
+    trajectory: Annotated[str, text(64)]  # empty for no instrument
+
+
 _MAP = MemoryMap(b"RONNAWLD")
 _CLOCK = _MAP.rows(ClockRow)
 _ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
@@ -63,6 +69,7 @@ _ARM = _MAP.rows(ArmRow)
 _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
 _MOUNTINGS = _MAP.word()
 _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
+_INSTRUMENT = _MAP.rows(InstrumentRow)
 _STEP = _MAP.rows(StepRow)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
@@ -196,6 +203,14 @@ class World:
         if mountings is None:
             mountings = self.mountings() + (number == self.scene.mount.tool_number_guide)
         _MOUNTINGS.write(self._memory, mountings)
+
+    def inserted(self) -> str | None:
+        """Return the trajectory at which an instrument is in the guide, or None if there is none."""
+        return _INSTRUMENT.read(self._memory).trajectory or None
+
+    def put_in_guide(self, trajectory: str | None) -> None:
+        """Insert an instrument at a trajectory, or take it out; for use by the control port only."""
+        _INSTRUMENT.write(self._memory, InstrumentRow(trajectory or ""))
 
     def on_stand(self) -> OnStand:
         """Return the object on the calibration stand."""

@@ -22,12 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.similarity_matrix import (
-    THESIS_TOLERANCES_MM,
-    Counting,
-    match_many_by_similarity,
-    validate_many,
-)
+from procedures.registration.similarity_matrix import Counting, match_many_by_similarity, validate_many
+from procedures.registration.thesis_settings import THESIS_TOLERANCES_MM
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig

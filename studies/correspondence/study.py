@@ -26,7 +26,8 @@ from procedures.registration.correspondence import (
     turn_rad,
 )
 from procedures.registration.matching import match
-from procedures.registration.similarity_matrix import REFUSED_SHARE, match_many_by_similarity, validate_many
+from procedures.registration.similarity_matrix import match_many_by_similarity, validate_many
+from procedures.registration.thesis_settings import REFUSED_SHARE
 from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
 from studies.heads import (
     IMAGE_SIGMA_MM,

@@ -22,7 +22,7 @@ from procedures.workcell.tracker_look import FRAMES
 from studies.accuracy.phantom import Markers, draw_phantom
 from studies.campaign import bounds
 from studies.campaign.study import Sums, Table, yes_or_no
-from studies.correspondence.wrong import DISTORTION_MM, WAVELENGTHS_MM, distort
+from studies.correspondence.pairing_misspecified import DISTORTION_MM, WAVELENGTHS_MM, distort
 from studies.heads import draw_pose, uniform_in_ball
 from studies.strategies.study import DEPTHS_MM, TARGETS
 

@@ -10,15 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.engine.methods import (
-    E_MM,
-    E_RANGE_MM,
-    REFUSED_SHARE,
-    REFUSED_SHARE_RANGE,
-    CaseMethods,
-    Localizer,
-    Matcher,
-)
+from procedures.engine.methods import CaseMethods, Localizer, Matcher
+from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell

@@ -50,7 +50,8 @@ def resume_command(
 
     Nothing moves until devices, tool, calibrations, CT, plan, patient and robot base have been re-read,
     compared with the record and accepted. With --console, the operator in the seat accepts; --accept
-    continues without one. Exit codes: 0 finished, 8 not resumed.
+    continues without one. A resumed run keeps the strategy, the localizer and the matcher of its start. Exit
+    codes: 0 finished, 8 not resumed.
     """
     from procedures.cli.runs.resume import resume
 

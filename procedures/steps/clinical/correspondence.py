@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isinf
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
@@ -101,7 +103,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
             pairs=pairs.tolist(),
             robot_from_ct=FramedPose.of(Transform(Frame.ROBOT, Frame.CT, transform)),
             residuals_mm=residuals.tolist(),
-            margin_nats=found.margin_nats if np.isfinite(found.margin_nats) else None,
+            margin_nats=None if found.margin_nats is None or isinf(found.margin_nats) else found.margin_nats,
             two_way=table,
             left_out=left_out,
             touched=touched,
@@ -200,7 +202,7 @@ def _match_fewer_if_agreed(
         + f"; the other {len(rest.pairs)} match, "
         + (
             "and the thesis' matcher states no odds against another pairing"
-            if np.isnan(rest.margin_nats)
+            if rest.margin_nats is None
             else f"odds against any other pairing e^{rest.margin_nats:.0f}"
         ),
     )

@@ -52,8 +52,8 @@ MOVE = declare_lasting(
     "move",
     "move cart INT SIGNED SIGNED SIGNED mm SIGNED deg in NUMBER s",
     "The cart of an arm is wheeled along the robot's x, y and z as they are by then, and turned about its z "
-    "axis, within that time. It stays there when all faults are cleared. `ronna-sim move cart` does the same "
-    "at once.",
+    "axis, within that time. It stays there when all faults are cleared, which cancels a move that has not "
+    "begun. `ronna-sim move cart` does the same at once.",
     _check_cart,
 )
 UNLOCKED = declare_lasting(

@@ -9,12 +9,12 @@ import pytest
 
 from procedures.registration import MatchStatus
 from procedures.registration.similarity_matrix import (
-    REFUSED_SHARE,
     SimilarityPairs,
     match_many_by_similarity,
     similarity,
     validate_many,
 )
+from procedures.registration.thesis_settings import REFUSED_SHARE
 
 
 def pairs_of(found) -> set[tuple[int, int]]:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.engine.methods import E_RANGE_MM, REFUSED_SHARE, CaseMethods
-from procedures.registration import similarity_matrix
+from procedures.engine.methods import CaseMethods
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import BadParameter
 from procedures.registration.thesis_matching import match_as_thesis
+from procedures.registration.thesis_settings import (
+    E_RANGE_MM,
+    REFUSED_SHARE,
+    REFUSED_SHARE_RANGE,
+    THESIS_TOLERANCES_MM,
+)
 
 SIGMAS = {"sigma_image_mm": 0.1, "sigma_physical_mm": 0.35}
 
@@ -34,7 +39,7 @@ def test_a_pairing_is_ordered_by_image_point_and_brings_its_transform(random, fi
 def test_no_odds_are_stated(random, fiducials):
     head = fiducials(5, random)
     found = paired(head, head)
-    assert np.isnan(found.margin_nats)
+    assert found.margin_nats is None
     assert found.runner_up is None
 
 
@@ -66,22 +71,28 @@ def test_points_on_a_line_determine_no_rotation():
     assert "collinear" in found.reason
 
 
-@pytest.mark.parametrize("e_mm", [0.0, -1.0, float("nan"), float("inf")])
-def test_an_e_that_is_no_length_is_refused(random, fiducials, e_mm):
+@pytest.mark.parametrize("e_mm", [0.0, -1.0, 0.99, 6.01, float("nan"), float("inf")])
+def test_an_e_that_the_thesis_did_not_try_is_refused_by_matcher_and_case(random, fiducials, e_mm):
     head = fiducials(5, random)
-    with pytest.raises(BadParameter, match=rf"REG-007: e is not a length; .* got {e_mm}"):
-        paired(head, head, e_mm=e_mm)
+    for refused in (lambda: paired(head, head, e_mm=e_mm), lambda: CaseMethods(e_mm=e_mm)):
+        with pytest.raises(BadParameter, match=rf"REG-007: e .*; limit 1 to 6 mm, got {e_mm:g} mm\. Give "):
+            refused()
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0, 2.0, float("nan")])
-def test_a_share_that_is_none_is_refused(random, fiducials, share):
+@pytest.mark.parametrize("share", [0.0, 1e-7, 0.51, 1.0, 2.0, float("nan")])
+def test_a_refused_share_out_of_range_is_refused_by_matcher_and_case(random, fiducials, share):
     head = fiducials(5, random)
-    with pytest.raises(BadParameter, match=rf"refused share is out of range; .* got {share}"):
-        paired(head, head, refused_share=share)
+    for refused in (
+        lambda: paired(head, head, refused_share=share),
+        lambda: CaseMethods(refused_share=share),
+    ):
+        with pytest.raises(BadParameter, match=rf"share .*; limit 1e-06 to 0\.5, got {share:g}\. Give "):
+            refused()
 
 
-def test_a_case_takes_the_settings_of_the_study_unless_told_otherwise():
-    assert CaseMethods().refused_share == similarity_matrix.REFUSED_SHARE
-    e_mm = similarity_matrix.THESIS_TOLERANCES_MM
-    assert (e_mm[0], e_mm[-1]) == E_RANGE_MM
-    assert CaseMethods().e_mm in e_mm
+def test_the_ends_of_the_ranges_are_settings_of_a_case():
+    for e_mm, share in zip(E_RANGE_MM, REFUSED_SHARE_RANGE, strict=True):
+        assert CaseMethods(e_mm=e_mm, refused_share=share).e_mm == e_mm
+    assert (THESIS_TOLERANCES_MM[0], THESIS_TOLERANCES_MM[-1]) == E_RANGE_MM
+    assert len(THESIS_TOLERANCES_MM) == 51
+    assert CaseMethods().e_mm in THESIS_TOLERANCES_MM

@@ -11,7 +11,7 @@ from functools import cache
 
 import pytest
 
-from procedures.registration.similarity_matrix import REFUSED_SHARE
+from procedures.registration.thesis_settings import REFUSED_SHARE
 from studies.campaign.study import Unit
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
 from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL, Series, Shares, outcome_shares

@@ -9,17 +9,22 @@ import numpy as np
 import pytest
 
 from procedures.registration.rigid_fit import fit_rigid
-from studies.accuracy.lacking import SHIFTS_MM, WARM_S, Lack, LackingArms, LackingEffect
 from studies.accuracy.postures import ARM, TOOL
 from studies.accuracy.random_arms import RandomArms
+from studies.accuracy.unmodelled_effects import SHIFTS_MM, WARM_S, DisplacedArms, DrawnEffect, Effect
 from studies.campaign.study import add_up
-from studies.correspondence import wrong as pairing
+from studies.correspondence import pairing_misspecified as pairing
+from studies.correspondence.pairing_misspecified import (
+    Assumption,
+    MisspecifiedPairingStudy,
+    draw_wrong_readings,
+    told_factor,
+)
 from studies.correspondence.study import FALSE, LOST
-from studies.correspondence.wrong import Assumption, WrongAssumptionsStudy, draw_wrong_readings, told_factor
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
-from studies.strategies import distorted_tracker, wrong_tables
+from studies.strategies import distorted_tracker, unmodelled_arm_tables
 from studies.strategies.distorted_tracker import Tracker, follow_moves
-from studies.strategies.wrong import ARMS, GAUGE, WrongArmsStudy
+from studies.strategies.unmodelled_arm import ARMS, GAUGE, UnmodelledArmStudy
 
 JOINTS = np.array([ARM.home_rad])
 FLANKS = np.ones((1, 1, 6))
@@ -83,7 +88,7 @@ def test_the_distortion_has_its_size_and_varies_slowly() -> None:
 
 @pytest.mark.parametrize("runs", [3, pytest.param(60, marks=pytest.mark.slow)])
 def test_sds_wrong_by_a_factor_of_two_lose_pairings_but_make_none_false(runs: int) -> None:
-    study = WrongAssumptionsStudy(runs, 11, (Assumption.HALF, Assumption.TWICE), (5, 8))
+    study = MisspecifiedPairingStudy(runs, 11, (Assumption.HALF, Assumption.TWICE), (5, 8))
     sums = add_up((unit, study.run(unit)) for unit in study.units())
     outcomes: dict[str, Counter[str]] = {}
     for condition, content in sums.items():
@@ -98,38 +103,38 @@ def test_sds_wrong_by_a_factor_of_two_lose_pairings_but_make_none_false(runs: in
     assert len(planned.rows) == len(distances.rows) == 2 * 2 * 2
 
 
-def shifted(lack: Lack, moved_s: float = 0.0, number: int = 1) -> np.ndarray:
-    effect = LackingEffect.draw(lack, 8, number)
+def shifted(effect: Effect, moved_s: float = 0.0, number: int = 1) -> np.ndarray:
+    drawn = DrawnEffect.draw(effect, 8, number)
     arm, time = RandomArms.draw(8, [number]), np.array([moved_s])
-    shift_rad = effect.shift_rad(ARM.chain, JOINTS, PLACE, time)
-    wrong = LackingArms.at(arm, shift_rad, effect.shift_mm(time))
+    shift_rad = drawn.shift_rad(ARM.chain, JOINTS, PLACE, time)
+    wrong = DisplacedArms.at(arm, shift_rad, drawn.shift_mm(time))
     return np.asarray(
         (wrong.tool_points_mm(JOINTS[None], FLANKS) - arm.tool_points_mm(JOINTS[None], FLANKS))[0, 0]
     )
 
 
 def test_an_arm_with_nothing_amiss_is_the_modelled_arm() -> None:
-    np.testing.assert_array_equal(shifted(Lack.NOTHING, 600.0), 0.0)
+    np.testing.assert_array_equal(shifted(Effect.NOTHING, 600.0), 0.0)
 
 
 def test_a_load_lowers_the_tool() -> None:
     for number in range(5):
-        assert -2.0 < shifted(Lack.COMPLIANCE, number=number)[2] < 0.0
+        assert -2.0 < shifted(Effect.COMPLIANCE, number=number)[2] < 0.0
 
 
 def test_an_arm_drifts_only_as_it_moves() -> None:
-    np.testing.assert_array_equal(shifted(Lack.WARMTH), 0.0)
-    early, late = (np.linalg.norm(shifted(Lack.WARMTH, time)) for time in (WARM_S, 20.0 * WARM_S))
+    np.testing.assert_array_equal(shifted(Effect.WARMTH), 0.0)
+    early, late = (np.linalg.norm(shifted(Effect.WARMTH, time)) for time in (WARM_S, 20.0 * WARM_S))
     assert early / late == pytest.approx(1.0 - math.exp(-1.0), abs=0.01)
 
 
 def test_gears_err_by_some_hundredths_of_a_millimetre() -> None:
-    sizes = [np.linalg.norm(shifted(Lack.GEARS, number=number)) for number in range(12)]
+    sizes = [np.linalg.norm(shifted(Effect.GEARS, number=number)) for number in range(12)]
     assert 0.05 < np.median(sizes) < 0.6
 
 
 def test_bumps_are_small_as_often_as_large() -> None:
-    sizes = [np.linalg.norm(LackingEffect.draw(Lack.BUMP_AFTER, 8, number).bump_mm) for number in range(200)]
+    sizes = [np.linalg.norm(DrawnEffect.draw(Effect.BUMP_AFTER, 8, number).bump_mm) for number in range(200)]
     assert SHIFTS_MM[0] < min(sizes) < max(sizes) < SHIFTS_MM[1]
     assert np.median(sizes) == pytest.approx(math.sqrt(math.prod(SHIFTS_MM)), rel=0.3)
 
@@ -151,23 +156,23 @@ def test_a_distortion_adds_to_the_error_of_a_followed_move() -> None:
 
 @pytest.mark.slow
 def test_a_bump_that_the_gauge_shows_is_refused_and_right_arms_are_within_their_limit() -> None:
-    study = WrongArmsStudy(2, 47, (Lack.NOTHING, Lack.BUMP_AFTER))
+    study = UnmodelledArmStudy(2, 47, (Effect.NOTHING, Effect.BUMP_AFTER))
     sums = study.run(study.units()[0])
     total: dict[tuple[str, str], float] = defaultdict(float)
     for key, value in sums.items():
-        lack, *_, quantity = key.split("|")
-        total[lack, quantity] += value
-    assert total[Lack.NOTHING, "inside"] >= 0.9 * total[Lack.NOTHING, "used"] > 0
-    assert total[Lack.NOTHING, GAUGE] == 0
-    bumps_mm = [np.linalg.norm(LackingEffect.draw(Lack.BUMP_AFTER, 47, one).bump_mm) for one in range(2)]
+        effect, *_, quantity = key.split("|")
+        total[effect, quantity] += value
+    assert total[Effect.NOTHING, "inside"] >= 0.9 * total[Effect.NOTHING, "used"] > 0
+    assert total[Effect.NOTHING, GAUGE] == 0
+    bumps_mm = [np.linalg.norm(DrawnEffect.draw(Effect.BUMP_AFTER, 47, one).bump_mm) for one in range(2)]
     shown = sum(one > 0.08 for one in bumps_mm)
-    assert total[Lack.BUMP_AFTER, GAUGE] >= 0.45 * shown * total[Lack.BUMP_AFTER, "trials"]
-    table, _ = wrong_tables.tables({ARMS: sums})
-    assert {row[0] for row in table.rows} == {Lack.NOTHING, Lack.BUMP_AFTER}
+    assert total[Effect.BUMP_AFTER, GAUGE] >= 0.45 * shown * total[Effect.BUMP_AFTER, "trials"]
+    table, _ = unmodelled_arm_tables.tables({ARMS: sums})
+    assert {row[0] for row in table.rows} == {Effect.NOTHING, Effect.BUMP_AFTER}
 
 
 def test_an_effect_belongs_to_the_arm_and_not_to_the_order_of_the_run() -> None:
-    first, again = (LackingEffect.draw(Lack.GEARS, 8, 3) for _ in range(2))
-    other = LackingEffect.draw(Lack.GEARS, 8, 4)
+    first, again = (DrawnEffect.draw(Effect.GEARS, 8, 3) for _ in range(2))
+    other = DrawnEffect.draw(Effect.GEARS, 8, 4)
     np.testing.assert_array_equal(first.gears_rad, again.gears_rad)
     assert not np.allclose(first.gears_rad, other.gears_rad)

@@ -307,6 +307,55 @@ def test_a_moved_cart_stays_where_it_is_when_faults_are_cleared_and_the_theatre_
     assert ShiftedRoom(continued).now() == there
 
 
+def test_a_live_move_is_along_the_axes_before_a_move_that_is_yet_to_come(theatre: str, world: World) -> None:
+    ask_control_port(theatre, "fault", line="at 60 s: room move cart 1 0 0 0 mm 90 deg in 1 s")
+    in_this_process(ronna_sim, "move", "cart", "--by", "100", "0", "0", "--control", theatre)
+    world.clock.sleep(99.0)
+    now = ShiftedRoom(world).now()
+    assert now.head_rad == pytest.approx((0.0, 0.0, -math.pi / 2.0))
+    assert now.head_mm == pytest.approx((0.0, 100.0, 0.0))  # left of the turned robot
+
+
+@pytest.mark.parametrize("begins", ["at 60 s", "since step == docking", "since step == look after 60 s"])
+def test_clearing_all_faults_cancels_a_cart_move_that_has_not_begun(
+    theatre: str, world: World, begins: str
+) -> None:
+    ask_control_port(theatre, "fault", line=f"{begins}: room move cart 1 100 0 0 mm 0 deg in 1 s")
+    ask_control_port(theatre, "step", name="look")
+    ask_control_port(theatre, "clear_faults")
+    world.clock.sleep(99.0)
+    ask_control_port(theatre, "step", name="docking")
+    world.clock.sleep(9.0)
+    assert ShiftedRoom(world).now() is NOTHING_MOVED
+
+
+def test_a_cart_moved_in_a_step_stays_there_beyond_it_once_all_faults_are_cleared(
+    theatre: str, world: World
+) -> None:
+    ask_control_port(theatre, "fault", line="when step == look: room move cart 1 100 0 0 mm 0 deg in 1 s")
+    ask_control_port(theatre, "step", name="look")
+    world.clock.sleep(2.0)
+    ask_control_port(theatre, "clear_faults")
+    for step in ("docking", "look"):
+        ask_control_port(theatre, "step", name=step)
+        assert ShiftedRoom(world).now().head_mm == pytest.approx((-100.0, 0.0, 0.0))
+
+
+def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_last_one(
+    theatre: str, world: World, tmp_path: Path
+) -> None:
+    ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
+    ask_control_port(theatre, "work", task="insert", trajectory="T1")
+    continued = Room(SavedWorld.from_world(world).restore(world.scene, paced=False), tmp_path)
+    move = {"do": "move", "cart": 1, "by_mm": [60, -40, 0], "turn_deg": 5}
+    refused = continued.answer(move)
+    assert not refused["ok"]
+    assert "SIM-017" in refused["reason"]
+    assert "T1" in refused["reason"]
+    continued.answer({"do": "work", "task": "out"})
+    assert continued.answer(move)["ok"]
+
+
 def test_a_cart_is_moved_with_an_instrument_in_the_guide_only_anyway(theatre: str, world: World) -> None:
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")

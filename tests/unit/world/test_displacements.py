@@ -128,6 +128,17 @@ def test_a_wheeled_cart_moves_along_the_axes_of_the_robot_as_they_are_by_then() 
     assert now.head_rad == pytest.approx(now.tracker_rad)
 
 
+def test_a_cart_moves_in_the_order_of_time_whichever_line_comes_first() -> None:
+    moves = (
+        "at 60 s: room move cart 1 100 0 0 mm 0 deg in 1 s",
+        "at 10 s: room move cart 1 0 0 0 mm 90 deg in 1 s",
+    )
+    for script in ("\n".join(moves), "\n".join(reversed(moves))):
+        world, _ = room(script)
+        world.clock.sleep(99.0)
+        assert base_now(ShiftedRoom(world).now())[:3, 3] == pytest.approx((0.0, 100.0, 0.0))
+
+
 def test_a_cart_rolls_evenly_until_it_has_arrived() -> None:
     world, _ = room("at 1 s: room move cart 1 40 0 0 mm 4 deg in 2 s")
     for now_s, share in ((1.0, 0.0), (1.5, 0.25), (3.0, 1.0), (9.0, 1.0)):

@@ -84,6 +84,28 @@ def test_a_rolling_cart_continues_from_its_current_position(scene: Scene, tmp_pa
     assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -4.0, 0.0))
 
 
+def test_a_cart_wheeled_twice_continues_where_it_stands_whichever_line_came_first(
+    scene: Scene, tmp_path: Path
+) -> None:
+    world = World.create(scene, paced=False)
+    world.set_fault_script(
+        "at 20 s: room move cart 1 100 0 0 mm 0 deg in 1 s\nat 10 s: room move cart 1 0 0 0 mm 90 deg in 1 s"
+    )
+    world.clock.sleep(30.0)
+    again = ShiftedRoom(continued(world, tmp_path)).now()
+    assert again.head_mm == pytest.approx(ShiftedRoom(world).now().head_mm)
+    assert again.head_mm == pytest.approx((-100.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("inserted", ["T1", None])
+def test_an_instrument_stays_in_the_guide_of_a_continued_world(
+    scene: Scene, tmp_path: Path, inserted: str | None
+) -> None:
+    world = World.create(scene, paced=False)
+    world.put_in_guide(inserted)
+    assert continued(world, tmp_path).inserted() == inserted
+
+
 def test_a_folder_without_an_ended_theatre_has_no_saved_world(tmp_path: Path) -> None:
     assert read_saved_world(tmp_path) is None
 

@@ -78,6 +78,25 @@ def test_methods_in_a_request_that_do_not_exist_are_refused(
         read_request(folder)
 
 
+@pytest.mark.parametrize(
+    ("setting", "value", "said"),
+    [("e_mm", 9.0, "limit 1 to 6 mm, got 9 mm"), ("refused_share", 0.9, "limit 1e-06 to 0.5, got 0.9")],
+)
+def test_settings_of_the_thesis_matcher_out_of_range_are_refused_as_the_request_is_read(
+    tmp_path: Path, setting: str, value: float, said: str
+) -> None:
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
+    path = folder / REQUEST_FILE
+    content = json.loads(path.read_text())
+    content["methods"] |= {"matcher": "thesis", setting: value}
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadRequestFile) as refused:
+        read_request(folder)
+    assert refused.value.code == "PRO-034"
+    assert said in refused.value.summary
+    assert "REG-007" in refused.value.summary
+
+
 @pytest.mark.hazard(39)
 def test_a_run_whose_methods_were_changed_is_not_resumed(run: Path) -> None:
     path = run / REQUEST_FILE

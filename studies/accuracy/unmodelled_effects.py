@@ -21,7 +21,7 @@ from studies.accuracy.random_arms import RandomArms
 
 Array = NDArray[np.float64]
 
-LACKING_KEY = 11  # of the random numbers
+EFFECT_KEY = 11  # of the random numbers
 AXES = 6
 # Of a gear, beyond the two harmonics that a calibration knows: of its bearings and teeth.
 GEAR_ORDERS = (3, 5, 8, 100)
@@ -37,7 +37,7 @@ WARM_RAD = math.radians(0.005)  # of each joint
 WARM_S = 1200.0  # of motion, until two thirds of the drift is reached: that of the simulated arm
 
 
-class Lack(StrEnum):
+class Effect(StrEnum):
     """Effect that the model of the arm lacks."""
 
     NOTHING = "nothing"
@@ -49,11 +49,11 @@ class Lack(StrEnum):
     BUMP_AFTER = "flange bumped after the localization"
 
 
-BUMPS = (Lack.BUMP_BEFORE, Lack.BUMP_DURING, Lack.BUMP_AFTER)
+BUMPS = (Effect.BUMP_BEFORE, Effect.BUMP_DURING, Effect.BUMP_AFTER)
 
 
 @dataclass(frozen=True)
-class LackingArms(RandomArms):
+class DisplacedArms(RandomArms):
     """Random arms at planned poses, with joint angles and tools displaced at each: (p, 6) rad, (p, 3) mm."""
 
     shift_rad: Array = field(default_factory=lambda: np.zeros((1, AXES)))
@@ -70,7 +70,7 @@ class LackingArms(RandomArms):
 
 
 @dataclass(frozen=True)
-class LackingEffect:
+class DrawnEffect:
     """One arm's effect. Amplitudes are 0 for those that it does not have."""
 
     gears_rad: Array  # (orders, 6)
@@ -81,17 +81,17 @@ class LackingEffect:
     bump_mm: Array  # (3,) frame of the flange
 
     @classmethod
-    def draw(cls, lack: Lack, seed: int, number: int) -> Self:
+    def draw(cls, effect: Effect, seed: int, number: int) -> Self:
         """Draw the effect of an arm by its number."""
-        random = np.random.default_rng(np.random.SeedSequence([seed, LACKING_KEY, number]))
+        random = np.random.default_rng(np.random.SeedSequence([seed, EFFECT_KEY, number]))
         orders = len(GEAR_ORDERS)
         return cls(
-            GEAR_RAD * random.normal(size=(orders, AXES)) * (lack is Lack.GEARS),
+            GEAR_RAD * random.normal(size=(orders, AXES)) * (effect is Effect.GEARS),
             random.uniform(0.0, 2.0 * math.pi, (orders + 1, AXES)),
-            COMPLIANCE_RAD * np.abs(random.normal(size=AXES)) * (lack is Lack.COMPLIANCE),
-            _draw_shift_mm(random) * (lack is Lack.WARMTH),
-            WARM_RAD * random.normal(size=AXES) * (lack is Lack.WARMTH),
-            _draw_shift_mm(random) * (lack in BUMPS),
+            COMPLIANCE_RAD * np.abs(random.normal(size=AXES)) * (effect is Effect.COMPLIANCE),
+            _draw_shift_mm(random) * (effect is Effect.WARMTH),
+            WARM_RAD * random.normal(size=AXES) * (effect is Effect.WARMTH),
+            _draw_shift_mm(random) * (effect in BUMPS),
         )
 
     def shift_rad(self, chain: Chain, joints_rad: Array, points_mm: Array, moved_s: Array) -> Array:

@@ -75,7 +75,7 @@ WRONG_SIGMAS = (Assumption.HALF, Assumption.TWICE, Assumption.OTHER_READING)
 
 
 @dataclass(frozen=True)
-class WrongAssumptionsStudy:
+class MisspecifiedPairingStudy:
     """Study with `runs` per patient and cell of every assumption, both noise models."""
 
     runs: int

@@ -33,11 +33,11 @@ from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, UNCALIBRATED_MM, ErrorSizes, IdentifiedArm
 from ronna_hw.errors import RonnaError
 from sim.world.true_arm import TrueArm
-from studies.accuracy.lacking import BUMPS, Lack, LackingArms, LackingEffect
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
 from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
+from studies.accuracy.unmodelled_effects import BUMPS, DisplacedArms, DrawnEffect, Effect
 from studies.campaign.study import Sums, Unit, blocks
 from studies.strategies import distorted_tracker
 from studies.strategies.identified import (
@@ -68,12 +68,12 @@ RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
 
 
 @dataclass(frozen=True)
-class WrongArmsStudy:
+class UnmodelledArmStudy:
     """Study of `arms` random arms of set S with every effect, and of followed moves with a wrong tracker."""
 
     arms: int = 20
     seed: int = 0
-    lacks: tuple[Lack, ...] = tuple(Lack)
+    effects: tuple[Effect, ...] = tuple(Effect)
     name: str = "strategies-wrong"
 
     def settings(self) -> dict[str, object]:
@@ -92,7 +92,7 @@ class WrongArmsStudy:
         bench = _Bench.set_up(self.seed)
         sums: Counter[str] = Counter()
         for number in range(unit.block * BLOCK_ARMS, unit.block * BLOCK_ARMS + unit.runs):
-            sums.update(bench.try_arm(number, self.lacks))
+            sums.update(bench.try_arm(number, self.effects))
         return dict(sums)
 
 
@@ -123,8 +123,8 @@ class _Judged:
 class _Case:
     """Localizations, targets and gauge of one arm with one effect, with their displacements."""
 
-    at_spheres: LackingArms
-    at_targets: LackingArms
+    at_spheres: DisplacedArms
+    at_targets: DisplacedArms
     off_gauge: NDArray[np.bool_]  # (t,) whether the gauge shows it before or after a target
 
 
@@ -157,38 +157,38 @@ class _Bench:
         nominal = _Judged(believed, UNCALIBRATED, UNCALIBRATED_MM)
         return cls(seed, scenes, planned, looks, held_out, spheres_mm, nominal)
 
-    def try_arm(self, number: int, lacks: Sequence[Lack]) -> Counter[str]:
+    def try_arm(self, number: int, effects: Sequence[Effect]) -> Counter[str]:
         """Run all trials of an arm with each effect."""
         sums: Counter[str] = Counter()
-        known: dict[Lack, _Judged | RonnaError] = {}
-        for lack in lacks:
-            at_calibration = Lack.NOTHING if lack in BUMPS else lack
+        known: dict[Effect, _Judged | RonnaError] = {}
+        for effect in effects:
+            at_calibration = Effect.NOTHING if effect in BUMPS else effect
             if at_calibration not in known:
                 known[at_calibration] = self._calibrate(number, at_calibration)
             calibrated = known[at_calibration]
             for scene in self.scenes:
                 for strategy in STRATEGIES:
-                    key = f"{lack}|{UNCALIBRATED_ARM}|{strategy}"
+                    key = f"{effect}|{UNCALIBRATED_ARM}|{strategy}"
                     planned = self.planned[UNCALIBRATED_ARM, scene.number, strategy]
-                    sums.update(_prefix(key, self._try_case(number, lack, scene, planned, self.nominal)))
-                    key = f"{lack}|{CALIBRATED}|{strategy}"
+                    sums.update(_prefix(key, self._try_case(number, effect, scene, planned, self.nominal)))
+                    key = f"{effect}|{CALIBRATED}|{strategy}"
                     if isinstance(calibrated, RonnaError):
                         for count in scene.counts:
                             sums[f"{key}|{count}|trials"] += TARGETS
                             sums[f"{key}|{count}|{calibrated.code}"] += TARGETS
                         continue
                     planned = self.planned[CALIBRATED, scene.number, strategy]
-                    sums.update(_prefix(key, self._try_case(number, lack, scene, planned, calibrated)))
+                    sums.update(_prefix(key, self._try_case(number, effect, scene, planned, calibrated)))
         return sums
 
-    def _calibrate(self, number: int, lack: Lack) -> _Judged | RonnaError:
+    def _calibrate(self, number: int, effect: Effect) -> _Judged | RonnaError:
         """Identify and validate an arm with an effect as `ronna-arm calibrate` does; return any refusal."""
-        effect = LackingEffect.draw(lack, self.seed, number)
+        drawn = DrawnEffect.draw(effect, self.seed, number)
         looks, true = self.looks, TrueArm(draw_numbered_arm(self.seed, number)[0], number)
         in_turn = np.argsort(np.argsort(looks.sphere, kind="stable"))  # sphere by sphere
         moved_s: Array = LOOK_S * (1.0 + in_turn.astype(float))
-        shift_rad = effect.shift_rad(ARM.chain, looks.joints_rad, self.spheres_mm[looks.sphere], moved_s)
-        shift_mm = effect.shift_mm(moved_s)
+        shift_rad = drawn.shift_rad(ARM.chain, looks.joints_rad, self.spheres_mm[looks.sphere], moved_s)
+        shift_mm = drawn.shift_mm(moved_s)
 
         def at_rest(joints: Sequence[float], flanks: Sequence[float], row: int) -> Array:
             flange = true.at_rest(np.add(joints, shift_rad[row]).tolist(), flanks, row).copy()
@@ -209,9 +209,11 @@ class _Bench:
             float(np.sqrt(2.0) * per_axis_mm),
         )
 
-    def _try_case(self, number: int, lack: Lack, scene: Scene, planned: Postures, judged: _Judged) -> Sums:
+    def _try_case(
+        self, number: int, effect: Effect, scene: Scene, planned: Postures, judged: _Judged
+    ) -> Sums:
         """Localize, register and reach all targets once; sums by number of spheres."""
-        case = self._place_case(number, lack, scene, planned)
+        case = self._place_case(number, effect, scene, planned)
         sizes = Sizes(FINE_CT_MM)
         image, recorded = record_spheres_mm(case.at_spheres, judged.believed, planned, scene, [number], sizes)
         sums: dict[str, float] = defaultdict(float)
@@ -241,10 +243,10 @@ class _Bench:
                     sums[f"{count}|widened"] += predicted.widening > 1.0
         return sums
 
-    def _place_case(self, number: int, lack: Lack, scene: Scene, planned: Postures) -> _Case:
+    def _place_case(self, number: int, effect: Effect, scene: Scene, planned: Postures) -> _Case:
         """Displace an arm at all poses of a case, in the order in which a case takes them."""
         arm = RandomArms.draw(self.seed, [number])
-        effect, chain = LackingEffect.draw(lack, self.seed, number), ARM.chain
+        drawn, chain = DrawnEffect.draw(effect, self.seed, number), ARM.chain
         random = np.random.default_rng([self.seed, BUMP_KEY, number, scene.number])
         spheres = np.tile(scene.robot_from_ct.apply(scene.phantom.spheres_mm), (planned.sets, 1))
         targets = scene.robot_from_ct.apply([one.target_mm for one in scene.phantom.trajectories])
@@ -252,8 +254,8 @@ class _Bench:
         looked_s: Array = LOOK_S * (1.0 + np.arange(len(spheres), dtype=float))
         gauged_s: Array = looked_s[-1] + GAUGE_S + TARGET_S * np.arange(TARGETS + 1, dtype=float)
         reached_s: Array = gauged_s[:-1] + 0.5 * TARGET_S
-        first = {Lack.BUMP_BEFORE: 0, Lack.BUMP_DURING: int(random.integers(1, len(spheres)))}
-        is_bumped = np.arange(len(spheres)) >= first.get(lack, len(spheres))
+        first = {Effect.BUMP_BEFORE: 0, Effect.BUMP_DURING: int(random.integers(1, len(spheres)))}
+        is_bumped = np.arange(len(spheres)) >= first.get(effect, len(spheres))
         # The gauge is read where the guide's tip was calibrated, cold and before any bump.
         read_s, read_bumped = np.concatenate([[0.0], gauged_s]), np.arange(TARGETS + 2) > 0
         joints, place = (
@@ -264,10 +266,10 @@ class _Bench:
 
         def displaced(
             joints: Array, points: Array, moved_s: Array, bumped: NDArray[np.bool_], turn: Array
-        ) -> LackingArms:
-            bumps = bumped[:, None] * (turn @ effect.bump_mm)
-            shift_rad = effect.shift_rad(chain, joints, points, moved_s)
-            return LackingArms.at(arm, shift_rad, effect.shift_mm(moved_s) + bumps)
+        ) -> DisplacedArms:
+            bumps = bumped[:, None] * (turn @ drawn.bump_mm)
+            shift_rad = drawn.shift_rad(chain, joints, points, moved_s)
+            return DisplacedArms.at(arm, shift_rad, drawn.shift_mm(moved_s) + bumps)
 
         on_gauge = displaced(joints, place, read_s, read_bumped, at_targets.rotations[0])
         read = on_gauge.tool_points_mm(joints[None], flanks[None])[0]

@@ -9,7 +9,7 @@ from studies.accuracy.scene import FINE_CT_MM
 from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.strategies import distorted_tracker
 from studies.strategies.distorted_tracker import GOAL
-from studies.strategies.wrong import ARMS, MOVES
+from studies.strategies.unmodelled_arm import ARMS, MOVES
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
@@ -18,7 +18,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     for key, quantity, value in _entries(sums.get(ARMS, {})):
         totals[key][quantity] += value
     rows: list[dict[str, Cell]] = []
-    for (lack, kind, strategy), total in totals.items():
+    for (effect, kind, strategy), total in totals.items():
         used, trials = total["used"], total["trials"]
         codes = {code: share for code, share in sorted(total.items()) if "-" in code}
 
@@ -28,7 +28,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         inside = share("inside")
         rows.append(
             {
-                "effect": lack,
+                "effect": effect,
                 "arm": kind,
                 "strategy": strategy,
                 "trials": round(trials),
@@ -61,8 +61,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 def _entries(content: Mapping[str, float]) -> Iterator[tuple[tuple[str, str, str], str, float]]:
     for key, value in content.items():
-        lack, kind, strategy, _, quantity = key.split("|")
-        yield (lack, kind, strategy), quantity, value
+        effect, kind, strategy, _, quantity = key.split("|")
+        yield (effect, kind, strategy), quantity, value
 
 
 def _percent(share: float | None) -> float | None:
