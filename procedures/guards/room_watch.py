@@ -138,6 +138,7 @@ class RoomWatch:
     def __post_init__(self) -> None:
         self._localized = self.spheres_mm, self.on_clamp
         self._by_frame_only = False  # as told last
+        self._before_push = 0  # references from before the last followed push
 
     def follow(self, spheres_mm: Array | None, on_clamp: Transform | None = None) -> None:
         """Set the expected sphere positions (n, 3), or restore the localized ones with None.
@@ -175,6 +176,8 @@ class RoomWatch:
         if frame_mm is not None:
             nothing = np.empty((0, 3))
             self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
+        if self.tracker.move is not STILL:
+            self._before_push = len(self.references)
 
     def unseen_s(self, now_s: float) -> float:
         """Return the theatre time since the head was seen or the operator continued without sight."""
@@ -224,7 +227,7 @@ class RoomWatch:
                 findings += (f"the tracker was moved by {describe_way(base.way_mm)}; arm and head agree",)
                 crept = Transform.of(Frame.TRACKER, Frame.TRACKER, translation_mm=head.mean_mm)
                 self.tracker = self.tracker.then(crept)
-                self.references = []  # both are compared from here on
+                self.references, self._before_push = [], 0  # both are compared from here on
                 reading = reading.moved_by(crept.inverse(), self.robot_from_tracker)
             findings += self._tell_by_frame(hidden=by_spheres is None and head is not None)
             if reading.frame_mm is not None:
@@ -316,6 +319,7 @@ class RoomWatch:
         unnoticed_mm = head.unnoticed_mm + base.backlash_mm
         self.tracker = self.tracker.then(push, unnoticed_mm / math.sqrt(3.0))
         self.tracker_moved(self.tracker)
+        self._before_push = len(self.references)
         at_head_mm = PointShift.of(push.apply(self.spheres_mm) - self.spheres_mm).rms_mm
         turned_deg = math.degrees(float(push.rigid.rotation.magnitude()))
         return reading.moved_by(push.inverse(), self.robot_from_tracker), (
@@ -465,7 +469,8 @@ class RoomWatch:
         """Return comparable earlier readings as (reading, limit in mm, whether the pose is the same).
 
         In the same pose: the oldest, so that a slow drift adds up, and the oldest that may differ by noise
-        only. Otherwise the nearest in the same orientation, and the newest of those equally near.
+        only. Otherwise the nearest in the same orientation, and the newest of those equally near. Since a
+        followed push, readings differ from those before by more than noise: by how well the push is known.
         """
         here = reading.robot_from_flange
         alike = [
@@ -477,7 +482,11 @@ class RoomWatch:
         exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
         if not exact:
             return [(min(alike)[2], OTHER_POSE_LIMIT_MM, False)] if alike else []
-        settled = [one for one in exact if one.is_comparable] if reading.is_comparable else []
+        settled = [
+            one
+            for one in self.references[self._before_push :]
+            if reading.is_comparable and one.is_comparable and _same_pose(one.robot_from_flange, here)
+        ]
         return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 

@@ -24,6 +24,8 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.workcell import MountedTool
 from procedures.workcell.arm_history import arm_history
 from procedures.workcell.tracker_move import UNPUSHED
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.lifecycle import Lifecycle
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.hazard(13)]
 
@@ -116,6 +118,7 @@ def pushed_on_the_way(cell: ClinicalCell, tracker: PushedTracker) -> Callable[[]
     return push
 
 
+@pytest.mark.branch("REFERENCE_UNDECIDED")
 def test_a_push_during_a_motion_stops_it_voids_nothing_and_is_followed_from_home(
     cell: ClinicalCell, tracker: PushedTracker
 ) -> None:
@@ -130,6 +133,24 @@ def test_a_push_during_a_motion_stops_it_voids_nothing_and_is_followed_from_home
     positioned(engine)
     assert len(follows(cell)) == 1
     assert cell.entries("voided") == []
+
+
+def test_a_push_as_a_motion_begins_is_followed_and_the_stopped_motion_is_planned_again(
+    cell: ClinicalCell, tracker: PushedTracker
+) -> None:
+    engine = before_the_approach(cell)
+
+    def push() -> None:
+        tracker.push(PUSH_MM, TURN_RAD)
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.state = Lifecycle.HOLD
+        raise MotionInterrupted("stopped before it has left home")
+
+    on_the_way(cell, push)
+    positioned(engine)
+    assert len(follows(cell)) == 1
+    assert cell.entries("voided") == []
+    assert [kind for kind, _ in cell.arm.motions] == ["joints", "line"]
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomUndecided
 from procedures.guards.head_frames import AVERAGED, HeadFrames, PatientFrames
-from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM
-from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
+from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM, RoomReading
+from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 
@@ -138,6 +138,22 @@ def test_a_head_that_moved_during_a_push_seldom_passes_for_it_and_the_finding_st
     (finding, *_) = case.watch.compare(case.read(CAREFUL_FRAMES, hidden=hidden, pushed=pushed)).findings
     assert f"by up to {0.78 if hidden else 0.43:.2f} mm meanwhile" in finding
     assert case.watch.tracker.unnoticed_mm > HEAD_NOTICEABLE_MM
+
+
+@pytest.mark.hazard(13)
+def test_the_first_settled_look_after_a_push_is_what_later_ones_are_compared_with(case: ClampedCase) -> None:
+    pushed = push((0.0, 15.0, 0.0), (0, 0, 0), case.tracker_mm)
+    read = partial(case.read, CAREFUL_FRAMES, pushed=pushed)
+    assert case.watch.compare(replace(read(), settled=False)).in_place
+    way_mm = np.array((0.0, 2.0 * BASE_NOTICEABLE_MM, 0.0))  # as well as the push is known elsewhere
+
+    def settled(count: int) -> RoomReading:
+        reading = read()
+        assert reading.frame_mm is not None
+        return replace(reading, frame_mm=reading.frame_mm + count * way_mm)
+
+    assert case.watch.compare(settled(1)).in_place
+    assert isinstance(case.watch.compare(settled(2)).moved, BaseShifted)
 
 
 @pytest.mark.hazard(13)
