@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
+from procedures.guards.base_shift import GROSS_LIMIT_MM
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved, RoomUndecided
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames, PatientFrames
 from procedures.guards.room_reading import PATIENT_LIMIT_MM
-from procedures.guards.room_watch import GROSS_LIMIT_MM, RoomWatch, read_watched
+from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import posed_markers

@@ -3,44 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.guards.base_shift import BASE_LIMIT_MM, BaseShift
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.guards.stability import BASE_NOTICEABLE_MM
 from procedures.registration.movement import PointShift
 from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
-
-# Half of the 1.7 mm that must be noticed at any rest of the arm. In one pose, reached from different sides,
-# backlash displaces the frame by `BACKLASH_MM` at most in 800 simulated pairs.
-BASE_LIMIT_MM = 0.85
-BACKLASH_MM = 0.52
-
-
-@dataclass(frozen=True)
-class BaseShift:
-    """Displacement (3,) mm of the frame on the arm since an earlier reading, and its limit.
-
-    `exact` says that the arm is in the very pose of that reading.
-    """
-
-    way_mm: Array
-    limit_mm: float
-    exact: bool
-
-    @property
-    def moved_mm(self) -> float:
-        """Magnitude of the displacement."""
-        return float(np.linalg.norm(self.way_mm))
-
-    @property
-    def backlash_mm(self) -> float:
-        """Displacement that backlash alone may make in the pose of that reading."""
-        return 0.0 if self.limit_mm <= BASE_NOTICEABLE_MM else BACKLASH_MM
 
 
 def moved_alike(

@@ -1,8 +1,7 @@
-"""Detection of movement since the localization, from the frame on the arm and the patient's spheres.
+"""Watch over the room since the localization: frame on the arm, spheres and frame on the head clamp.
 
-The frame on the arm is compared by the difference of its places according to tracker and arm. As the mount is
-some millimetres off its drawing, this difference depends on the arm's orientation, so it is compared with
-earlier readings in the same orientation. Every reading becomes such a reference.
+What is seen is compared with the places at the localization, and the frame on the arm with every earlier
+reading.
 """
 
 from __future__ import annotations
@@ -15,6 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
+from procedures.guards.base_shift import (
+    BASE_LIMIT_MM,
+    GROSS_LIMIT_MM,
+    BaseShift,
+    base_shift,
+    gross_shift,
+    nearest_shift,
+)
 from procedures.guards.clamp_frame import ArmFrameSeen, FrameOnClamp, HeadMove, find_head_move
 from procedures.guards.errors import (
     BaseShifted,
@@ -25,8 +32,6 @@ from procedures.guards.errors import (
     RoomUndecided,
 )
 from procedures.guards.room_motion import (
-    BASE_LIMIT_MM,
-    BaseShift,
     base_shifted,
     clamp_moved,
     describe_way,
@@ -35,7 +40,7 @@ from procedures.guards.room_motion import (
     screw_moved,
 )
 from procedures.guards.room_reading import FRAMES, RoomReading, find_ghosts, room_reading
-from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.line_of_sight import SENSORS_MM, TrackerSight
 from procedures.registration.movement import (
     NEAR_MM,
@@ -58,16 +63,8 @@ from ronna_hw.text import format_against_limit, format_count
 
 Array = NDArray[np.float64]
 
-# In another pose of the same orientation arm and tracker err differently: 0.96 mm at most in 360 pairs.
-OTHER_POSE_LIMIT_MM = 1.3
-# In any pose: a mount 3.5 mm off its drawing makes twice that between opposite orientations, arm and tracker
-# some 1 mm.
-GROSS_LIMIT_MM = 10.0
 FEW_LIMIT_MM = 0.8  # of two spheres, not averaged by a rigid fit: the tracker's bias shows in each
 NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
-SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
-FARTHEST_MM = 150.0  # between poses that are compared: the tracker's bias changes with the place
-SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
 
@@ -211,7 +208,7 @@ class RoomWatch:
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
         reading, findings = self.follow_tracker(reading)
-        base = self.base_shift(reading) or self._gross_shift(reading)
+        base = self.base_shift(reading) or gross_shift(self.references, reading)
         by_spheres = measure_shift(self.spheres_mm, reading.spheres_mm)
         head = self._shift_by_frame(reading) if by_spheres is None else by_spheres
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
@@ -343,7 +340,10 @@ class RoomWatch:
 
     def _find_undecided(self, reading: RoomReading) -> RoomUndecided | None:
         """Return the error for a move of head or tracker that this pose of the arm cannot tell apart."""
-        base, head = self.base_shift(reading) or self._nearest_shift(reading), self._head_move(reading)
+        base, head = (
+            self.base_shift(reading) or nearest_shift(self.references, reading),
+            self._head_move(reading),
+        )
         if head is None or (base is not None and base.exact):
             return None
         arm = None if base is None else self._arm_frame(reading, base)
@@ -408,14 +408,7 @@ class RoomWatch:
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
         """Return a shift over its limit, else the most tightly limited one, or None without a reference."""
-        if reading.frame_mm is None:
-            return None
-        shifts = [
-            BaseShift(reading.frame_mm - one.frame_mm, limit_mm, exact)
-            for one, limit_mm, exact in self._references(reading)
-            if one.frame_mm is not None
-        ]
-        return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
+        return base_shift(self.references, reading, self._before_push)
 
     def frame_off_arm_mm(self, seen: Transform, begin_mm: Array, end_mm: Array) -> float | None:
         """Return the distance of the frame on a moving arm from the arm's way, or None within the limit.
@@ -431,26 +424,6 @@ class RoomWatch:
         off_mm = float(np.linalg.norm(seen_mm - begin_mm - min(1.0, max(0.0, share)) * way_mm))
         return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
 
-    def _gross_shift(self, reading: RoomReading) -> BaseShift | None:
-        """Return a shift that is plain although no earlier reading is comparable, or None."""
-        shift = self._nearest_shift(reading)
-        return shift if shift is not None and shift.moved_mm >= GROSS_LIMIT_MM else None
-
-    def _nearest_shift(self, reading: RoomReading) -> BaseShift | None:
-        """Return the shift since the reading in the most similar orientation, or None without one."""
-        if reading.frame_mm is None:
-            return None
-        here = reading.robot_from_flange
-        framed = (
-            (_angle_between_rad(one.robot_from_flange, here), number, one.frame_mm)
-            for number, one in enumerate(self.references)
-            if one.frame_mm is not None
-        )
-        nearest = min(framed, default=None)
-        if nearest is None:
-            return None
-        return BaseShift(reading.frame_mm - nearest[2], GROSS_LIMIT_MM, exact=False)
-
     def _count_unknown(self, reading: RoomReading) -> int:
         """Count points near the head at no known position, which may be displaced spheres.
 
@@ -464,30 +437,6 @@ class RoomWatch:
             self.spheres_mm, reading.markers_mm, reading.spheres_mm, sensors_mm
         )
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
-
-    def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
-        """Return comparable earlier readings as (reading, limit in mm, whether the pose is the same).
-
-        In the same pose: the oldest, so that a slow drift adds up, and the oldest that may differ by noise
-        only. Otherwise the nearest in the same orientation, and the newest of those equally near. Since a
-        followed push, readings differ from those before by more than noise: by how well the push is known.
-        """
-        here = reading.robot_from_flange
-        alike = [
-            (apart_mm, -number, one)
-            for number, one in enumerate(self.references)
-            if _angle_between_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
-            and (apart_mm := _distance_mm(one.robot_from_flange, here)) <= FARTHEST_MM
-        ]
-        exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
-        if not exact:
-            return [(min(alike)[2], OTHER_POSE_LIMIT_MM, False)] if alike else []
-        settled = [
-            one
-            for one in self.references[self._before_push :]
-            if reading.is_comparable and one.is_comparable and _same_pose(one.robot_from_flange, here)
-        ]
-        return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
 def read_watched(room: RoomWatch, workcell: Workcell, clock: Clock, count: int = FRAMES) -> RoomReading:
@@ -514,16 +463,3 @@ def check_now(
         memory.drop(RoomWatch)  # the same move must not stop the way out
     look.require()
     return look
-
-
-def _same_pose(one: Transform, other: Transform) -> bool:
-    return _angle_between_rad(one, other) < SAME_POSE_RAD and _distance_mm(one, other) < SAME_POSE_MM
-
-
-def _distance_mm(one: Transform, other: Transform) -> float:
-    return math.dist(one.translation_mm, other.translation_mm)
-
-
-def _angle_between_rad(one: Transform, other: Transform) -> float:
-    between = one.rotation_matrix.T @ other.rotation_matrix
-    return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))

@@ -7,9 +7,10 @@ import pytest
 from clinical_case import SPHERES_MM
 from numpy.typing import ArrayLike
 
+from procedures.guards.base_shift import BASE_LIMIT_MM
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import FRAMES, RoomReading
-from procedures.guards.room_watch import BASE_LIMIT_MM, RoomWatch
+from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from ronna_hw.frames import Frame, Transform
 
