@@ -68,7 +68,7 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
 def sight_guard(engine: Engine, void: Void) -> HeadInSight:
     """Build the guard that limits the approach to an unseen head. `void` is as for `patient_watch`."""
     setting = engine.setting
-    return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
+    return HeadInSight(setting.workcell, setting.clock, setting.memory, void, engine.find)
 
 
 @dataclass

@@ -53,6 +53,19 @@ class PatientUnseen(RefusedError):
     )
 
 
+class RoomUndecided(RefusedError):
+    """The head with its clamp, or the tracker, was moved: the arm's pose does not tell which of them.
+
+    Nothing is void yet. With the arm home, the next look follows a pushed tracker or names the moved head.
+    """
+
+    code = "PRO-052"
+    action = (
+        "Lock clamp and tracker and send the arm home, then run the step again: there the frame on the arm "
+        "tells a pushed tracker, which is followed, from a moved head."
+    )
+
+
 class PatientMoved(RefusedError):
     """The spheres have moved since they were localized. `moved_mm` is their rms displacement."""
 

@@ -3,12 +3,16 @@
 Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
 and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
 with a frame of its own is seen by that too, as its seat may give way. The arm's joints are compared as well.
+
+A pushed tracker sees the guide displaced as well. With the patient's frame in the theatre it is followed
+before the guide counts as pushed.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,11 +52,12 @@ class GuideAtRest:
     """Rest position of the guide, and its displacement since.
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
-    tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
-    in the frame on the mount; `on_guide` names the frame on the guide, if any.
+    frame of the tracker at the localization: NaN for the last if not seen, None if the first is not.
+    `end_in_frame_mm` (3,) is the end in the frame on the mount; `on_guide` names the frame on the guide, if
+    any.
     `is_worked_through`: somebody works through it now; `was_worked_through`: somebody did.
     `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `unseen` says that
-    this look did not show the frame.
+    this look did not show the frame. `find` records a tracker that was followed.
     """
 
     trajectory: str
@@ -65,6 +70,7 @@ class GuideAtRest:
     was_worked_through: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
+    find: Callable[[str], None] = lambda _text: None
     _point_shifts_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
 
@@ -87,19 +93,28 @@ class GuideAtRest:
             now_mm[END] = recent_mm[:, END].mean(axis=0) if len(recent_mm) == END_READINGS else np.nan
             self._compare(now_mm)
 
-    def look(self, workcell: Workcell, clock: Clock) -> None:
-        """Measure the displacement now. Raises the tracker's errors."""
+    def look(self, workcell: Workcell, clock: Clock, room: RoomWatch | None) -> None:
+        """Measure the displacement now. Raises the tracker's errors.
+
+        `room` is the watch of the case. A push of the tracker alone that it shows is followed.
+        """
         known = self.seen_mm is not None
         for count in (FRAMES_AT_FIRST, FRAMES):
-            seen_mm = (
-                _measure_frame(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1]
-                if known
-                else None
-            )
-            self._compare(seen_mm, workcell.tool_pose().translation_mm)
-            self.looked_s, self.unseen = clock.now_s(), seen_mm is None
+            frames = read_frames_at_rest(workcell.tracker, clock, count=count)[0] if known else []
+            self._measure(workcell, frames, room)
+            self.looked_s = clock.now_s()
             if self.now_mm <= PUSHED_MM or not known:
-                break
+                return
+        if room is not None and (followed := room.follow_tracker(room.read(workcell, frames))[1]):
+            for finding in followed:
+                self.find(f"at {self.trajectory}: {finding}")
+            self._measure(workcell, frames, room)
+
+    def _measure(self, workcell: Workcell, frames: list[TrackerFrame], room: RoomWatch | None) -> None:
+        """Compare the guide in these frames, and the arm's joints, with the rest position."""
+        _, seen_mm = _measure_frame(workcell, frames, room, self.end_in_frame_mm, self.on_guide)
+        self._compare(seen_mm, workcell.tool_pose().translation_mm)
+        self.unseen = seen_mm is None
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
         """Update the displacement from its largest estimate. Hidden points keep their last displacement."""
@@ -127,7 +142,7 @@ class GuideDisplacement:
         if rest is None or not rest.is_worked_through:
             return None
         if self.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
-            rest.look(self.workcell, self.clock)
+            rest.look(self.workcell, self.clock, self.memory.find(RoomWatch))
         if rest.now_mm <= PUSHED_MM:
             return None
         return (
@@ -139,21 +154,26 @@ class GuideDisplacement:
 
 
 def measure_guide_at_rest(
-    workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
+    workcell: Workcell,
+    clock: Clock,
+    trajectory: str,
+    room: RoomWatch | None = None,
+    find: Callable[[str], None] = lambda _text: None,
 ) -> GuideAtRest:
     """Measure the guide's rest position. Raises PRO-007 if the guide is already pushed, and tracker errors.
 
-    `room` is the watch of the case, which relates the tracker to the arm.
+    `room` is the watch of the case, which relates the tracker to the arm; `find` records a finding.
     """
     tool = workcell.tool_pose()
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
     by_arm = robot_from_marker(workcell, workcell.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
-    is_on_mount, seen_mm = _measure_frame(workcell, clock, end_in_frame_mm, on_guide)
+    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=FRAMES)
+    is_on_mount, seen_mm = _measure_frame(workcell, frames, room, end_in_frame_mm, on_guide)
     if is_on_mount is not None and room is not None:
         _require_unturned(by_arm, room.robot_from_tracker @ is_on_mount)
     return GuideAtRest(
-        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s()
+        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s(), find=find
     )
 
 
@@ -172,14 +192,20 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
 
 
 def _measure_frame(
-    workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
+    workcell: Workcell,
+    frames: list[TrackerFrame],
+    room: RoomWatch | None,
+    end_in_frame_mm: Array,
+    on_guide: str | None,
 ) -> tuple[Transform | None, Array | None]:
     """Return the mean pose of the frame on the mount, and `seen_mm`, or (None, None) if rarely seen."""
-    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
-    is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
+    if room is not None:
+        frames = [room.as_localized(frame) for frame in frames]
+    least = max(1, len(frames) // 2)
+    is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, least)
     if is_on_mount is None:
         return None, None
-    guide = None if on_guide is None else mean_pose(frames, on_guide, count // 2)
+    guide = None if on_guide is None else mean_pose(frames, on_guide, least)
     return is_on_mount, _points_mm(
         is_on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm
     )

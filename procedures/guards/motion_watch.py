@@ -18,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved
+from procedures.guards.base_shift import GROSS_LIMIT_MM
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved, RoomUndecided
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames, PatientFrames
 from procedures.guards.room_reading import PATIENT_LIMIT_MM
-from procedures.guards.room_watch import GROSS_LIMIT_MM, RoomWatch, read_watched
+from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import posed_markers
 from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, robot_from_marker
+from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -66,12 +68,17 @@ class MotionWatch:
     void: Callable[[RonnaError], None]
     beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while the moving thread reads
     _room: RoomWatch | None = None
+    _tracker: TrackerMove | None = None  # for which `_head` holds
     _head: PatientFrames = field(init=False)
     _unseen_s: float = 0.0
 
     @contextmanager
     def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
-        """Watch the patient during a motion or wait. Raises PRO-019 or PRO-020 with the arm at rest."""
+        """Watch the patient during a motion or wait.
+
+        Raises PRO-019, PRO-020, PRO-051 or PRO-052 with the arm at rest. A pushed tracker is a finding: the
+        motion that it stopped is planned again, as after any stop.
+        """
         room = self.memory.find(RoomWatch)
         if room is None or not self._is_wanted:
             yield
@@ -81,8 +88,10 @@ class MotionWatch:
             yield
             return
         if self._room is not room or self._head.spheres.spheres_mm is not room.spheres_mm:
+            self._room, self._tracker, self._unseen_s = room, None, 0.0
+        if self._tracker is not room.tracker:  # else the readings from before the move would count
             clamp = None if room.on_clamp is None else HeadFrames(room.on_clamp.places_mm)
-            self._room, self._unseen_s = room, 0.0
+            self._tracker = room.tracker
             self._head = PatientFrames(HeadFrames(room.spheres_mm), clamp)
         thread = _WatchThread(
             self.workcell,
@@ -121,10 +130,14 @@ class MotionWatch:
     def _conclude(self, seen: _WatchThread, what: str) -> None:
         if seen.has_moved:
             moved = self._identify_cause(seen, what)
-            self.void(moved)  # first: the watch goes on until this is written
-            self.memory.drop(RoomWatch)  # the same move must not stop the way out
-            raise moved
-        if seen.pushed_mm > PUSHED_MM:
+            if isinstance(moved, RoomMoved):
+                self.void(moved)  # first: the watch goes on until this is written
+            if moved is not None:
+                self.memory.drop(RoomWatch)  # the same move must not stop the way out
+                raise moved
+            if seen.guide is not None and seen.guide.is_worked_through:
+                seen.guide.look(self.workcell, self.clock, seen.room)
+        elif seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem:
             self.find(f"the head was not watched during {what}: {seen.problem}")
@@ -135,15 +148,27 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
-    def _identify_cause(self, seen: _WatchThread, what: str) -> RoomMoved:
-        """Determine what has moved from a further reading at rest that includes the frame on the arm."""
+    def _identify_cause(self, seen: _WatchThread, what: str) -> RoomMoved | RoomUndecided | None:
+        """Determine what has moved from a further reading at rest that includes the frame on the arm.
+
+        None if only the tracker was moved, and could be followed.
+        """
         room = seen.room
+        before = room.tracker
         found: RonnaError | None
         try:
             with self.beside():
-                found = room.compare(read_watched(room, self.workcell, self.clock)).moved
+                look = room.compare(read_watched(room, self.workcell, self.clock), self.clock.now_s())
         except RonnaError as problem:
             found = problem
+        else:
+            found = look.moved
+            if found is None and room.tracker is not before:
+                for finding in look.findings:
+                    self.find(f"during {what}: {finding}")
+                return None
+        if isinstance(found, RoomUndecided):
+            return RoomUndecided(f"{found.what}, during {what}", limit=found.limit, got=found.got)
         if isinstance(found, BaseShifted):
             shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
             shifted.cart, shifted.room_moved = found.cart, found.room_moved
@@ -253,7 +278,8 @@ class _WatchThread:
                     self._report_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
-            self.head.add(add_frame_spheres(tracker, frame), self._on_clamp_mm(frame))
+            frame = self.room.as_localized(add_frame_spheres(tracker, frame))
+            self.head.add(frame, self._on_clamp_mm(frame))
             self._check_push(frame)
             self._check_base(frame, begin_mm)
             self._check_late()

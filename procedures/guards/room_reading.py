@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from procedures.planning.line_of_sight import SENSORS_MM
@@ -59,12 +59,25 @@ class RoomReading:
     arm_frame_mm: Array | None = None
     on_clamp: Transform | None = None
 
-    def seen_by_moved(self, turn: Transform, now: Transform) -> RoomReading:
-        """Return the reading after the tracker was found moved: ROBOT <- TRACKER was `turn`, and is `now`."""
-        if self.frame_mm is None or self.arm_frame_mm is None:
-            return self
+    def moved_by(self, move: Transform, robot_from_tracker: Transform) -> RoomReading:
+        """Return the reading with everything in view moved by TRACKER <- TRACKER.
+
+        `robot_from_tracker` is the pose by which `frame_mm` was computed.
+        """
+        frame_mm, arm_frame_mm = self.frame_mm, self.arm_frame_mm
+        if frame_mm is not None and arm_frame_mm is not None:
+            way_mm = move.apply(arm_frame_mm) - arm_frame_mm
+            frame_mm = frame_mm + robot_from_tracker.rotation_matrix @ way_mm
+            arm_frame_mm = arm_frame_mm + way_mm
+        by_frame = self.robot_from_tracker
         return replace(
-            self, frame_mm=self.frame_mm + now.apply(self.arm_frame_mm) - turn.apply(self.arm_frame_mm)
+            self,
+            frame_mm=frame_mm,
+            arm_frame_mm=arm_frame_mm,
+            spheres_mm=move.apply(self.spheres_mm) if len(self.spheres_mm) else self.spheres_mm,
+            markers_mm=move.apply(self.markers_mm) if len(self.markers_mm) else self.markers_mm,
+            robot_from_tracker=None if by_frame is None else by_frame @ move.inverse(),
+            on_clamp=None if self.on_clamp is None else move @ self.on_clamp,
         )
 
     @property
@@ -124,7 +137,9 @@ def room_reading(
     )
 
 
-def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
+def find_ghosts(
+    spheres_mm: Array, others_mm: Array, seen_mm: Array, sensors_mm: ArrayLike = SENSORS_MM
+) -> NDArray[np.bool_]:
     """Flag points (m, 3) where sensor lines to known markers cross, all in the tracker's frame.
 
     The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the
@@ -132,7 +147,7 @@ def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[
     """
     markers, head = np.vstack([spheres_mm, others_mm]), len(spheres_mm)
     limits = np.repeat([LINE_MM, OTHER_LINE_MM], [head, len(others_mm)])
-    left, right = (_distance_from_lines_mm(np.array(eye), markers, seen_mm) for eye in SENSORS_MM)
+    left, right = (_distance_from_lines_mm(eye, markers, seen_mm) for eye in np.asarray(sensors_mm))
     pairs = (left < limits)[:, :, None] & (right < limits)[:, None, :]  # (m, n + k, n + k)
     pairs[:, head:, head:] = (left[:, head:, None] < LINE_MM) & (right[:, None, head:] < LINE_MM)
     pairs &= ~np.eye(len(markers), dtype=bool)  # both lines to one marker: that is the marker itself

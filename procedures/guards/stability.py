@@ -26,6 +26,7 @@ HEAD_NOTICEABLE_MM = 0.15
 BASE_NOTICEABLE_MM = 0.15
 GUIDE_NOTICEABLE_MM = 0.05  # on its gauge; beyond it, the guide is not as it was when its tip was calibrated
 CONFIRMATION = "confirmation"
+IN_PUSHES = "unnoticed change: head while the tracker was pushed"
 LOOKS_AT_ROOM = (
     *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
     CONFIRMATION,
@@ -154,10 +155,14 @@ class SeenUnchanged(Values):
         return f"{self.subject} within {self.moved_mm:.2f} mm"
 
 
-def undetected_changes_mm() -> dict[str, float]:
-    """Return the rms error due to undetectable changes, by source, for target error prediction."""
-    return {
+def undetected_changes_mm(in_pushes_mm: float = 0.0) -> dict[str, float]:
+    """Return the rms error due to undetectable changes, by source, for target error prediction.
+
+    `in_pushes_mm` is the rms of moves of the head that followed pushes of the tracker may have hidden.
+    """
+    changes_mm = {
         f"unnoticed change: {one.subject}": one.unnoticed_rms_mm
         for one in WATCHED_SUBJECTS
         if one.noticeable_mm
     }
+    return {**changes_mm, **({IN_PUSHES: in_pushes_mm} if in_pushes_mm else {})}

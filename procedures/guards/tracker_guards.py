@@ -132,12 +132,16 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard for the line of sight to the head. Checks the room on timeout; `void` ends a localization."""
+    """Guard for the line of sight to the head. Checks the room on timeout.
+
+    `void` ends a localization, `find` records a finding.
+    """
 
     workcell: Workcell
     clock: Clock
     memory: CaseMemory
     void: Callable[[RonnaError], None]
+    find: Callable[[str], None] = lambda _text: None
     name: str = "head"
     topic: Topic = Topic.HEAD_UNSEEN
 
@@ -148,11 +152,13 @@ class HeadInSight:
         return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
 
     def unmet(self) -> str | None:
-        """Describe why the head has been unseen for too long. Raises PRO-019, PRO-020, PRO-022."""
+        """Describe why the head has been unseen for too long. Raises as `RoomLook.require`."""
         room = self.memory.find(RoomWatch)
         if room is None or not room.is_overdue(self.clock.now_s()):
             return None
-        check_now(room, self.workcell, self.clock, self.memory, self.void)
+        look = check_now(room, self.workcell, self.clock, self.memory, self.void)
+        for finding in look.findings:
+            self.find(finding)
         now_s = self.clock.now_s()
         if not room.is_overdue(now_s):
             return None

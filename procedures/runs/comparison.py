@@ -16,8 +16,14 @@ from pydantic import BaseModel
 
 from procedures.engine.device_faults import ARM
 from procedures.engine.engine import Engine
-from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
-from procedures.guards.room_reading import read_room
+from procedures.guards.errors import (
+    BaseShifted,
+    FrameSlipped,
+    PatientMoved,
+    PatientUnseen,
+    RoomUndecided,
+)
+from procedures.guards.room_watch import read_watched
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
@@ -312,12 +318,18 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     followed = context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
     watch.follow(*find_followed_places(followed))
     watch.add_reference(find_frame_at_home(context))
-    reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
-    look = watch.compare(reading)
+    look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
     if look.head_mm is None:
         return False
     try:
         findings = look.require()
+    except RoomUndecided as undecided:
+        if not workcell.place.is_home:
+            return False
+        comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
+        return True
+    except PatientUnseen:
+        return False
     except PatientMoved as moved:
         if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
             comparison.add_difference("room", f"all within {moved.limit}", moved.what)
@@ -327,10 +339,14 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     except (BaseShifted, FrameSlipped) as moved:
         comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         return True
-    if reading.frame_mm is None and workcell.place.is_home:
+    if look.reading.frame_mm is None and workcell.place.is_home:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
-    comparison.note(f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions")
+    comparison.note(
+        f"patient: the frame on the clamp within {look.head_mm:.2f} mm of its recorded position"
+        if look.by_frame
+        else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
+    )
     if look.base is None:
         comparison.note("robot base: not compared in this pose")
     else:

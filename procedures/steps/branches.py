@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from procedures.engine.questions import INSIDE, IS_OUT
-from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomUndecided
 from procedures.journal.errors import GateFailed
 from procedures.operator.checkpoint import CONTINUE, LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
@@ -199,6 +199,16 @@ REFERENCE_MOVED = Branch(
     "are void, and may follow the move",
     Ending.HOLD,
     (BaseShifted, PatientMoved, FrameSlipped),
+)
+REFERENCE_UNDECIDED = Branch(
+    "the head with its clamp, or the tracker, was moved while the arm was in a pose not seen before",
+    "the patient's frame on the clamp and the spheres, which have moved as one; the frame on the arm tells "
+    "which it was only where the arm has rested before",
+    ("relocalization", "positioning", "retreat"),
+    "the arm stops and nothing is void; from home, the next look follows a pushed tracker, or names the "
+    "head that has moved",
+    Ending.HOLD,
+    (RoomUndecided,),
 )
 CART_MOVED = Branch(
     "the cart or the tracker has moved; whatever depends on its position is void",

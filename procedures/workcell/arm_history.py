@@ -1,5 +1,7 @@
 """History of an arm and the work through its guide: its place, the path it took, the stages of work.
 
+With it, where the tracker that watches it has been moved to.
+
 Folded line by line from the journal: by `ArmLog` while the case runs, afterwards from the file. A resumed
 case therefore knows what the running one knew.
 """
@@ -19,6 +21,7 @@ from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.journal.results import FramedPose, Values
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
+from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
@@ -196,6 +199,7 @@ class ArmHistory:
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     doubted: frozenset[str] = frozenset()  # trajectories where more may have been done than the journal says
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
+    tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
 
     def with_line(self, line: Line) -> ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
@@ -219,6 +223,8 @@ class ArmHistory:
                 return replace(self, place=place, instrument_out=inside is None)
             case Entry.STAGE:
                 return self._with_stage(line)
+            case Entry.TRACKER:
+                return replace(self, tracker=TrackerMove.from_plain(line))
             case _:
                 return self
 

@@ -70,7 +70,7 @@ def hold_to_patient_frame(
     for spell in spells[:-1]:
         if len(spell) >= LEAST_STILL:
             move = pose @ average_pose_of(spell, name).inverse()
-            moved = [_seen_after(move, frame) for frame in spell]
+            moved = [seen_after(move, frame) for frame in spell]
             _require_arm_still(moved, spells[-1], on_arm)
             held += moved
     return [*held, *spells[-1]], pose
@@ -127,7 +127,7 @@ def _require_arm_still(before: list[TrackerFrame], after: list[TrackerFrame], on
         )
 
 
-def _seen_after(move: Transform, frame: TrackerFrame) -> TrackerFrame:
+def seen_after(move: Transform, frame: TrackerFrame) -> TrackerFrame:
     """Return a frame with everything in view moved by TRACKER <- TRACKER."""
     tools = tuple(_moved_tool(move, one) for one in frame.tools)
     if not frame.strays:

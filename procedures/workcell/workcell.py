@@ -32,6 +32,7 @@ from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount, calibrated_arm
+from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import MASTER, Calibrations
@@ -207,6 +208,15 @@ class Workcell:
         if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
             self.supervised.settled_home = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
+
+    def tracker_move(self, localization: str) -> TrackerMove:
+        """Return how the tracker was moved since this localization, as far as it was followed."""
+        known = self._log.history.tracker
+        return known[1] if known is not None and known[0] == localization else UNPUSHED
+
+    def record_tracker_move(self, localization: str, move: TrackerMove) -> None:
+        """Journal a followed move of the tracker. Raises PRO-003."""
+        self._log.write(Entry.TRACKER, **move.as_plain(localization))
 
     def record_found_on_axis(self, axis: Insertion) -> None:
         """Journal that the guide was found on an axis, in case the original line was lost."""

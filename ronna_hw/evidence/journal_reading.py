@@ -52,6 +52,7 @@ class Entry(StrEnum):
     PLACED = "placed"  # the arm by its measured joints: home as set up, or not where the lines before say
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
+    TRACKER = "tracker"  # moved since the localization, and followed
     WORK = "work"  # manual work, and its readings
     FAILED = "failed"
     INTERRUPTED = "interrupted"

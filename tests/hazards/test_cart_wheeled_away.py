@@ -14,8 +14,8 @@ from room_trials import TrackedCase
 from waiting import eventually
 from watched_case import findings, on_the_way, positioned, watched
 
+from procedures.guards.base_shift import GROSS_LIMIT_MM
 from procedures.guards.errors import BaseShifted
-from procedures.guards.room_watch import GROSS_LIMIT_MM
 from procedures.operator.question import Topic
 from procedures.runs.engine_setup import MovedCart
 from procedures.steps.clinical import relocalization

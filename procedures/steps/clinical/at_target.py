@@ -86,7 +86,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     _check_room_again(context)
     workcell.hold()
     with require_head_in_view(context), _watch_guide(context) as rest:
-        rest.look(workcell, context.setting.clock)  # the cart may have been moved since the arm came here
+        _look(context, rest)  # the cart may have been moved since the arm came here
         context.progress(0.0, f"the guide is looked at before the work at {trajectory}")
         work_so_far = work_progress(context)
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
@@ -169,12 +169,16 @@ def _look_at_guide(
     context: StepContext, stage: WorkStage, rest: GuideAtRest, work_so_far: WorkProgress
 ) -> None:
     """Measure the guide after a stage. If it is displaced, a guard suspends the case."""
-    rest.look(context.workcell, context.setting.clock)
+    _look(context, rest)
     work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
     if rest.unseen:
         work_so_far.watched = False
         if rest.seen_mm is not None:  # else reported before the work began
             context.find(f"at {context.trajectory}, {stage.done_statement}: {UNSEEN}")
+
+
+def _look(context: StepContext, rest: GuideAtRest) -> None:
+    rest.look(context.workcell, context.setting.clock, context.setting.memory.find(RoomWatch))
 
 
 def _check_room_again(context: StepContext) -> None:
@@ -195,7 +199,9 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
         room = memory.find(RoomWatch)
-        rest = measure_guide_at_rest(context.workcell, context.setting.clock, context.trajectory, room)
+        rest = measure_guide_at_rest(
+            context.workcell, context.setting.clock, context.trajectory, room, context.find
+        )
         memory.keep(rest)
     if rest.seen_mm is None:
         context.find(f"at {context.trajectory}: {UNSEEN}")

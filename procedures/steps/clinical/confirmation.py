@@ -10,8 +10,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import RoomMoved
-from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import RoomLook, RoomWatch
+from procedures.guards.room_watch import RoomLook, RoomWatch, read_watched
 from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -73,7 +72,7 @@ def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
     """Check head and base by the tracker. If targets remain, a move voids the results that depend on it."""
     setting, occasion = context.setting, f"after {context.trajectory}"
     watch = room_watch(context)
-    reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
+    reading = read_watched(watch, setting.workcell, setting.clock, CAREFUL_FRAMES)
     look = watch.compare(reading, setting.clock.now_s())
     if isinstance(look.moved, RoomMoved) and targets_remain:
         void_moved(context, look.moved)

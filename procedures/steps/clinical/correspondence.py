@@ -13,7 +13,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL, Matcher
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.errors import BaseShifted
-from procedures.guards.room_reading import read_room
+from procedures.guards.room_watch import read_watched
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus
@@ -166,7 +166,7 @@ def _touch_if_mirrored(
 def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> None:
     """Raise PRO-019 if a point was touched elsewhere because the cart or the tracker was moved meanwhile."""
     watch = build_watch(context.workcell, context.identifier(GlobalLocalization), room, None)
-    seen = read_room(context.workcell, context.setting.clock, watch.robot_from_tracker)
+    seen = read_watched(watch, context.workcell, context.setting.clock)
     moved = watch.compare(seen).moved
     if isinstance(moved, BaseShifted):
         context.void(LockedCart if moved.cart and context.stands(LockedCart) else GlobalLocalization, moved)

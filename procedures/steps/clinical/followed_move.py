@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import RoomReading, room_reading
+from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import HEAD_NOTICEABLE_MM
 from procedures.journal.errors import StepRefused
@@ -80,13 +80,14 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
             action="Send the arm home, then run the step again.",
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
-    watch = build_watch(workcell, "", localized, pairs)
+    watch = build_watch(workcell, context.identifier(GlobalLocalization), localized, pairs)
     watch.add_reference(find_frame_at_home(context))
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
-    reading, pushed = watch.follow_tracker(room_reading(workcell, frames, watch.robot_from_tracker))
+    reading, pushed = watch.follow_tracker(watch.read(workcell, frames))
     for finding in pushed:
         context.find(finding)
+    frames = [watch.as_localized(frame) for frame in frames]
     base_mm = _base_mm(watch, reading)
     rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
@@ -99,7 +100,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     to_robot = watch.robot_from_tracker
     groups = average_strays(frames).groups
     each = np.array([groups[row].covariance_mm2 for row in after])
-    counts = np.array([[1.0 / groups[row].count + 1.0 / FRAMES] for row in after])[:, :, None]
+    counts = np.array([[1.0 / groups[row].count + 1.0 / localized.frames] for row in after])[:, :, None]
     turn = to_robot.rotation_matrix
     covariance = turn @ (each * counts) @ turn.T + np.eye(3) * STEADY_MM**2
     fit = fit_rigid_move(
@@ -109,8 +110,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         return None
     now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
     now[before] = reading.spheres_mm[after]
-    to_localized = watch.tracker_move.inverse()
-    clamp = None if watch.on_clamp is None or reading.on_clamp is None else to_localized @ reading.on_clamp
+    clamp = None if watch.on_clamp is None else reading.on_clamp
     move = FollowedMove(
         robot_from_robot=FramedPose.of(Transform(Frame.ROBOT, Frame.ROBOT, fit.fit.transform)),
         way_mm=fit.way_mm,
@@ -119,7 +119,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         residual_mm=float(fit.fit.fre_mm),
         limit_mm=fit.gate.limit_mm,
         base_mm=base_mm,
-        spheres_tracker_mm=tuple(to_localized.apply(now).tolist()),
+        spheres_tracker_mm=tuple(now.tolist()),
         tracker_from_patient=None if clamp is None else FramedPose.of(clamp),
     )
     _require_followable(fit, move)

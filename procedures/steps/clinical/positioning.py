@@ -99,7 +99,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             reached = workcell.insert(insertion)
         check_room(context, f"at {trajectory}")
     memory = context.setting.memory
-    memory.keep(measure_guide_at_rest(workcell, context.setting.clock, trajectory, memory.find(RoomWatch)))
+    room = memory.find(RoomWatch)
+    memory.keep(measure_guide_at_rest(workcell, context.setting.clock, trajectory, room, context.find))
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",

@@ -235,6 +235,11 @@ def _exclude_beyond_margin(
     return left_out
 
 
+def _unnoticed_in_pushes_mm(context: StepContext) -> float:
+    """Return the rms of the moves of the head that followed pushes of the tracker may have hidden."""
+    return context.workcell.tracker_move(context.identifier(GlobalLocalization)).unnoticed_mm
+
+
 def predict_tip_error(
     context: StepContext,
     fit: Registration,
@@ -256,7 +261,7 @@ def predict_tip_error(
     at_target_mm = {
         "stereo head calibration": calibrations.stereo_head.stated_error_mm,
         "guide tip calibration": calibrations.tool_tip.stated_error_mm,
-        **undetected_changes_mm(),
+        **undetected_changes_mm(_unnoticed_in_pushes_mm(context)),
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad

@@ -19,7 +19,6 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.planning.line_of_sight import TrackerSight
 from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
@@ -42,7 +41,7 @@ ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks
 def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> RoomLook:
     """Compare a tracker reading, taken at rest, with the localization and later readings.
 
-    Raises PRO-019, PRO-020, PRO-022 and PRO-051; a move voids the localization, or the registrations
+    Raises PRO-019, PRO-020, PRO-022, PRO-051 and PRO-052; a move voids the localization, or the registrations
     that may follow it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
@@ -75,14 +74,15 @@ class ExpectedSight:
     """Expected view of the tracker past the guide, based on the collision bodies."""
 
     context: StepContext
-    sights: tuple[TrackerSight, ...]
+    watch: RoomWatch
     surroundings: Surroundings
 
     def hidden_at(self, joints_rad: JointVector) -> bool:
         """Whether too few spheres, and markers on the clamp, are visible with the arm at these joints."""
         arm = self.context.workcell.arm.kinematics
         return all(
-            int(sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS for sight in self.sights
+            int(sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
+            for sight in self.watch.sights
         )
 
     def hidden_now(self) -> bool:
@@ -93,9 +93,7 @@ class ExpectedSight:
 def build_expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
-    places = [watch.spheres_mm, *([] if watch.on_clamp is None else [watch.on_clamp.places_mm])]
-    sights = tuple(TrackerSight(watch.robot_from_tracker, one) for one in places)
-    expected = ExpectedSight(context, sights, surroundings)
+    expected = ExpectedSight(context, watch, surroundings)
     watch.approach = Approach(expected.hidden_now)
     return expected
 

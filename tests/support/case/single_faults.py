@@ -477,6 +477,7 @@ ELSEWHERE = {
     "CART_MISPLACED": "a proposed place in the folder of the case",
     "MIRRORED_CT": "a CT or a plan that is mirrored before the case begins",
     "MOVE_FOLLOWED": "an operator who repeats the registration",
+    "REFERENCE_UNDECIDED": "the frame of the patient on the head clamp, which its scene does not have",
     "NOT_CLEAR_NOW": "a registration far from the coarse one",
     "KEPT_REGISTRATION": "a fault of the arm that was acknowledged",
     "WORK_BEGUN": "a restart after the work at a target has begun",

@@ -20,6 +20,7 @@ from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.guards import patient_watch
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.journal.results import StepResult
 from procedures.steps.clinical import at_target, positioning
 from procedures.steps.clinical.room import void_moved
 from procedures.workcell import MountedTool
@@ -32,13 +33,13 @@ def voiding(engine: Engine) -> Callable[[RonnaError], None]:
     return lambda moved: void_moved(engine.context(StepKey("global_localization")), moved)
 
 
-def watched(cell: ClinicalCell) -> Engine:
+def watched(cell: ClinicalCell, localized: tuple[StepResult, ...] = ()) -> Engine:
     """An engine that stands before the first positioning, with the guide mounted and the arm home."""
     cell.carrying(MountedTool.GUIDE).settled()
     engine = cell.begin(
         *(
             checked_set_up(cell),
-            *coarse(),
+            *(localized or coarse()),
             registered_robot(),
             mounted_guide(),
             checked_tool(),

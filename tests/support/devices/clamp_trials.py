@@ -100,6 +100,8 @@ class ClampedCase:
         points = apply(inverse(pushed @ self._robot_from_tracker), np.vstack(places))
         sight = self._optics.sight(points)
         seen = sight.measured(self.generator.standard_normal(points.shape) / math.sqrt(frames))
+        if hasattr(self, "watch"):  # as the watch reads it
+            seen = self.watch.tracker.move.inverse().apply(seen)
         clamp, spheres, arm = np.split(seen, [len(on_clamp), len(on_clamp) + len(self._spheres_mm)])
         fitted = fit_rigid_body(self._on_clamp_mm, clamp)
         pose = Transform.from_matrix(

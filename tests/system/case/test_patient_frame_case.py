@@ -19,6 +19,7 @@ PUSHES = (
     "since step == global_localization after 0.5 s: room shift tracker 12 -8 5 mm\n"
     "since step == tool_change: room shift tracker -20 4 9 mm\n"
 )
+PUSHED_AT_TARGET = "since step == at_target after 2.2 s: room shift tracker 12 -8 5 mm\n"
 MOVED_HEAD = "since step == at_target: room shift head 1 0.5 0 mm\n"
 SLIPPED = "since step == tool_change: tracker move tool patient_frame 0.6 0 0 mm\n"
 
@@ -48,6 +49,16 @@ def test_pushes_against_the_tracker_and_a_drape_over_the_head_change_no_target(
     assert float(str(outcome["max_application_error_mm"])) < LIMIT_MM
     assert any("the tracker was moved" in one and "the case goes on" in one for one in told)
     assert any("the spheres on the head are hidden" in one for one in told)
+
+
+def test_a_push_while_work_goes_on_at_the_target_is_no_push_of_the_guide(
+    commands: Commands, tmp_path: Path
+) -> None:
+    code, outcome, said, told = run(commands, tmp_path, PUSHED_AT_TARGET)
+    assert code == 0, said
+    assert float(str(outcome["max_application_error_mm"])) < LIMIT_MM
+    assert any("the tracker was moved" in one and "the case goes on" in one for one in told)
+    assert not any("the guide was pushed" in one for one in told)
 
 
 def test_a_head_that_moves_under_the_drape_stops_the_case(commands: Commands, tmp_path: Path) -> None:

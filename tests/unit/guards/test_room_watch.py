@@ -7,9 +7,10 @@ import pytest
 from clinical_case import SPHERES_MM
 from numpy.typing import ArrayLike
 
+from procedures.guards.base_shift import BASE_LIMIT_MM
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import FRAMES, RoomReading
-from procedures.guards.room_watch import BASE_LIMIT_MM, RoomWatch
+from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from ronna_hw.frames import Frame, Transform
 
@@ -25,7 +26,8 @@ def reading(
 ) -> RoomReading:
     """A reading at home, with the frame on the arm and the head so far from where they were localized."""
     spheres_mm = np.add(SPHERES_MM, head_mm)
-    return RoomReading(HOME, np.asarray(frame_mm, dtype=float), spheres_mm, frames=frames, settled=settled)
+    place_mm = np.asarray(frame_mm, dtype=float)
+    return RoomReading(HOME, place_mm, spheres_mm, frames=frames, settled=settled, arm_frame_mm=place_mm)
 
 
 @pytest.fixture
@@ -87,6 +89,20 @@ def test_a_tracker_moved_by_little_is_a_finding_and_voids_nothing(watch: RoomWat
     (finding,) = looked.findings
     assert finding.startswith("the tracker was moved by 0.54 mm")
     assert "arm and head agree" in finding
+
+
+@pytest.mark.hazard(13)
+def test_a_head_followed_before_the_tracker_crept_stays_in_place(watch: RoomWatch) -> None:
+    up, crept = np.array([0.0, 0.0, 2.0]), np.array([0.0, 3.6 * BASE_NOTICEABLE_MM, 0.0])
+    for _ in range(2):
+        watch.follow(SPHERES_MM + up)  # as every step that looks at the room
+        assert watch.compare(reading(head_mm=up)).findings == ()
+    for count in (1, 0, 0):
+        watch.follow(SPHERES_MM + up)
+        seen = reading(crept, up + crept).moved_by(watch.tracker.move.inverse(), watch.robot_from_tracker)
+        looked = watch.compare(seen)
+        assert looked.in_place
+        assert len(looked.findings) == count
 
 
 @pytest.mark.hazard(13)

@@ -21,15 +21,17 @@ from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
-from procedures.guards.stability import Subject
+from procedures.guards.stability import IN_PUSHES, Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
+from procedures.workcell.tracker_move import STILL, UNPUSHED
 from ronna_hw.config import ProcedureSettings
 from sim.world.process import load_scene
 
@@ -99,6 +101,25 @@ def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -
     for subject, noticeable_mm in (("head", 0.15), ("cart and tracker", 0.15), ("guide", 0.05)):
         # every displacement up to that is as likely as any other
         assert shares_mm[f"unnoticed change: {subject}"] == pytest.approx(noticeable_mm / np.sqrt(3.0))
+
+
+@pytest.mark.hazard(12)
+def test_the_prediction_contains_a_move_of_the_head_that_a_followed_push_may_have_hidden(
+    cell: ClinicalCell,
+) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    given = (relocalization(), correspondence(), localized_fiducials())
+    engine = cell.begin(*given, global_localization(), checked_plan(), checked_paths(cell), STEP)
+    register = engine.order.find(f"registration:{FIRST}")
+    engine.run_to(register)
+    before = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
+    localization = cell.case.get(GlobalLocalization).record.identifier
+    cell.workcell.record_tracker_move(localization, UNPUSHED.then(STILL, 0.4).then(STILL, 0.3))
+    engine.run_step(register)
+    after = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
+    shares_mm = {one.source: one.rms_mm for one in after.budget}
+    assert shares_mm[IN_PUSHES] == pytest.approx(0.5)
+    assert after.rms_mm == pytest.approx(np.hypot(before.rms_mm, 0.5))
 
 
 def test_spheres_that_disagree_by_more_than_stated_widen_the_limit_and_the_operator_is_told(
