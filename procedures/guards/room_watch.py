@@ -14,43 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.base_shift import (
-    BASE_LIMIT_MM,
-    GROSS_LIMIT_MM,
-    BaseShift,
-    base_shift,
-    gross_shift,
-    nearest_shift,
-)
-from procedures.guards.clamp_frame import ArmFrameSeen, FrameOnClamp, HeadMove, find_head_move
-from procedures.guards.errors import (
-    BaseShifted,
-    FrameSlipped,
-    PatientMoved,
-    PatientUnseen,
-    RoomMoved,
-    RoomUndecided,
-)
-from procedures.guards.room_motion import (
-    base_shifted,
-    clamp_moved,
-    describe_way,
-    moved_alike,
-    patient_moved,
-    screw_moved,
-)
-from procedures.guards.room_reading import FRAMES, RoomReading, find_ghosts, room_reading
+from procedures.guards.base_shift import GROSS_LIMIT_MM, BaseShift, base_shift, gross_shift, nearest_shift
+from procedures.guards.clamp_frame import FrameOnClamp
+from procedures.guards.errors import BaseShifted, PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.room_motion import RoomMotion, describe_way
+from procedures.guards.room_reading import FRAMES, RoomReading, room_reading
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.line_of_sight import SENSORS_MM, TrackerSight
-from procedures.registration.movement import (
-    NEAR_MM,
-    PointShift,
-    identify_points,
-    lone_displacement_mm,
-    measure_shift,
-    measure_shift_of_few,
-)
-from procedures.registration.rigid_fit import as_transform, fit_rigid
+from procedures.registration.movement import PointShift
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
@@ -59,12 +30,9 @@ from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import format_against_limit, format_count
 
 Array = NDArray[np.float64]
 
-FEW_LIMIT_MM = 0.8  # of two spheres, not averaged by a rigid fit: the tracker's bias shows in each
-NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
 
@@ -208,17 +176,11 @@ class RoomWatch:
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
         reading, findings = self.follow_tracker(reading)
-        base = self.base_shift(reading) or gross_shift(self.references, reading)
-        by_spheres = measure_shift(self.spheres_mm, reading.spheres_mm)
-        head = self._shift_by_frame(reading) if by_spheres is None else by_spheres
-        head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
-        agree = moved_alike(head, head_mm, base, reading.head_limit_mm)
-        moved = self._find_undecided(reading) or self._find_motion(
-            reading, base, head, head_mm, by_spheres, agree=agree
-        )
-        if isinstance(moved, BaseShifted) and moved.cart and reading.robot_from_tracker is not None:
-            seen = self._displacement(reading)  # by the tracker, which may have been moved as well
-            moved.room_moved = reading.robot_from_tracker @ seen @ self.robot_from_tracker.inverse()
+        motion = self._motion(reading)
+        head, base, moved = motion.head, motion.base, motion.moved
+        if isinstance(moved, BaseShifted) and moved.cart:
+            moved.room_moved = motion.room_moved
+        by_frame = motion.by_spheres is None and head is not None
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
                 findings += (f"the tracker was moved by {describe_way(base.way_mm)}; arm and head agree",)
@@ -226,78 +188,22 @@ class RoomWatch:
                 self.tracker = self.tracker.then(crept)
                 self.references, self._before_push = [], 0  # both are compared from here on
                 reading = reading.moved_by(crept.inverse(), self.robot_from_tracker)
-            findings += self._tell_by_frame(hidden=by_spheres is None and head is not None)
+            findings += self._tell_by_frame(hidden=by_frame)
             if reading.frame_mm is not None:
                 self.references.append(reading)
             if head is not None:
                 self.seen_s = now_s
-        by_frame = by_spheres is None and head is not None
         return RoomLook(reading, None if head is None else head.rms_mm, base, findings, moved, by_frame)
 
-    def _find_motion(
-        self,
-        reading: RoomReading,
-        base: BaseShift | None,
-        head: PointShift | None,
-        head_mm: Array | None,
-        by_spheres: PointShift | None,
-        *,
-        agree: bool,
-    ) -> RoomMoved | PatientUnseen | None:
-        """Return the error for a movement or for hidden spheres, or None if nothing has moved.
-
-        `head` is by the spheres or, while those are hidden, by the patient's frame; `head_mm` (3,) is its
-        displacement in the robot frame. If arm and head `agree`, only the tracker has moved.
-        """
-        if base is not None and base.moved_mm >= (BASE_LIMIT_MM if agree else base.limit_mm):
-            return base_shifted(base, head_mm)
-        if by_spheres is None:
-            few = self._find_motion_by_few(reading, tracker_excluded=base is not None)
-            if few is not None:
-                return few
-        if head is None or head_mm is None:
-            return None
-        limit_mm = reading.head_limit_mm
-        if (
-            by_spheres is not None
-            and (parted := self._find_parting(reading, by_spheres, head_mm)) is not None
-        ):
-            return parted
-        if head.rms_mm < limit_mm or (base is not None and base.exact and agree):
-            return None
-        alone_mm = lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
-        if alone_mm is not None:
-            return screw_moved(head, alone_mm, limit_mm)
-        apart = base is not None and (base.exact or float(np.linalg.norm(head_mm)) >= base.limit_mm)
-        if by_spheres is None:
-            return clamp_moved(head, head_mm, limit_mm, tracker_excluded=apart)
-        return patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
-
-    def _find_parting(
-        self, reading: RoomReading, head: PointShift, head_mm: Array
-    ) -> FrameSlipped | PatientMoved | None:
-        """Return the error for a frame that slipped on the clamp, or a head that slipped in it, or None."""
-        if self.on_clamp is None or reading.on_clamp is None:
-            return None
-        limit_mm = reading.head_limit_mm
-        apart_mm = self.on_clamp.apart_mm(reading.on_clamp, head)
-        if apart_mm < limit_mm:
-            return None
-        if head.rms_mm >= limit_mm:
-            if self.on_clamp.shift(reading.on_clamp).rms_mm >= limit_mm:
-                return None  # both have moved, perhaps with the tracker
-            if lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm) is not None:
-                return None  # told by its own name
-            return PatientMoved.from_shift(
-                f"the head has moved in its clamp since it was localized, by {describe_way(head_mm)}: the "
-                "frame on the clamp is in its place",
-                head.rms_mm,
-                limit_mm,
-            )
-        return FrameSlipped(
-            "the patient's frame has moved on the head clamp since the localization, against the spheres",
-            limit=f"{limit_mm:g} mm",
-            got=f"{format_against_limit(apart_mm, limit_mm, 2)} mm rms",
+    def _motion(self, reading: RoomReading) -> RoomMotion:
+        return RoomMotion(
+            reading,
+            self.robot_from_tracker,
+            self.spheres_mm,
+            self.on_clamp,
+            self.tracker.move.inverse().apply(SENSORS_MM),
+            self.base_shift(reading) or gross_shift(self.references, reading),
+            nearest_shift(self.references, reading),
         )
 
     def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
@@ -306,10 +212,11 @@ class RoomWatch:
         Only a careful reading in the very pose of an earlier one decides. Return the reading as seen from
         where the tracker was, and the finding.
         """
-        base, head = self.base_shift(reading), self._head_move(reading)
+        motion = self._motion(reading)
+        base, head = motion.base, motion.head_move
         if head is None or base is None or not (base.exact and reading.is_careful):
             return reading, ()
-        arm = self._arm_frame(reading, base)
+        arm = motion.arm_frame(base)
         push = None if arm is None else head.as_push(arm)
         if arm is None or push is None:
             return reading, ()
@@ -325,62 +232,10 @@ class RoomWatch:
             f"case goes on; the head may have moved by up to {unnoticed_mm:.2f} mm meanwhile",
         )
 
-    def _head_move(self, reading: RoomReading) -> HeadMove | None:
-        """Return the move that frame on the clamp and visible spheres share, or None."""
-        if self.on_clamp is None or reading.on_clamp is None:
-            return None
-        limit_mm = reading.head_limit_mm
-        return find_head_move(self.on_clamp, reading.on_clamp, self.spheres_mm, reading.spheres_mm, limit_mm)
-
-    def _arm_frame(self, reading: RoomReading, base: BaseShift) -> ArmFrameSeen | None:
-        if reading.arm_frame_mm is None:
-            return None
-        way_mm = self.robot_from_tracker.rotation_matrix.T @ base.way_mm
-        return ArmFrameSeen(reading.arm_frame_mm - way_mm, reading.arm_frame_mm)
-
-    def _find_undecided(self, reading: RoomReading) -> RoomUndecided | None:
-        """Return the error for a move of head or tracker that this pose of the arm cannot tell apart."""
-        base, head = (
-            self.base_shift(reading) or nearest_shift(self.references, reading),
-            self._head_move(reading),
-        )
-        if head is None or (base is not None and base.exact):
-            return None
-        arm = None if base is None else self._arm_frame(reading, base)
-        if base is not None and arm is not None and arm.off_mm(head.move) >= base.limit_mm:
-            return None  # not as after a push
-        moved_mm = PointShift.of(head.after_mm - head.before_mm).rms_mm
-        return RoomUndecided(
-            "the tracker, or the head with its clamp, was moved: the frame on the arm tells which of them "
-            "only in a pose in which it was seen before, such as home",
-            limit=f"{reading.head_limit_mm:g} mm",
-            got=f"{format_against_limit(moved_mm, reading.head_limit_mm, 2)} mm rms",
-        )
-
-    def _displacement(self, reading: RoomReading) -> Transform:
-        """Return how the tracker sees the head displaced, TRACKER <- TRACKER; as still if it does not."""
-        if self.on_clamp is not None and reading.on_clamp is not None:
-            head = self._head_move(reading)
-            return STILL if head is None else head.move
-        pairs = identify_points(self.spheres_mm, reading.spheres_mm)
-        if pairs is None:
-            return STILL
-        rows, columns = (list(side) for side in zip(*pairs, strict=True))
-        fit = fit_rigid(self.spheres_mm[rows], reading.spheres_mm[columns])
-        move = Transform(Frame.TRACKER, Frame.TRACKER, as_transform(fit.rotation, fit.translation_mm))
-        shift = PointShift.of(move.apply(self.spheres_mm[rows]) - self.spheres_mm[rows])
-        return STILL if shift.rms_mm < reading.head_limit_mm else move
-
     def is_clamp_away(self, reading: RoomReading) -> bool:
         """Return whether the patient's frame is seen out of its place."""
-        shift = self._shift_by_frame(reading)
+        shift = self._motion(reading).by_frame
         return shift is not None and shift.rms_mm >= reading.head_limit_mm
-
-    def _shift_by_frame(self, reading: RoomReading) -> PointShift | None:
-        """Return the shift of the head by the patient's frame alone, or None if that is not seen."""
-        if self.on_clamp is None or reading.on_clamp is None:
-            return None
-        return self.on_clamp.shift(reading.on_clamp)
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
@@ -389,22 +244,6 @@ class RoomWatch:
         if not is_new:
             return ()
         return ("the spheres on the head are hidden: the frame on its clamp is watched in their place",)
-
-    def _find_motion_by_few(
-        self, reading: RoomReading, *, tracker_excluded: bool
-    ) -> PatientMoved | PatientUnseen | None:
-        """Return the error found from fewer than three known spheres, or None if none has moved."""
-        few = measure_shift_of_few(self.spheres_mm, reading.spheres_mm)
-        if few is not None and few.rms_mm >= FEW_LIMIT_MM:
-            few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
-            return patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=tracker_excluded)
-        if unknown_count := self._count_unknown(reading):
-            return PatientUnseen(
-                f"the tracker sees {format_count(unknown_count, 'sphere')} near the head"
-                " at no known position",
-                expected="at least three known spheres in place",
-            )
-        return None
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
         """Return a shift over its limit, else the most tightly limited one, or None without a reference."""
@@ -423,20 +262,6 @@ class RoomWatch:
         share = float((seen_mm - begin_mm) @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
         off_mm = float(np.linalg.norm(seen_mm - begin_mm - min(1.0, max(0.0, share)) * way_mm))
         return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
-
-    def _count_unknown(self, reading: RoomReading) -> int:
-        """Count points near the head at no known position, which may be displaced spheres.
-
-        Ghosts do not count.
-        """
-        if not len(reading.spheres_mm):
-            return 0
-        apart = np.linalg.norm(reading.spheres_mm[:, None] - self.spheres_mm[None], axis=2).min(axis=1)
-        sensors_mm = self.tracker.move.inverse().apply(SENSORS_MM)
-        ghosts = (apart >= NEAR_MM) & find_ghosts(
-            self.spheres_mm, reading.markers_mm, reading.spheres_mm, sensors_mm
-        )
-        return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
 
 def read_watched(room: RoomWatch, workcell: Workcell, clock: Clock, count: int = FRAMES) -> RoomReading:

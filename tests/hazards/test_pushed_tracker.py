@@ -195,6 +195,7 @@ def test_a_followed_push_is_known_after_a_restart_with_the_arm_anywhere(
     engine = before_the_approach(cell)
     tracker.push(PUSH_MM, TURN_RAD)
     positioned(engine)  # from home: followed
+    assert any("predicted error grows from 0.20 to 0." in text for text in findings(cell))
     name = engine.case.record_of(engine.order.find(NAME))
     assert name is not None
     history = arm_history(read_journal(cell.folder / JOURNAL_FILE))

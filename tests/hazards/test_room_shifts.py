@@ -24,8 +24,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_motion import NEAR_HEAD_MM
 from procedures.guards.room_reading import RoomReading, find_ghosts, read_room
-from procedures.guards.room_watch import NEAR_HEAD_MM
 from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
 from procedures.steps.clinical import positioning, relocalization

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -11,12 +12,14 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import measure_guide_at_rest
 from procedures.guards.room_watch import RoomWatch
+from procedures.guards.stability import IN_PUSHES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
@@ -89,6 +92,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         workcell.start()
         workcell.return_home()
     require_unmoved(context, f"before {trajectory}")
+    _tell_pushes(context)
     workcell.start()
     with require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
@@ -169,6 +173,21 @@ def _require_registration(context: StepContext) -> RegisteredRobot:
             )
         context.keep(RegisteredRobot)
     return registered
+
+
+def _tell_pushes(context: StepContext) -> None:
+    """Record by how much pushes of the tracker since the registration add to its predicted error."""
+    predicted = context.result(RegisteredRobot).prediction(context.trajectory)
+    pushed_mm = context.workcell.tracker_move(context.identifier(GlobalLocalization)).unnoticed_mm
+    counted_mm = next((one.rms_mm for one in predicted.budget if one.source == IN_PUSHES), 0.0)
+    if pushed_mm > counted_mm:
+        rms_mm = math.sqrt(predicted.rms_mm**2 + pushed_mm**2 - counted_mm**2)
+        context.find(
+            f"the tracker was pushed since the registration for {context.trajectory}: its predicted error "
+            f"grows from {predicted.rms_mm:.2f} to {rms_mm:.2f} mm rms, as the head may have moved; "
+            "localizing again restores it",
+            [context.trajectory],
+        )
 
 
 STEP = StepSpec(
