@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.guards.base_shift import BASE_LIMIT_MM, BaseShift
+from procedures.guards.base_shift import BASE_LIMIT_MM, BASE_TURN_LIMIT_RAD, BaseShift
 from procedures.guards.clamp_frame import ArmFrameSeen, FrameOnClamp, HeadMove, find_head_move
 from procedures.guards.errors import (
     BaseShifted,
@@ -45,7 +45,7 @@ class RoomMotion:
 
     Spheres (n, 3), `on_clamp` and the tracker's `sensors_mm` are as expected in the tracker frame of
     `reading`. `base` is the shift of the frame on the arm that counts, `nearest` the one since the reading in
-    the most similar orientation.
+    the most similar orientation; `base_turn_rad` is its turn in the same pose, None if not comparable.
     """
 
     reading: RoomReading
@@ -55,6 +55,7 @@ class RoomMotion:
     sensors_mm: Array
     base: BaseShift | None
     nearest: BaseShift | None
+    base_turn_rad: float | None = None
 
     @cached_property
     def by_spheres(self) -> PointShift | None:
@@ -122,6 +123,8 @@ class RoomMotion:
         base, head, head_mm, agree = self.base, self.head, self.head_mm, self.agree
         if base is not None and base.moved_mm >= (BASE_LIMIT_MM if agree else base.limit_mm):
             return base_shifted(base, head_mm)
+        if self.base_turn_rad is not None and self.base_turn_rad >= BASE_TURN_LIMIT_RAD:
+            return base_turned(self.base_turn_rad)
         if self.by_spheres is None:
             few = self._find_motion_by_few(tracker_excluded=base is not None)
             if few is not None:
@@ -263,6 +266,16 @@ def patient_moved(
         f"{head.points} spheres",
         head.rms_mm,
         limit_mm,
+    )
+
+
+def base_turned(turn_rad: float) -> BaseShifted:
+    """Build the error for a frame on the arm that is in its place, but turned against the arm."""
+    # a turned tracker would displace the head, which is judged by itself
+    return BaseShifted(
+        f"the cart of the robot, or the frame on the arm, was turned by {math.degrees(turn_rad):.2f} deg",
+        limit=f"{math.degrees(BASE_TURN_LIMIT_RAD):.2f} deg",
+        got=f"{math.degrees(turn_rad):.2f} deg",
     )
 
 

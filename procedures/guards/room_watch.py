@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.base_shift import GROSS_LIMIT_MM, BaseShift, base_shift, gross_shift, nearest_shift
+from procedures.guards.base_shift import (
+    GROSS_LIMIT_MM,
+    BaseShift,
+    base_shift,
+    base_turn_rad,
+    gross_shift,
+    nearest_shift,
+)
 from procedures.guards.clamp_frame import FrameOnClamp
 from procedures.guards.errors import BaseShifted, PatientUnseen, RoomMoved, RoomUndecided
 from procedures.guards.room_motion import RoomMotion, describe_way
@@ -204,6 +211,7 @@ class RoomWatch:
             self.tracker.move.inverse().apply(SENSORS_MM),
             self.base_shift(reading) or gross_shift(self.references, reading),
             nearest_shift(self.references, reading),
+            base_turn_rad(self.references, reading),
         )
 
     def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:

@@ -42,8 +42,10 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     base = SeenUnchanged.base(None)
     if look.base is not None:
         base = SeenUnchanged.base(look.base.moved_mm, look.base.limit_mm)
-    seen = (SeenUnchanged.head(look.head_mm), base, guide)
-    in_doubt = () if look.in_place and guide.unchanged else list_unconfirmed_targets(context)
+    # what the frame shows of the clamp is no sight of the head in it
+    seen = (SeenUnchanged.head(None if look.by_frame else look.head_mm), base, guide)
+    unchanged = look.in_place and not look.by_frame and guide.unchanged
+    in_doubt = () if unchanged else list_unconfirmed_targets(context)
     return Outcome(
         ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link),
         summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),
@@ -87,6 +89,12 @@ def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
         unseen = {"head": look.head_mm is None, "frame on the arm": look.base is None}
         for subject in (name for name, hidden in unseen.items() if hidden):
             doubt(context, f"{occasion} the tracker does not see the {subject}: it may have moved meanwhile")
+        if look.by_frame:
+            doubt(
+                context,
+                f"{occasion} the spheres are hidden: the frame on the clamp is in its place, but the head "
+                "may have slipped in the clamp",
+            )
     return look
 
 

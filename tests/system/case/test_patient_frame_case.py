@@ -41,11 +41,13 @@ def run(commands: Commands, folder: Path, faults: str) -> tuple[int, dict[str, o
     return ran.returncode, json.loads(ran.stdout or "{}"), ran.stderr, told
 
 
-def test_pushes_against_the_tracker_and_a_drape_over_the_head_change_no_target(
+def test_pushes_against_the_tracker_and_a_drape_over_the_head_change_no_target_and_the_head_is_in_doubt(
     commands: Commands, tmp_path: Path
 ) -> None:
     code, outcome, said, told = run(commands, tmp_path, DRAPED + PUSHES)
-    assert code == 0, said
+    assert code == 3, said  # nobody has seen that the head did not slip in its clamp
+    assert outcome["outcome"] == "in doubt"
+    assert any("may have slipped in the clamp" in one for one in told)
     assert float(str(outcome["max_application_error_mm"])) < LIMIT_MM
     assert any("the tracker was moved" in one and "the case goes on" in one for one in told)
     assert any("the spheres on the head are hidden" in one for one in told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from clinical_case import SPHERES_MM
@@ -70,6 +72,21 @@ def test_only_joints_that_came_home_from_the_same_side_show_a_small_movement(wat
     assert watch.compare(reading(moved, settled=False)).require() == ()
     with pytest.raises(BaseShifted, match=r"by 0\.18 mm.*limit 0\.15 mm, got 0\.18 mm"):
         watch.compare(reading(moved)).require()
+
+
+@pytest.mark.hazard(13)
+def test_a_cart_that_turned_about_the_frame_on_the_arm_has_moved(watch: RoomWatch) -> None:
+    def turned(deg: float, *, settled: bool = True) -> RoomReading:
+        half_rad = np.radians(deg) / 2.0
+        about_z = (np.cos(half_rad), 0.0, 0.0, np.sin(half_rad))
+        by_frame = Transform.of(Frame.ROBOT, Frame.TRACKER, quaternion_wxyz=about_z)
+        return replace(reading(settled=settled), robot_from_tracker=by_frame)
+
+    assert watch.compare(turned(0.0)).require() == ()
+    assert watch.compare(turned(0.1)).require() == ()  # noise
+    assert watch.compare(turned(0.3, settled=False)).require() == ()  # backlash turns the frame as well
+    with pytest.raises(BaseShifted, match=r"turned by 0\.30 deg.*limit 0\.17 deg"):
+        watch.compare(turned(0.3)).require()
 
 
 @pytest.mark.hazard(13)
