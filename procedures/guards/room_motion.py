@@ -247,7 +247,9 @@ def base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
     tracker = apart_mm < min(max(BASE_LIMIT_MM, base.limit_mm), base.moved_mm) / 2.0
     way_mm = -base.way_mm if tracker else base.way_mm
     shifted = BaseShifted(
-        f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {describe_way(way_mm)}",
+        # a cart that has also turned was not moved by what its frame shows
+        f"{'the tracker was moved' if tracker else 'the cart of the robot was moved, the frame on the arm'} "
+        f"by {describe_way(way_mm)}",
         limit=f"{base.limit_mm:g} mm",
         got=f"{format_against_limit(base.moved_mm, base.limit_mm, 2)} mm",
     )

@@ -64,7 +64,7 @@ def move_frame(tracker: SeeingTracker) -> None:
     [
         (move_head(0.35), "the head has moved"),
         (move_head(30.0), "the head has moved"),  # no sphere is near its place: known by their layout
-        (move_frame, "the cart of the robot was moved by 1.00 mm"),
+        (move_frame, "the cart of the robot was moved, the frame on the arm by 1.00 mm"),
     ],
 )
 def test_a_change_that_a_step_would_refuse_is_a_difference(

@@ -388,7 +388,9 @@ def test_a_stage_that_ends_with_the_guide_hidden_from_the_tracker_does_not_count
         ),
         pytest.param(
             2.0,
-            pytest.raises(BaseShifted, match=r"the cart of the robot was moved by 2\.00 mm"),
+            pytest.raises(
+                BaseShifted, match=r"the cart of the robot was moved, the frame on the arm by 2\.00 mm"
+            ),
             marks=pytest.mark.hazard(13),
         ),
     ],
