@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.records import BadRecord
 from ronna_hw.vectors import JointVector
 
@@ -129,13 +131,23 @@ def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_th
 
 
 @pytest.mark.hazard(46)
-def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(cell: ClinicalCell) -> None:
+def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     engine = before_positioning(cell)
     cell.tracker.guide_shift_mm = None  # the frame on the guide is hidden, and cannot tell
-    cell.tracker.frame_turn_rad = (0.0, math.radians(0.8), 0.0)
+    move = cell.arm.move_joints
+
+    def move_and_turn(target_rad: JointVector, **more: Any) -> ArmReading:
+        at_home = np.allclose(target_rad, HOME_RAD)
+        cell.tracker.frame_turn_rad = (0.0, 0.0 if at_home else math.radians(0.8), 0.0)
+        return move(target_rad, **more)
+
+    monkeypatch.setattr(cell.arm, "move_joints", move_and_turn)
     refused = r"turned against where the arm has it.*limit 0\.5 deg, got 0\.80 deg"
     with pytest.raises(GateFailed, match=refused):
         run(engine, f"positioning:{FIRST}")
+    monkeypatch.undo()
     cell.tracker.frame_turn_rad = (0.0, 0.0, 0.0)
     engine.retreat_home()
     run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")  # as the message says
