@@ -30,8 +30,8 @@ OTHER_POSE_LIMIT_MM = 1.3
 # some 1 mm.
 GROSS_LIMIT_MM = 10.0
 # Of the frame on the arm against the arm, between careful looks in the very same settled pose. By noise it is
-# 0.4 to 1.3 mrad, in two whole simulated cases; sunlight doubles it. At a head 700 mm from the frame the limit
-# makes 2.8 mm.
+# 0.4 to 1.3 mrad, in two whole simulated cases; sunlight doubles it. At a head 700 mm from the frame the
+# limit makes 2.8 mm.
 BASE_TURN_LIMIT_RAD = 4e-3
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
 FARTHEST_MM = 150.0  # between poses that are compared: the tracker's bias changes with the place
