@@ -55,7 +55,10 @@ def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> Non
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     on_the_way(cell, cart_leaves(cell))
-    with pytest.raises(BaseShifted, match=r"the cart .* was moved, the frame on the arm by 72\.11 mm .*, during the motion 'go'"):
+    with pytest.raises(
+        BaseShifted,
+        match=r"the cart .* was moved, the frame on the arm by 72\.11 mm .*, during the motion 'go'",
+    ):
         positioned(engine)
     assert cell.arm.motions == []  # it has not arrived
     assert engine.machine.state == "held"

@@ -53,6 +53,7 @@ def test_pushes_against_the_tracker_and_a_drape_over_the_head_change_no_target_a
     assert any("the spheres on the head are hidden" in one for one in told)
 
 
+@pytest.mark.soak  # the rule is tried on readings in tests/unit/guards and tests/hazards
 def test_a_push_while_work_goes_on_at_the_target_is_no_push_of_the_guide(
     commands: Commands, tmp_path: Path
 ) -> None:
@@ -70,6 +71,7 @@ def test_a_head_that_moves_under_the_drape_stops_the_case(commands: Commands, tm
     assert any("PRO-020" in one for one in told)
 
 
+@pytest.mark.soak  # the rule is tried on readings in tests/unit/guards and tests/hazards
 def test_a_frame_that_slips_on_its_clamp_stops_the_case(commands: Commands, tmp_path: Path) -> None:
     code, _, said, _ = run(commands, tmp_path, SLIPPED)
     assert code != 0
