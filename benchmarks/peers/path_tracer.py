@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import drjit as dr  # type: ignore[import-not-found]  # only in the environment that renders
-import mitsuba as mi  # type: ignore[import-not-found]
+import mitsuba as mi  # type: ignore[import-not-found]  # likewise
 import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
@@ -36,7 +36,7 @@ CLEARANCE_MM, CLEAR_RADIUS_MM = 8.0, 9.0  # of the drape behind the ball
 FIREFLY = 2.0  # over the median of the neighbours
 
 
-class BeadFilm(mi.BSDF):  # type: ignore[misc]
+class BeadFilm(mi.BSDF):  # type: ignore[misc]  # its base is unknown where Mitsuba is not installed
     """Matt paint plus a lobe that returns light to its source, weaker at the limb."""
 
     def __init__(self, props: mi.Properties) -> None:

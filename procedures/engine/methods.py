@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import ClassVar
 
 from procedures.registration.thesis_settings import E_MM, REFUSED_SHARE, check_thesis_settings
 
@@ -36,7 +37,7 @@ class CaseMethods:
     """
 
     # for request files and tapes, whose text holds an enumeration by its value
-    __pydantic_config__ = {"strict": False, "extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+    __pydantic_config__: ClassVar = {"strict": False, "extra": "forbid", "allow_inf_nan": False}
 
     localizer: Localizer = Localizer.OURS
     matcher: Matcher = Matcher.OURS

@@ -1,4 +1,4 @@
-"""What has moved in the room, by one reading of spheres, frame on the head clamp and frame on the arm."""
+"""Classifier of movements in the room, by one reading of spheres, frame on the clamp and frame on the arm."""
 
 from __future__ import annotations
 

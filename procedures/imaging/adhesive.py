@@ -42,6 +42,7 @@ ROUNDS = 4
 RADIUS_TOLERANCE_MM = 1.2  # of both rims: the edge moves with the density of the ring
 LEAST_RAYS = 0.7  # share of the rays that must meet the rim
 OUTLIER = 3.0  # robust standard deviations
+REJECTIONS = 3  # of outliers: the scatter has settled by then
 CORRELATED_MM = 2.0  # along the rim: closer rays see the same noise
 LEAST_SIGMA_MM = 0.006  # per direction, of the interpolation between voxels; from seed 3 of the phantom
 
@@ -166,6 +167,15 @@ def _measure_once(volume: Volume, centre: Array, normal: Array) -> AdhesiveRing 
 
 
 @dataclass(frozen=True)
+class _RobustFit:
+    """Linear fit without outliers: solution, mean square of its residuals, inverse of the normal matrix."""
+
+    solution: Array
+    scatter_mm2: float
+    inverse_normal: Array
+
+
+@dataclass(frozen=True)
 class _Top:
     """Top of a ring over its plane: at the axis, slope (2,), curvatures, and the variance at the axis."""
 
@@ -203,17 +213,26 @@ def _fit_top(volume: Volume, centre: Array, rays: Array, normal: Array, angles: 
 
 
 def _robust_top(design: Array, heights: Array, area_mm2: float) -> _Top | None:
-    kept = np.isfinite(heights)
-    for _ in range(3):
+    fit = _fit_robustly(design, heights)
+    if fit is None:
+        return None
+    independent = min(1.0, area_mm2 / CORRELATED_MM**2)
+    return _Top(fit.solution, fit.scatter_mm2 / independent * float(fit.inverse_normal[0, 0]))
+
+
+def _fit_robustly(design: Array, measured_mm: Array) -> _RobustFit | None:
+    """Fit `measured_mm` (n,), NaN where nothing was met, without outliers; None with too few rays."""
+    kept = np.isfinite(measured_mm)
+    for _ in range(REJECTIONS):
         if kept.mean() < LEAST_RAYS:
             return None
-        solution, *_ = np.linalg.lstsq(design[kept], heights[kept], rcond=None)
-        rest = heights - design @ solution
+        solution, *_ = np.linalg.lstsq(design[kept], measured_mm[kept], rcond=None)
+        rest = measured_mm - design @ solution
         kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * _robust_sd(rest[kept]))
-    independent = min(1.0, area_mm2 / CORRELATED_MM**2)
-    scatter = float(np.mean(rest[kept] ** 2)) / independent
-    return _Top(
-        np.asarray(solution, dtype=float), scatter * float(np.linalg.inv(design[kept].T @ design[kept])[0, 0])
+    return _RobustFit(
+        np.asarray(solution, dtype=float),
+        float(np.mean(rest[kept] ** 2)),
+        np.asarray(np.linalg.inv(design[kept].T @ design[kept]), dtype=float),
     )
 
 
@@ -229,17 +248,13 @@ def _fit_rim(
     edges = _first_edges(volume, centre + heights[:, None] * normal, rays, distances, rising=False)
     angles = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
     design = np.column_stack([np.cos(angles), np.sin(angles), np.ones(ANGLES)])
-    kept = np.isfinite(edges)
-    for _ in range(3):
-        if kept.mean() < LEAST_RAYS:
-            return None
-        solution, *_ = np.linalg.lstsq(design[kept], edges[kept], rcond=None)
-        rest = edges - design @ solution
-        kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * _robust_sd(rest[kept]))
-    independent = min(1.0, 2.0 * np.pi * abs(solution[2]) / ANGLES / CORRELATED_MM)
-    scatter = float(np.mean(rest[kept] ** 2)) / independent
-    spread = np.linalg.inv(design[kept].T @ design[kept])
-    return _Rim(solution[:2], float(solution[2]), scatter * float(0.5 * (spread[0, 0] + spread[1, 1])))
+    fit = _fit_robustly(design, edges)
+    if fit is None:
+        return None
+    radius_mm = float(fit.solution[2])
+    independent = min(1.0, 2.0 * np.pi * abs(radius_mm) / ANGLES / CORRELATED_MM)
+    per_axis = 0.5 * float(fit.inverse_normal[0, 0] + fit.inverse_normal[1, 1])
+    return _Rim(fit.solution[:2], radius_mm, fit.scatter_mm2 / independent * per_axis)
 
 
 def _robust_sd(rest: Array) -> float:

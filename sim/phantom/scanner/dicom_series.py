@@ -66,7 +66,8 @@ class DicomSeries:
 
     def prepare(self) -> None:
         """Create the folder and remove the slices of an earlier series."""
-        # pydicom imports itself in circles: threads that begin it together may see half of it
+        # pydicom imports itself in circles: threads that begin it together may see half of it.
+        # F401: imported for that alone
         import pydicom.encaps
         import pydicom.filewriter  # noqa: F401
 

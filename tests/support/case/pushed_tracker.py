@@ -69,6 +69,6 @@ def with_patient_frame(cell: ClinicalCell, tool: MountedTool) -> PushedTracker:
 
 
 def localized_by_frame() -> tuple[StepResult, ...]:
-    """As `coarse`, measured relative to the frame on the clamp."""
+    """Global localization relative to the frame on the clamp."""
     here = global_localization().model_copy(update={"tracker_from_patient": FramedPose.of(ON_CLAMP)})
     return here, correspondence()

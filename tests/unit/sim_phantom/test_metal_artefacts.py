@@ -26,7 +26,7 @@ def screws(metal: str, radius_mm: float = 1.6) -> tuple[MetalPart, ...]:
 
 
 def artefacts(parts: tuple[MetalPart, ...], number: int = HEIGHT, noise_HU: float = 5.0) -> Array:
-    """What is added to a slice of a water disc."""
+    """Artefact, in HU, of one slice of a water disc."""
     x, y = GRID.x_mm, GRID.y_mm
     water = np.where(np.hypot(x, y[:, None]) < 50.0, 0.0, -1000.0).astype(np.float32)
     image = water.copy()
