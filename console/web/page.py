@@ -14,7 +14,17 @@ from console.changes import await_change
 from console.figures import Figures, figures_at
 from console.guard import SESSION, Role, Session
 from console.hub import NO_REPLY, Hub
-from console.panels.case_state import advice, banner, case_line, chart, chart_key, clock, devices, devices_key, mode
+from console.panels.case_state import (
+    advice,
+    banner,
+    case_line,
+    chart,
+    chart_key,
+    clock,
+    devices,
+    devices_key,
+    mode,
+)
 from console.panels.html import tag, text
 from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, add_stop_button
 from console.panels.results import (

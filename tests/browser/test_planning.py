@@ -26,7 +26,10 @@ from open_planner import (
     type_place,
 )
 from page_reading import (
+    MOST_FIRST_PICTURE_MS,
     NO_WEBGL,
+    cut_labels,
+    first_picture_ms,
     low_contrast_by_scheme,
     not_reached_by_tab,
     too_wide_by_screen,
@@ -246,6 +249,8 @@ def test_the_planner_has_readable_text_and_named_controls_reachable_by_tab_in_li
     assert without_name(page) == []
     assert not_reached_by_tab(page) == []
     assert too_wide_by_screen(page) == {}
+    assert cut_labels(page) == []
+    assert first_picture_ms(page, page.url) < MOST_FIRST_PICTURE_MS
 
 
 def test_a_case_that_starts_on_the_plan_blocks_editing_until_it_ends(

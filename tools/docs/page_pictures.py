@@ -40,7 +40,8 @@ COLOURS = 256
 HOLD_WHILE_RUNNING = """
 () => {
   const now = performance.now();
-  if (!document.querySelector("li.now[data-step='relocalization:T1'] progress:not([value='0.000'])")) return false;
+  const step = "li.now[data-step='relocalization:T1']";
+  if (!document.querySelector(`${step} progress:not([value='0.000'])`)) return false;
   if (!document.querySelector("figure.live:not(.old) img")?.naturalWidth) return false;
   window.socket.disconnect();  // the page keeps this moment for all its looks: steps are quick
   performance.now = () => now;

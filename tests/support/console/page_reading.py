@@ -67,6 +67,24 @@ FOCUSED = """
   return [e.dataset.pressable ?? null, ring, e.outerHTML.slice(0, 120)];
 }
 """
+CUT = """
+() => [...document.querySelectorAll("body *")].filter(e => {
+  if (!e.checkVisibility({opacityProperty: true, visibilityProperty: true})) return false;
+  const hasText = [...e.childNodes].some(node => node.nodeType === 3 && node.textContent.trim());
+  const hides = !/visible|auto|scroll/.test(getComputedStyle(e).overflowX);
+  return hasText && hides && !e.closest(".stage, svg") && e.clientWidth > 1 && e.scrollWidth > e.clientWidth;
+}).map(e => `${e.innerText} .${e.className}`)
+"""
+FIRST_PICTURE = """
+() => new Promise(told => {
+  const look = () => [...document.images].some(one => one.complete && one.naturalWidth)
+    ? requestAnimationFrame(() => told(performance.now()))  // painted by then
+    : requestAnimationFrame(look);
+  look();
+})
+"""
+MOST_FIRST_PICTURE_MS = 1500.0
+REPEATS = 3  # the best of them: a busy computer is not the page's fault
 MOST_TABS = 150
 NO_WEBGL = """
 const given = HTMLCanvasElement.prototype.getContext;
@@ -114,6 +132,28 @@ def not_reached_by_tab(page: Any) -> list[str]:
         if not wanted:
             break
     return [f"not reached: {html}" for html in wanted.values()] + faint
+
+
+def cut_labels(page: Any) -> list[str]:
+    """Visible text that its own box cuts off, with nothing to scroll."""
+    return list(page.evaluate(CUT))
+
+
+def first_picture_ms(page: Any, address: str) -> float:
+    """From the navigation to the first picture on the screen of another page, the best of a few times."""
+    times_ms = []
+    for _ in range(REPEATS):
+        anew = page.context.new_page()
+        anew.goto(address, wait_until="commit")
+        times_ms.append(float(anew.evaluate(FIRST_PICTURE)))
+        anew.close()
+    return min(times_ms)
+
+
+def tops_px(page: Any, *which: str) -> list[float]:
+    """Where each of them begins, from the top of the page."""
+    top = "which => document.querySelector(which).getBoundingClientRect().top + window.scrollY"
+    return [float(page.evaluate(top, one)) for one in which]
 
 
 def too_wide(page: Any) -> int:
