@@ -150,6 +150,7 @@ class CasePage:
                 lines = self._tail.lines
                 self._section("Journal", journal, lambda view: view.journal, "journalbox")
                 self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
+        self._show_case(self._view())  # with the page itself, not only once its socket is open
         client = ui.context.client
         ui.on("alive", self._on_alive)
         changed = self._hub.subscribe()
@@ -225,16 +226,27 @@ class CasePage:
     def _period_s(self) -> float:
         return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
-    def _show(self, now_s: float) -> None:
+    def _view(self) -> CaseView:
         latest = self._hub.aged_view
-        view = latest if self._moment is None else self._moment.view(latest)
+        return latest if self._moment is None else self._moment.view(latest)
+
+    def _show(self, now_s: float) -> None:
+        view = self._view()
         self._slow = int(now_s / SLOW_KEYS_S)
+        self._show_case(view)
+        self._scene.show(view, self._shown_figures, self._figures.heads)
+        self._beat += 1
+        self._clock.set_content(clock(view, self._beat))
+
+    def _show_case(self, view: CaseView) -> None:
+        """Show all but the scene and the beat, which need an open page."""
         for place, render, key, shown in self._panels:
             current = key(view)
             if current != shown[0]:
                 shown[0] = current
                 place.set_content(render(view))
-        mine, frozen = self._is_mine, self._hub.frozen if view is latest else ""  # a past moment stands still
+        is_latest = view.number == self._hub.view.number
+        mine, frozen = self._is_mine, self._hub.frozen if is_latest else ""  # a past moment stands still
         self._question.show(view, is_mine=mine and not frozen, has_seat=view.seat is not None)
         self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
         may_answer = self._orders is not None and not frozen
@@ -242,10 +254,7 @@ class CasePage:
         if self._orders is not None:
             self._orders.show(view, is_mine=mine and not frozen)
         self._update_figures(view)
-        self._scene.show(view, self._shown_figures, self._figures.heads)
         self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
-        self._beat += 1
-        self._clock.set_content(clock(view, self._beat))
 
 
 class MomentPanel:
