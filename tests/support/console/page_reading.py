@@ -141,7 +141,7 @@ def cut_labels(page: Any) -> list[str]:
 
 
 def first_picture_ms(page: Any, address: str) -> float:
-    """From the navigation to the first picture on the screen of another page; the best of a few, if need be."""
+    """From the navigation to the first picture on the screen of another page, the best of a few."""
     best_ms = math.inf
     for _ in range(MOST_REPEATS):
         anew = page.context.new_page()
