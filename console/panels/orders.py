@@ -228,21 +228,16 @@ class QuestionPanel:
             return
         read_back_field = None
         if question.read_back is not None:
-            label = f"Read back: {question.read_back}"
-            read_back_field = (
-                ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
-            )
+            read_back_field = _typed_field(f"Type {question.read_back}", "maxlength=60")
         reading_fields = [
-            ui.input(what)
-            .classes("typed")
-            .props("dense outlined autocomplete=off maxlength=20 inputmode=decimal")
-            for what in question.reads
+            _typed_field(f"Type {what}", "maxlength=20 inputmode=decimal") for what in question.reads
         ]
         self._said = ui.html("", sanitize=False)
         with ui.element("div").classes("answers"):
             for answer in question.answers:
                 self._answer_button(question, answer, digest, read_back_field, reading_fields)
-        ui.html(tag("p", f"shown: {digest[:DIGEST_SHOWN]}", class_="digest"), sanitize=False)
+        signed = f"Your answer signs exactly what is shown here: {digest[:DIGEST_SHOWN]} in the journal."
+        ui.html(tag("p", signed, class_="digest dim"), sanitize=False)
 
     def _answer_button(
         self,
@@ -345,6 +340,14 @@ def _time_limit(question: Questioned, view: CaseView) -> str:
     return tag(
         "p", f"{remaining_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num"
     )
+
+
+def _typed_field(what: str, props: str) -> ui.input:
+    """Add a field below its label, which wraps where one inside would be cut."""
+    ui.html(tag("p", text(what), class_="label"), sanitize=False)
+    field = ui.input().classes("typed").props(f"dense outlined autocomplete=off {props}")
+    field.props["aria-label"] = what
+    return field
 
 
 def _button(label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain") -> ui.button:

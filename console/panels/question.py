@@ -74,7 +74,7 @@ def _render_value(question: Questioned) -> str:
         for place in places:
             lines[place] = lines[place].replace(shown, tag("strong", shown), 1)
     if len(lines) < 2:
-        return tag("p", "".join(lines), class_="value")
+        return tag("p", "".join(lines), class_="value dim" if question.predicted else "value")
     return tag("ul", "".join(tag("li", line) for line in lines), class_="value")
 
 
@@ -82,8 +82,7 @@ def _render_picture(name: PurePath, sha256: str, *, is_first: bool) -> str:
     """Show a picture, addressed by its digest: the server serves no other content there."""
     way = name.stem.removeprefix(PLAN_PICTURE)
     caption = text(f"{way} in the CT")
-    image = (
-        f'<img src="/picture/{escape(name.name)}?shown={escape(sha256)}" '
-        f'alt="{caption}: three planes through the target">'
-    )
-    return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{image}</details>"
+    address = f"/picture/{escape(name.name)}?shown={escape(sha256)}"
+    image = f'<img src="{address}" alt="{caption}: three planes through the target; opens enlarged">'
+    link = f'<a href="{address}" target="_blank" rel="noopener">{image}</a>'
+    return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{link}</details>"

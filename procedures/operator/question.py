@@ -115,12 +115,11 @@ class PredictedError(BaseModel):
     @property
     def verdict(self) -> str:
         """Whether it is within the margin, with the limit of the error spelled out."""
+        limit = f"{self.limit_mm:.2f} mm"
+        if self.is_within and self.limit_mm > self.margin_mm:
+            return f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
         within = "within" if self.is_within else "BEYOND"
-        limit = f"{self.limit_mm:.2f} mm at {self.confidence:.0%}"
-        beyond = " is beyond it" if self.is_within and self.limit_mm > self.margin_mm else ""
-        return (
-            f"{within} the margin; its limit, {limit},{beyond}" if beyond else f"{within} the margin; {limit}"
-        )
+        return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 
 class Picture(BaseModel):

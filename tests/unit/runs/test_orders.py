@@ -84,9 +84,9 @@ def test_the_identity_is_in_no_serialized_event_and_only_its_salted_digest_is_si
 @pytest.mark.parametrize(
     ("rms_mm", "limit_mm", "words"),
     [
-        (0.4, 0.8, "within the margin; 0.80 mm at 95%"),
-        (1.9, 2.6, "within the margin; its limit, 2.60 mm at 95%, is beyond it"),
-        (2.1, 2.9, "BEYOND the margin; 2.90 mm at 95%"),
+        (0.4, 0.8, "within the margin; 95% of such errors stay within 0.80 mm"),
+        (1.9, 2.6, "rms within the margin, but its 95% limit, 2.60 mm, is beyond it"),
+        (2.1, 2.9, "BEYOND the margin; 95% of such errors stay within 2.90 mm"),
     ],
 )
 def test_the_verdict_on_a_prediction_tells_also_when_only_its_limit_is_beyond_the_margin(
