@@ -19,7 +19,7 @@ from nicegui import ui
 from console.case_view import CaseView
 from console.panels.case_state import seat_line
 from console.panels.html import tag, text
-from console.panels.question import question_evidence, question_pictures, question_words
+from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Topic
@@ -207,6 +207,7 @@ class QuestionPanel:
 
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
         digest = digest_of_question(question)
+        ui.html(question_heading(question), sanitize=False)
         with ui.element("div").classes("asked"):
             ui.html(question_words(question), sanitize=False)
             if question.pictures:

@@ -13,11 +13,15 @@ from procedures.operator.question import PredictedError
 NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them."
 
 
+def question_heading(question: Questioned) -> str:
+    """Show the subject of a question."""
+    return tag("h2", text(question.subject), data_question=str(question.question))
+
+
 def question_words(question: Questioned) -> str:
-    """Show the subject, what decides the question, and its statements."""
+    """Show what decides the question, and its statements."""
     return (
-        tag("h2", text(question.subject), data_question=str(question.question))
-        + "".join(map(_render_decision, question.predicted[:1]))
+        "".join(map(_render_decision, question.predicted[:1]))
         + _render_identity(question)
         + _render_value(question)
     )

@@ -83,9 +83,9 @@ which => {
 ALL_IN_VIEW = """
 which => [...document.querySelectorAll(which)].every(one => {
   const {left, right, top, bottom} = one.getBoundingClientRect();
-  const middle = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+  const ends = [left + 2, right - 2].map(x => document.elementFromPoint(x, (top + bottom) / 2));
   const inside = left >= 0 && right <= window.innerWidth && top >= 0 && bottom <= window.innerHeight;
-  return inside && one.contains(middle);
+  return inside && ends.every(end => one.contains(end));
 })
 """
 # The page looks every 250 ms for a new question and brings it into view once; the scrolling comes after that.

@@ -10,7 +10,7 @@ import pytest
 
 from console.case_view import CaseView, DeviceRow, Notice, StepRow
 from console.panels.case_state import banner, chart, devices, mode, seat_line
-from console.panels.question import question_evidence, question_pictures, question_words
+from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from console.panels.results import (
     TAIL_BYTES,
     LogTail,
@@ -107,7 +107,12 @@ def test_external_text_is_escaped_in_every_panel() -> None:
         identity_sha256="0",
         emphasis="<script",
     )
-    pictured += (question_words(asked), question_pictures(asked), question_evidence(asked))
+    pictured += (
+        question_heading(asked),
+        question_words(asked),
+        question_pictures(asked),
+        question_evidence(asked),
+    )
     for shown in (banner(view), line, chart(view), devices(view), mode(view), *lists, *pictured):
         assert "<script" not in shown
         assert "&lt;script" in shown
