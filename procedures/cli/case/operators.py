@@ -14,9 +14,19 @@ from typing import TYPE_CHECKING
 
 from typer import style
 
+from procedures.operator.question import (
+    MOST_MISREAD,
+    YES,
+    Answer,
+    Question,
+    Task,
+    join_answers,
+    misread,
+    tries_left,
+)
 from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.operator.question import YES, Answer, Question, Task, join_answers, misread
 from procedures.runs.observers import RunObservers
+from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.text import parse_typed_number, printable, printable_lines
 
 if TYPE_CHECKING:
@@ -30,7 +40,6 @@ AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
 UNIT = "mm"  # of every reading; it may be typed with the number
 SMALL_MM = 0.01  # as a dial shows it
-MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 class Alarms:
@@ -141,7 +150,7 @@ class TerminalOperator:
         deadline_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking() as write:
-            sys.stderr.write(f"{printable(question.subject)}\n  {_emphasize_read_back(question)}\n")
+            sys.stderr.write(_describe_question(question))
             self._alarms.begin()
             misread_before = 0
             while typed := _read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
@@ -160,7 +169,10 @@ class TerminalOperator:
                 if misread_before == MOST_MISREAD:
                     _say(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
                     return silence
-                _say(f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop.")
+                _say(
+                    f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop; "
+                    f"{tries_left(misread_before)}."
+                )
             if deadline_s is not None and time.monotonic() >= deadline_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 _say(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
@@ -268,11 +280,29 @@ def _say(line: str) -> None:
     sys.stderr.write(f"{printable(line)}\n")
 
 
-def _emphasize_read_back(question: Question) -> str:
-    """Return the question's value, with the part to read back in bold on a terminal."""
-    value = printable_lines(question.value).replace("\n", "\n  ")
-    shown = question.read_back.shown if question.read_back else ""
-    return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
+def _describe_question(question: Question) -> str:
+    """Describe a question; what decides it and what is to be read back is bold on a terminal."""
+    identity = () if question.identity is None else question.identity.rows
+    statements = printable_lines(question.value).splitlines()
+    bullet = "- " if len(statements) > 1 else ""
+    lines = [
+        printable(question.subject),
+        *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
+        *(f"  {bullet}{statement}" for statement in statements),
+        *(
+            f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
+            for picture in question.pictures
+        ),
+    ]
+    text = "\n".join(lines) + "\n"
+    bold = [question.read_back.shown] if question.read_back else []
+    for predicted in question.predicted[:1]:
+        text += f"  {predicted.verdict}\n"
+        bold += [f"{predicted.rms_mm:.2f} mm rms", f"{predicted.margin_mm:g} mm"]
+    if sys.stderr.isatty():
+        for shown in filter(None, bold):
+            text = text.replace(shown, style(shown, bold=True), 1)
+    return text
 
 
 def _read_typed(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -15,15 +16,18 @@ from starlette.routing import Route
 from console.case_view import CaseView, RecordedCase, StepRow
 from console.figures import Figures, figures_at
 from console.hub import Hub
-from procedures.operator.question import Evidence
-from procedures.reporting.case_figures import CaseFigures, PredictionFigure, SphereFigure, TrajectoryFigure
+from procedures.operator.question import Evidence, PredictedError
+from procedures.reporting.case_figures import CaseFigures, SphereFigure, TrajectoryFigure
 from procedures.runs.finishing import seal_run
 
 PLACE = (1.0, 2.0, 3.0)
 FIGURES = CaseFigures(
     spheres=(SphereFigure(1, PLACE, PLACE, PLACE),),
     trajectories=(TrajectoryFigure("T1", PLACE, PLACE),),
-    predictions=(PredictionFigure("T1", 0.2, 0.4, 0.95, 2.0), PredictionFigure("T2", 0.2, 0.4, 0.95, 2.0)),
+    predictions=tuple(
+        PredictedError(target=name, rms_mm=0.2, limit_mm=0.4, confidence=0.95, margin_mm=2.0)
+        for name in ("T1", "T2")
+    ),
     tables=(Evidence(title="budget", head=("source",), rows=()),),
     pictures=("stereo-T1-1.png",),
 )
@@ -97,16 +101,23 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
     assert asyncio.run(named()) == everything
 
 
-def test_a_link_in_place_of_a_picture_is_not_followed(tmp_path: Path) -> None:
+def test_a_link_in_place_of_a_picture_is_not_followed_nor_one_served_that_changed_since_the_question(
+    tmp_path: Path,
+) -> None:
     app, figures = Starlette(), Figures(Hub(tmp_path))
     figures.latest = FIGURES
     figures.add_routes(app)
     (route,) = (one for one in app.routes if isinstance(one, Route) and one.path == "/picture/{name}")
     (picture := tmp_path / "pictures" / FIGURES.pictures[0]).parent.mkdir()
-    request = Request({"type": "http", "path_params": {"name": picture.name}})
+    address = {"type": "http", "path_params": {"name": picture.name}, "query_string": b""}
+    request = Request(address)
     (tmp_path / "another").write_bytes(b"of this computer")
     picture.symlink_to(tmp_path / "another")
     assert asyncio.run(route.endpoint(request)).status_code == 404
     picture.unlink()
     picture.write_bytes(b"a picture")
     assert asyncio.run(route.endpoint(request)).body == b"a picture"
+    for content, status in ((b"a picture", 200), (b"another", 404)):  # as in the question, and changed since
+        shown = b"shown=" + hashlib.sha256(content).hexdigest().encode()
+        request = Request({**address, "query_string": shown})
+        assert asyncio.run(route.endpoint(request)).status_code == status
