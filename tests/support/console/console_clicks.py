@@ -91,7 +91,7 @@ def _give(page: Any, patient: str) -> None:
 
 def read_back(page: Any, patient: str = PATIENT) -> str:
     """What the question that stands wants typed."""
-    moves = re.search(r"moves (\d+(?:\.\d+)?) mm", page.locator("section.question .value").first.inner_text())
+    moves = re.search(r"moves (\d+(?:\.\d+)?) mm", page.locator("section.question").inner_text())
     return moves[1] if moves else patient
 
 
