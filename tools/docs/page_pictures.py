@@ -81,6 +81,7 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
         moment = page.context.new_page()  # of the same session, hence of the same operator
         moment.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
         enter(moment, case.addresses["url"].partition("?")[0])
+        moment.evaluate(DRAWN)
         answer(page)
         moment.wait_for_function(HOLD_WHILE_RUNNING)
         yield from _take(moment, out, "console-running")
