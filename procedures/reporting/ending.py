@@ -85,7 +85,9 @@ def advise(ending: Ending, *, is_case: bool) -> str:
     """Say what to do after an ending; empty after one that needs nothing."""
     if is_case or ending.word in ("not begun", "done"):
         return ADVICE.get(ending.word, "")
-    why = f"docs/reference/error-codes.md says what to do about {ending.code}; then" if ending.code else "Then"
+    why = (
+        f"docs/reference/error-codes.md says what to do about {ending.code}; then" if ending.code else "Then"
+    )
     return f"Nothing of this run is used by a case. {why} start the command again."
 
 

@@ -88,9 +88,7 @@ class Canvas:
 
     def line(self, x1: float, y1: float, x2: float, y2: float, stroke: str) -> None:
         """Add a line with `stroke`, its attributes of colour."""
-        self._shapes.append(
-            f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" {stroke}/>'
-        )
+        self._shapes.append(f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" {stroke}/>')
 
     def text(
         self, x: float, y: float, words: str, *, anchor: Literal["start", "middle", "end"] = "start"
@@ -128,7 +126,7 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
     scale = (WIDTH - VALUE_ROOM) / max(value for _, value, _ in bars)
     top = 0.0
     for heading, group in groups.items():
-        canvas.text(WIDTH, top + 15, heading, anchor="end")
+        canvas.text(0, top + 15, heading)
         canvas.line(0, top + 20, WIDTH, top + 20, GRID)
         top += HEADING_ROW
         for label, value, colour in group:

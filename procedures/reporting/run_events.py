@@ -77,9 +77,13 @@ def moves(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     first: dict[str, RunEvent] = {}
     for line in journal:
         if line["entry"] in (Entry.VOIDED, Entry.FAILED) and line.get("code") in MOVES:
-            what = re.split(r"\. (?=[A-Z])", str(line.get("what", "")).partition(": ")[2])[0]  # without advice
+            what = re.split(r"\. (?=[A-Z])", str(line.get("what", "")).partition(": ")[2])[
+                0
+            ]  # without advice
             gone = line.get("supersedes")
-            voided = f"; {format_count(len(gone), 'result')} no longer valid" if isinstance(gone, list) else ""
+            voided = (
+                f"; {format_count(len(gone), 'result')} no longer valid" if isinstance(gone, list) else ""
+            )
             event = RunEvent(
                 clock_time(line), theatre_time_s(line), "move", str(line.get("step", "")), what + voided
             )
