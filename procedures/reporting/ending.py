@@ -13,21 +13,21 @@ from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
 GO_ON = (
-    "Put right what is named, then ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only "
-    "brings the arm home."
+    "Put right what is named, then ronna-procedure resume RUN goes on from there; ronna-procedure home RUN "
+    "only brings the arm home."
 )
 ADVICE = {  # by the word of an ending, for a case
     "missed": (
-        "Do not work at a target that is beyond. What the prediction is made of, and what stayed as it was, are "
-        "below; a repeated registration needs a new run."
+        "Do not work at a target that is beyond. Look below at what the prediction is made of and at what "
+        "stayed as it was, then register anew in a new run."
     ),
     "in doubt": (
-        "Do not rely on these targets until an image confirms them: ronna-ct postoperative compares one taken "
-        "after the operation with the plan."
+        "Do not rely on these targets until an image confirms them: ronna-ct postoperative compares one "
+        "taken after the operation with the plan."
     ),
     "killed": (
-        "ronna-procedure list says whether a program still holds the run. If none does: ronna-procedure resume "
-        "RUN goes on, ronna-procedure home RUN only brings the arm home."
+        "ronna-procedure list says whether a program still holds the run. If none does: ronna-procedure "
+        "resume RUN goes on, ronna-procedure home RUN only brings the arm home."
     ),
     "not begun": "Nothing has moved. Put right what is named, then start again.",
     **dict.fromkeys(("failed", "refused", "aborted"), GO_ON),
@@ -85,10 +85,8 @@ def advise(ending: Ending, *, is_case: bool) -> str:
     """Say what to do after an ending; empty after one that needs nothing."""
     if is_case or ending.word in ("not begun", "done"):
         return ADVICE.get(ending.word, "")
-    why = (
-        f"docs/reference/error-codes.md says what to do about {ending.code}; then" if ending.code else "Then"
-    )
-    return f"Nothing of this run is used by a case. {why} start the command again."
+    code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
+    return f"{code}Put right what is named, then start the command again."
 
 
 def _describe_place(journal: Sequence[Line]) -> str:

@@ -12,6 +12,7 @@ from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
 from ronna_hw.text import format_count
 
+ADVICE = re.compile(r"\. (?=[A-Z])")  # follows the first sentence of an error
 MOVES = (BaseShifted.code, PatientMoved.code, FrameSlipped.code)
 _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
@@ -77,13 +78,10 @@ def moves(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     first: dict[str, RunEvent] = {}
     for line in journal:
         if line["entry"] in (Entry.VOIDED, Entry.FAILED) and line.get("code") in MOVES:
-            what = re.split(r"\. (?=[A-Z])", str(line.get("what", "")).partition(": ")[2])[
-                0
-            ]  # without advice
-            gone = line.get("supersedes")
-            voided = (
-                f"; {format_count(len(gone), 'result')} no longer valid" if isinstance(gone, list) else ""
-            )
+            _code, _, words = str(line.get("what", "")).partition(": ")
+            what, gone = ADVICE.split(words)[0], line.get("supersedes")
+            count = len(gone) if isinstance(gone, list) else 0
+            voided = f"; {format_count(count, 'result')} no longer valid" if count else ""
             event = RunEvent(
                 clock_time(line), theatre_time_s(line), "move", str(line.get("step", "")), what + voided
             )

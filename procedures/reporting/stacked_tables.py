@@ -1,4 +1,4 @@
-"""Table cells labelled with their headings, so that a phone can show each row as a block, without scrolling."""
+"""Table cells labelled with their headings, so that a phone shows each row as a block and nothing scrolls."""
 
 from __future__ import annotations
 

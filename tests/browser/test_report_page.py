@@ -50,9 +50,7 @@ def report(tmp_path: Path) -> Path:
     return write_report(cell.folder, truth=TRUTH)
 
 
-def test_nothing_of_the_report_is_hidden_on_a_phone_and_all_of_it_can_be_read(
-    page: Any, report: Path
-) -> None:
+def test_nothing_is_hidden_on_a_phone_and_all_of_it_can_be_read(page: Any, report: Path) -> None:
     assert misfits(page, report) == []
     assert page.requested == [report.as_uri()]
 
