@@ -55,6 +55,7 @@ class CaseResults:
     found: Mapping[str, FoundTrajectory]
     truth: Mapping[str, TargetTruth]
     labels: Mapping[str, str]
+    unreadable: str = ""  # why the check after the operation is missing
 
     @property
     def lines(self) -> list[TrajectoryLine]:
@@ -101,7 +102,7 @@ class CaseResults:
             if line is None:
                 missing[f"reached line of {self.labels[name]}"] = "the pose of the guide is not in its record"
         if not self.found:
-            missing["found lines"] = (
+            missing["found lines"] = self.unreadable or (
                 "no CT after the operation was compared: "
                 "ronna-ct postoperative PRE POST --plan PLAN --run RUN"
             )
@@ -170,7 +171,7 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
     spheres = run.standing(LocalizedFiducials)
-    after = load_check(RunReading(run, ()))
+    after = load_check(reading := RunReading(run, ()))
     truth = (load_truth(run.path) or find_truth(run.path)) if run.opened.get("banner") else None
     return CaseResults(
         run=run,
@@ -182,6 +183,7 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
         found={} if after is None else {one.id: one for one in after.found.trajectories},
         truth={} if truth is None else {one.id: one for one in truth.targets},
         labels=labels,
+        unreadable="; ".join(reading.problems),
     )
 
 
