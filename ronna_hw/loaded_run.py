@@ -95,8 +95,9 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
             raise NoPandas("pandas is not installed") from error
         plain: dict[str, Any] = {}
         for column in self.columns:
-            values = np.asarray(self[column.name]).reshape(len(self), -1)
-            plain.update(zip(column.pandas_names, values.T, strict=True))
+            names = column.pandas_names
+            values = np.asarray(self[column.name]).reshape(len(self), len(names))
+            plain.update(zip(names, values.T, strict=True))
         return pd.DataFrame(plain)
 
 

@@ -175,8 +175,8 @@ def test_a_sphere_hidden_while_the_others_move_gets_a_new_identity(spheres, rand
 def test_no_identity_ever_stands_for_two_spheres_that_move_within_the_gate(data):
     random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     count = data.draw(st.integers(1, 6))
-    places = random.uniform(-30.0, 30.0, size=(count, 3))
-    steps = random.normal(size=(count, 3)) * data.draw(st.floats(0.0, 1.0))
+    places = random.uniform(-12.0, 12.0, size=(count, 3))
+    steps = random.normal(size=(count, 3)) * data.draw(st.floats(0.0, 2.0))
     frames, truth = [], []
     for _ in range(30):
         places = places + np.clip(steps, -GATE_MM / 2, GATE_MM / 2)
