@@ -115,7 +115,7 @@ class StereoPictures(NamedTuple):
 
 
 class LoadedRun(Protocol):
-    """Run folder as arrays. Each table is read on first use; docs/reference/run-tables.md lists the columns.
+    """Run folder as arrays. Each table is read on first use; docs/reference/api-runs.md lists the columns.
 
     Positions are in mm, in the frame that their name says: `ct` (DICOM LPS), `robot`, `tracker`.
     """
@@ -129,7 +129,7 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """How the run ended, such as done, in doubt, failed or interrupted; killed also for one that runs."""
+        """How the run ended, such as done, in doubt, failed or interrupted; or that it is running."""
         ...
 
     @property

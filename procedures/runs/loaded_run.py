@@ -23,7 +23,7 @@ from procedures.reporting.ending import run_ending
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
-from procedures.runs.folders import require_run
+from procedures.runs.folders import find_run_holder, require_run
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.frames import Transform
 from ronna_hw.loaded_run import RunTable
@@ -52,7 +52,8 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        return run_ending(self._reading.run.journal).word
+        word = run_ending(self._reading.run.journal).word
+        return "running" if word == "killed" and find_run_holder(self.path) is not None else word
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from types import ModuleType
 
-from api_pages import devices, numerics
+from api_pages import devices, numerics, runs
 from hazard_matrix import hazard_table
 from model_tables import model_tables
 from reference_tables import (
@@ -73,6 +73,7 @@ def tables() -> dict[str, str]:
         ),
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),
+        "api-runs.md": runs(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "error-codes.md": _tabulate_error_codes(),
         "export.md": _tabulate_exported_fields(),

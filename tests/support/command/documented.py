@@ -45,6 +45,11 @@ def write_files(page: str, folder: Path) -> None:
         path.write_text(content, encoding="utf-8")
 
 
+def python_of(page: str) -> str:
+    """All Python blocks of a page that are not files, as one program."""
+    return "\n".join(block for language, block in EXERCISE.findall(_text(page)) if language == "python")
+
+
 def run_exercises(page: str, commands: Commands, folder: Path) -> int:
     """Commands and Python of a page in its order, one Python session for all; returns how many statements.
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from signal import SIGHUP, SIGINT, SIGTERM
 from typing import Any
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pydicom
 import pytest
-from documented import execute_notebook, final_sentence
+from documented import execute_notebook, final_sentence, python_of
 from pseudo_terminal import Terminal
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
@@ -103,6 +105,16 @@ def test_the_notebook_on_one_case_reads_it_from_the_ct_to_the_error(
     (tmp_path / "runs").symlink_to(finished.out)
     cells = execute_notebook("one-case.ipynb", tmp_path)
     assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
+
+
+@pytest.mark.slow
+def test_the_page_on_runs_in_python_works_as_written(finished: MiniRun, tmp_path: Path) -> None:
+    (tmp_path / "runs").symlink_to(finished.out)
+    program = python_of("docs/how-to/research/read-a-run-in-python.md")
+    line = [sys.executable, "-W", "error", "-c", program]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=100.0, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "sphere 2: " in done.stdout
 
 
 def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None:

@@ -21,6 +21,7 @@ from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NoRegistration
 from procedures.journal.journal import Entry, Journal
 from procedures.reporting.files import KEPT_TRUTH
+from procedures.runs.folders import hold_run
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw import RunTable, load_run
 from ronna_hw.command_line.errors import PathProblem
@@ -98,7 +99,9 @@ def run(tmp_path: Path) -> Path:
 
 def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     loaded = load_run(str(run))
-    assert loaded.outcome == "killed"  # or still running: the journal cannot tell
+    with hold_run(run):
+        assert loaded.outcome == "running"
+    assert loaded.outcome == "killed"
     assert any("still running" in note for note in loaded.notes)
     targets = loaded.targets
     assert targets.name.tolist() == [one.id for one in checked_plan().plan.trajectories]
