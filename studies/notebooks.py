@@ -26,14 +26,21 @@ def execute_notebook(path: Path, out: Path) -> Path:
     except ImportError as error:
         raise NotebooksNotInstalled(f"notebooks need {error.name}, which is not installed") from error
     if not path.is_file():
-        raise PathProblem(f"{path} is not a file", expected=f"a notebook, such as NAME{NOTEBOOK}")
+        is_there = "is a folder, not a notebook" if path.is_dir() else "does not exist"
+        raise PathProblem(
+            f"{path} {is_there}",
+            expected=f"a file NAME{NOTEBOOK}",
+            action="Give one or more, such as examples/notebooks/*.ipynb.",
+        )
     try:
         content = read_json_bytes(path)
         if "cells" not in parse_json(content):
-            raise NotANotebook(f"{path} is not a notebook", expected="cells")
+            raise NotANotebook(f"{path} is not a notebook", expected="an object with cells")
         notebook = nbformat.reads(content.decode(), as_version=4)
     except (ValueError, TypeError, nbformat.ValidationError) as error:
-        raise NotANotebook(f"{path} is not a notebook, or a damaged one") from error
+        raise NotANotebook(
+            f"{path} is not a notebook, or a damaged one", expected="JSON as Jupyter writes it"
+        ) from error
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="ronna-") as sockets:
         client = NotebookClient(
