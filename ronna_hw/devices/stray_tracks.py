@@ -7,14 +7,14 @@ Readings are assigned to the last known positions of the spheres so that the sum
 a gate. An identity is never carried on by a guess. It ends where
 
 - readings and known spheres could be paired in more than one way within the gate, as when two spheres meet;
-- most spheres lose their reading at once: tracker or head was moved between two frames;
+- known spheres are missing while as many new ones appear: tracker or head was moved between two frames;
 - a sphere was hidden while the others moved.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +32,11 @@ Array = NDArray[np.float64]
 # Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60
 # frames in a second it follows a motion of 300 mm/s.
 GATE_MM = 5.0
+KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
+# Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
+FEWEST_MOVED = 2  # from one frame to the next
+FEWEST_MOVED_UNSEEN = 3  # while they were hidden
+LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
 UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 
 
@@ -39,7 +44,7 @@ UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 class StrayTrack:
     """One stray sphere in the frames in which it was seen, in tracker coordinates."""
 
-    identity: int  # from 0, in the order of first appearance
+    identity: int  # in the order of first appearance
     device_clock: NDArray[np.int64]  # (n,) the tracker's own count of frames
     positions_mm: Array  # (n, 3)
 
@@ -48,16 +53,30 @@ class StrayTrack:
 class _Sphere:
     last_mm: Array
     identity: int | None  # None while it cannot be told from another
+    count: int = 0  # of frames in which it was seen
     drift_mm: Array = field(default_factory=lambda: np.zeros(3))  # of the others since it was last seen
 
+    in_last_frame: bool = True
 
-def track_strays(frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM) -> tuple[StrayTrack, ...]:
+    @property
+    def is_known(self) -> bool:
+        return self.count >= KNOWN_AFTER
+
+
+_NEW = _Sphere(np.zeros(3), None)
+
+
+def track_strays(
+    frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM, least_share: float = LEAST_SHARE
+) -> tuple[StrayTrack, ...]:
     """Follow each stray sphere through the frames, whatever its place in their lists.
 
-    Left out are repeated measurements (STALE), positions outside the measuring volume, and readings that may
-    belong to more than one sphere. `gate_mm` is the farthest that a sphere may move between two frames.
-    Raises DEV-005.
+    Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
+    belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.
+    `gate_mm` is the farthest that a sphere may move between two frames. Raises DEV-005.
     """
+    if not 0.0 <= least_share <= 1.0:
+        raise BadStrays("the share must be between 0 and 1", got=f"{least_share}")
     read = [frame for frame in frames if frame.validity is not Validity.STALE]
     kept = [[one.position_mm for one in frame.strays if one.validity is Validity.OK] for frame in read]
     seen: dict[int, list[tuple[int, Vector3]]] = {}
@@ -72,6 +91,7 @@ def track_strays(frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM) ->
             np.array([position_mm for _, position_mm in readings], dtype=float),
         )
         for identity, readings in sorted(seen.items())
+        if len(readings) >= least_share * len(read)
     )
 
 
@@ -85,13 +105,13 @@ def identify_strays(
     if not 0.0 < gate_mm < math.inf:
         raise BadStrays("the gate must be positive", got=f"{gate_mm} mm")
     spheres: list[_Sphere] = []
-    expected, begun = 0, 0  # spheres in the last frame with any; identities so far
+    begun = 0
     found = []
     for frame in frames:
         readings = require_positions(frame)
         distances_mm = cdist(readings, _stack([one.last_mm for one in spheres]))
         pairs = _assign(distances_mm, gate_mm)
-        if 2 * len(pairs) <= min(expected, len(readings)):  # the whole scene has moved
+        if _has_moved(spheres, pairs, len(readings)):
             spheres, pairs, distances_mm = [], {}, np.zeros((len(readings), 0))
         within = distances_mm <= gate_mm
         moved_mm = _stack([readings[row] - spheres[column].last_mm for row, column in pairs.items()])
@@ -99,22 +119,51 @@ def identify_strays(
         here = []
         for row, reading in enumerate(readings):
             column = pairs.get(row)
-            is_unclear = within[row].any() and (
-                column is None or within[row].sum() + within[:, column].sum() > 2
-            )
-            identity = None if is_unclear or column is None else spheres[column].identity
-            if identity is None and not is_unclear:
+            rivals = within[row].sum() if column is None else within[row].sum() + within[:, column].sum() - 2
+            if rivals:
+                here.append(_Sphere(reading, None))
+                continue
+            known = _NEW if column is None else spheres[column]
+            identity = known.identity
+            if identity is None:
                 identity, begun = begun, begun + 1
-            identities[row] = UNKNOWN if identity is None else identity
-            here.append(_Sphere(reading, identity))
-        unseen = [one for column, one in enumerate(spheres) if not within[:, column].any()]
-        if len(moved_mm):
-            for one in unseen:
-                one.drift_mm = one.drift_mm + np.median(moved_mm, axis=0)
+            identities[row] = identity
+            here.append(_Sphere(reading, identity, known.count + 1))
+        unseen = [one for column, one in enumerate(spheres) if one.is_known and not within[:, column].any()]
+        for one in unseen:
+            one.in_last_frame = False
+            if len(moved_mm):
+                one.drift_mm = one.drift_mm + _typical(moved_mm)
         spheres = here + [one for one in unseen if float(np.linalg.norm(one.drift_mm)) <= gate_mm / 2.0]
-        expected = len(readings) or expected
         found.append(identities)
     return tuple(found)
+
+
+def _has_moved(spheres: Sequence[_Sphere], pairs: Mapping[int, int], readings: int) -> bool:
+    """Return whether the scene has moved since the last frame, or while it was hidden.
+
+    Then known spheres are missing and as many new ones are there: of the last frame no fewer than have
+    stayed, of all more than twice as many. One or two may be hidden spheres, and reflections that appear.
+    """
+    known = [column for column, one in enumerate(spheres) if one.is_known]
+    seen = [column for column in known if spheres[column].in_last_frame]
+    most = max(len(known) - 1, 1)  # of few spheres one may have stayed by chance: it is now where another was
+    stayed, missing = _count_missing(seen, pairs, readings)
+    if missing >= max(stayed, min(FEWEST_MOVED, most)):
+        return True
+    stayed, missing = _count_missing(known, pairs, readings)
+    return missing >= max(2 * stayed + 1, min(FEWEST_MOVED_UNSEEN, most))
+
+
+def _count_missing(columns: Sequence[int], pairs: Mapping[int, int], readings: int) -> tuple[int, int]:
+    """Return how many spheres have stayed, and how many are missing that may be among the new readings."""
+    stayed = len(set(columns).intersection(pairs.values()))
+    return stayed, min(len(columns) - stayed, readings - len(pairs))
+
+
+def _typical(moved_mm: Array) -> Array:
+    """Return the movement of median length; of two the shorter, as a reflection wanders by itself."""
+    return np.asarray(moved_mm[np.argsort(np.linalg.norm(moved_mm, axis=1))[(len(moved_mm) - 1) // 2]])
 
 
 def _stack(vectors: Sequence[Array]) -> Array:

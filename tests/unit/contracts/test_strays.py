@@ -212,3 +212,35 @@ def test_tracks_have_the_trackers_own_clock_and_leave_out_repeated_and_doubtful_
 def test_a_gate_that_is_no_distance_is_refused(gate_mm):
     with pytest.raises(BadStrays):
         identify_strays([], gate_mm=gate_mm)
+
+
+def test_spheres_hidden_one_after_another_amid_reflections_keep_their_identity(spheres, random):
+    frames = []
+    for number, frame in enumerate(noisy_frames(spheres, random, 200)):
+        hidden = max(0, min(4, number // 10 - 5, 18 - number // 10))  # from one to four, and back
+        seen = frame[np.linalg.norm(frame[:, None] - spheres[hidden:], axis=-1).min(axis=1) < 5.0]
+        glints = [[-45.0, 135, -1375], [-87, 178, -1990]] + random.normal(size=(2, 3)) * 4.0
+        frames.append(np.vstack([seen, glints[random.random(2) < 0.4]]))
+    tracks = sorted((positions for positions in tracks_of(frames).values()), key=len)[-5:]
+    for track in tracks:
+        assert np.linalg.norm(track - track[0], axis=1).max() < 2.0
+    assert sum(len(track) for track in tracks) == sum(
+        np.linalg.norm(frame[:, None] - spheres, axis=-1).min(axis=1).__lt__(5.0).sum() for frame in frames
+    )
+
+
+def test_what_is_seen_in_few_frames_is_left_out_unless_it_is_asked_for(spheres, random):
+    frames = [
+        TrackerFrame(
+            Stamp(number, number, 0.0),
+            Validity.OK,
+            (),
+            tuple(StrayReading(tuple(one), Validity.OK) for one in positions[: 5 if number % 4 else 4]),
+        )
+        for number, positions in enumerate([spheres] * 20)
+    ]
+    rarely = [one for number, one in enumerate(frames) if number > 15 or number % 4 == 0]
+    assert [len(one.positions_mm) for one in track_strays(rarely)] == [8, 8, 8, 8]
+    assert len(track_strays(rarely, least_share=0.0)) == 5
+    with pytest.raises(BadStrays):
+        track_strays(frames, least_share=1.5)
