@@ -34,10 +34,9 @@ def execute_notebook(path: Path, out: Path) -> Path:
         )
     try:
         content = read_json_bytes(path)
-        if "cells" not in parse_json(content):
-            raise NotANotebook(f"{path} is not a notebook", expected="an object with cells")
+        parse_json(content)["cells"]
         notebook = nbformat.reads(content.decode(), as_version=4)
-    except (ValueError, TypeError, nbformat.ValidationError) as error:
+    except (ValueError, TypeError, KeyError, nbformat.ValidationError) as error:
         raise NotANotebook(
             f"{path} is not a notebook, or a damaged one", expected="JSON as Jupyter writes it"
         ) from error
