@@ -7,24 +7,22 @@ devices answered is in `recorded_tables`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.engine.case import parent_of_kind
 from procedures.engine.events.event_file import FollowedRun
-from procedures.engine.run_folder import RunFolder, parse_record
+from procedures.engine.run_folder import RunFolder
+from procedures.exchange.case_results import reached_lines
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.reporting.tables import target_rows
-from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 from ronna_hw.loaded_run import Column, RunTable
@@ -106,25 +104,22 @@ EVENTS = (
 def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     """Return one row per planned trajectory. Raises REC-001, REC-003."""
     run = reading.run
-    for model in (
-        MeasuredTarget,
-        RegisteredRobot,
-    ):  # the report leaves out what it cannot read; this must not
+    for model in (MeasuredTarget, RegisteredRobot):  # a report leaves out what is unreadable: raise instead
         run.made(model)
     plans, registrations = run.standing(CheckedPlan), reading.registrations
+    plan = plans[-1].result if plans else None
+    trajectories = () if plan is None else plan.plan.trajectories
     known = {row.target: row for row in target_rows(reading, truth)}
     used = {name: one for one in registrations for name in one.targets}
-    reached_mm = dict(_reached(run))
+    lines = reached_lines(run, plan, registrations, {one.id: one.id for one in trajectories})
     rows = []
-    for planned in plans[-1].result.plan.trajectories if plans else ():
-        row, registration = known.get(planned.id), used.get(planned.id)
-        target_mm = tip_mm = tip_ct_mm = np.array(NOWHERE)
+    for planned in trajectories:
+        row, registration, line = known.get(planned.id), used.get(planned.id), lines.get(planned.id)
+        target_mm = tip_mm = np.array(NOWHERE)
+        tip_ct_mm = NOWHERE if line is None else line.end_mm
         if registration is not None:
             robot_from_ct = registration.result.robot_from_ct.transform
-            target_mm = robot_from_ct.apply(planned.target_mm)
-            if planned.id in reached_mm:
-                tip_mm = target_mm + reached_mm[planned.id]
-                tip_ct_mm = robot_from_ct.inverse().apply(tip_mm)
+            target_mm, tip_mm = robot_from_ct.apply(planned.target_mm), robot_from_ct.apply(tip_ct_mm)
         predicted = None if row is None else row.predicted
         rows.append(
             (
@@ -138,18 +133,6 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
             )
         )
     return RunTable.of(TARGETS, rows)
-
-
-def _reached(run: RunFolder) -> Iterator[tuple[str, Array]]:
-    """Yield the error (3,) of each reached target by joints and depth stop, robot frame."""
-    records = {record.identifier: record for record in run.records}
-    for one in run.standing(ReachedTarget):
-        positioned = parent_of_kind(one.record, PositionedGuide.kind, records)
-        if one.result.tool_pose is None or positioned is None or one.record.trajectory is None:
-            continue
-        commanded = parse_record(positioned, PositionedGuide).tool_pose.transform
-        off_mm = one.result.tool_pose.transform.translation_mm - commanded.translation_mm
-        yield one.record.trajectory, off_mm + one.result.too_deep_mm * commanded.rotation_matrix[:, 2]
 
 
 def spheres_table(run: RunFolder) -> RunTable:
