@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.guards.default_guards import DiskSpace
+from procedures.journal.free_space import describe_shortage
 from procedures.runs.reopening import resumable_run
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
 from procedures.runs.theatre_note import arm_not_home, find_instrument_inside
@@ -49,7 +49,7 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
     yield run_check("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
-    shortage = DiskSpace(folder).unmet()
+    shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
     yield Diagnostic("disk", shortage is None, found, "" if shortage is None else "Free some space.")
 
@@ -110,17 +110,22 @@ def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
     """Yield diagnostics of this computer."""
-    from ronna_hw.host.process import find_foreign_packages
-
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
-    if foreign := find_foreign_packages():
-        advice = "Use an environment in which no other package has these names."
-        yield Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
-    else:
-        yield Diagnostic("packages", True, "none foreign")
+    yield _own_packages()
     yield _receive_buffer()
     yield _real_time()
     yield from _serial_ports()
+
+
+def _own_packages() -> Diagnostic:
+    """Check that no other distribution has replaced files of ours; foreign packages are refused before."""
+    from ronna_hw.host.own_packages import find_replaced_files
+
+    if replaced := find_replaced_files():
+        what = f"{len(replaced)} files replaced or missing, such as {replaced[0]}"
+        advice = "Install ronna-hw again, in a virtual environment of its own."
+        return Diagnostic("packages", False, what, advice)
+    return Diagnostic("packages", True, "none foreign")
 
 
 def _receive_buffer() -> Diagnostic:

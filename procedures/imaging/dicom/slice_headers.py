@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 
+CT_FOLDER = "ct"  # of the folder of a case, beside its plan
 PREAMBLE_BYTES = 128  # DICOM part 10: 128 free bytes, then the letters DICM
 MAGIC = b"DICM"
 DICOM_SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".img"})
@@ -67,6 +68,7 @@ _TAGS = (
     "LossyImageCompression",
     "ConvolutionKernel",
     "Modality",
+    "StudyInstanceUID",
     "SeriesInstanceUID",
     "FrameOfReferenceUID",
     "PatientPosition",
@@ -108,6 +110,7 @@ class SliceHeader:
     number: float | None  # counted from 1, as a rule
     stated_count: float | None  # of all images of the acquisition
     kernel: str = ""  # of the reconstruction, as the scanner names it
+    study_instance_uid: str = ""
     oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
 
 
@@ -135,7 +138,11 @@ def read_images(
     """Read `tags` of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(iterate_images(directory, tags, progress))
     if not images:
-        raise SeriesEmpty(f"no DICOM image in {directory}")
+        inner = directory / CT_FOLDER
+        raise SeriesEmpty(
+            f"no DICOM image in {directory}",
+            action=f"Give the folder of the CT itself: {inner}." if inner.is_dir() else None,
+        )
     return images
 
 
@@ -270,6 +277,7 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
         number=read_optional_number(path, header, "InstanceNumber"),
         stated_count=read_optional_number(path, header, "ImagesInAcquisition"),
         kernel=read_attribute_text(path, header, "ConvolutionKernel"),
+        study_instance_uid=read_attribute_text(path, header, "StudyInstanceUID"),
         oddities=_list_oddities(path, header),
     )
 
