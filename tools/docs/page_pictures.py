@@ -101,8 +101,7 @@ def _reviewed(browser: Any, place: Path, out: Path) -> Iterator[Path]:
             enter(page, address)
             page.wait_for_selector(".accuracy >> text=Predicted error")
             yield from _take(page, out, "console-review")
-            page.locator(".bottom").evaluate("bottom => bottom.scrollIntoView()")
-            yield from _take(page, out, "console-records")
+            yield from _take(page, out, "console-records", ".devicebox")
             page.context.close()
 
 
@@ -140,10 +139,11 @@ def _open_page(browser: Any) -> Any:
     return opened_context(browser, viewport={"width": width, "height": height}).new_page()
 
 
-def _take(page: Any, out: Path, moment: str) -> Iterator[Path]:
-    """Take one moment in every look, and leave the page as it was."""
+def _take(page: Any, out: Path, moment: str, place: str = "body") -> Iterator[Path]:
+    """Take one moment in every look, from that place downwards, and leave the page as it was."""
     for scheme, size in LOOKS:
         _show_as(page, scheme, size)
+        page.locator(place).evaluate("place => place.scrollIntoView()")
         page.evaluate(DRAWN)
         yield _keep(page.screenshot(), out, moment, scheme, size)
     _show_as(page, *LOOKS[0])
