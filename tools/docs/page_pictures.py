@@ -43,6 +43,10 @@ HOLD_WHILE_RUNNING = """
   const step = "li.now[data-step='relocalization:T1']";
   if (!document.querySelector(`${step} progress:not([value='0.000'])`)) return false;
   if (!document.querySelector("figure.live:not(.old) img")?.naturalWidth) return false;
+  const scene = getElement(Number(document.querySelector(".stage").id.slice(1))).scene;
+  const count = scene.children.length;  // bodies are exchanged one by one
+  if (count !== window.bodies) [window.bodies, window.since] = [count, now];
+  if (now - window.since < 700 || document.querySelector(".scenebox .warn.num")) return false;  // nor a grey arm
   window.socket.disconnect();  // the page keeps this moment for all its looks: steps are quick
   performance.now = () => now;
   return true;
