@@ -78,6 +78,7 @@ class RunObservers:
     opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
     person: Operator = field(default_factory=SilentOperator)  # at the terminal
     staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre
+    by_word: Callable[[Room], Room] = lambda staff: staff  # of a simulated theatre, told by a person's words
     held: HeldPrompt | None = None  # without one a held case ends
     at_pause: Operator | None = None  # who answers a pause, if not the person
     executor: OrderExecutor | None = None  # of a console that operates the case
@@ -93,6 +94,8 @@ def operator_selection(
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
     configured = request.config is not None
+    if not request.has_person:
+        observers.announce(_describe_script(request, observers, resumption))
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     accepted = resumption is not None and resumption.accepted
     file_answers_all = answers is not None and is_rehearsal(request.config)
@@ -115,7 +118,7 @@ def operator_selection(
             (prompt, {Topic.PAUSE}, True),
             (script, {Topic.RESUME}, accepted),
             (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, configured),
+            (person, ALL_TOPICS, request.has_person),
             (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
             (script, ALL_TOPICS, True),  # in a simulated theatre of its own
         )
@@ -129,6 +132,14 @@ def operator_selection(
         return operator
     person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
     return observers.executor.operator(operator, script_at_pause=not person_present)
+
+
+def _describe_script(request: RunRequest, observers: RunObservers, resumption: Resumption | None) -> str:
+    """Return the first line of a rehearsal without a person: who answers in it."""
+    who = "a script answers" if request.answers is None else "a file and a script answer"
+    until = "" if observers.executor is None else " until somebody takes the operator's seat"
+    hint = "; --ask asks you" if resumption is None else ""
+    return f"{who} the questions and a script does the manual work{until}{hint}"
 
 
 def _apply_rules(rules: Iterable[Rule]) -> Operator:

@@ -60,6 +60,9 @@ class RequestFile(BaseModel):
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
+    ask: bool = Field(
+        default=False, description="Whether a person answers, and does manual work by words."
+    )
     answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
     calibration: CalibrationFile | None = Field(
         default=None, description="What to calibrate, if it is not a case."
@@ -86,6 +89,7 @@ def _theatre(request: RunRequest) -> dict[str, Any]:
         records=tuple(folder.resolve() for folder in choice.records),
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
+        ask=request.ask,
         config=request.config and request.config.resolve(),
         answers=None if request.answers is None else request.answers.model_dump(mode="json"),
     )
@@ -144,6 +148,7 @@ def read_request(folder: Path) -> RunRequest:
         choice=SceneChoice(**{one.name: getattr(content, one.name) for one in fields(SceneChoice)}),
         speed=content.speed,
         faults=content.faults,
+        ask=content.ask,
         answers=None if content.answers is None else _answers(path, content.answers),
     )
 

@@ -11,7 +11,7 @@ import typer
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
-from ronna_hw.control_port import ask_control_port
+from ronna_hw.control_port import VARIABLE, ask_control_port
 from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from sim.theatre.launch import Theatre
 
-CONTROL = "RONNA_CONTROL"  # in the environment; on the command line every user here could read the token
+CONTROL = VARIABLE  # on the command line every user here could read the token
 ControlOption = Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")]
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.case_view import EventFollower
-from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
+from procedures.cli.case.operators import WritePrompt, write_prompt
+from procedures.cli.case.staff import terminal_observers
 from procedures.engine.events import Event, Progress
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
 from procedures.runs.calibration_files import read_finished_figures, require_same_folder
@@ -31,6 +32,7 @@ from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import prepare_folder, require_free_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.request_checks import check_asking
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import ProgressBar
@@ -96,6 +98,7 @@ def resume_calibration(
     else:
         complete = has_every_look(request, interrupted)
         if not complete:
+            check_asking(request)
             require_free_devices(request)
         prepare_folder(interrupted)
         with finalize_run(folder, interrupted, with_truth=False):

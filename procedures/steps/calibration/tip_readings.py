@@ -232,7 +232,7 @@ class _Reading:
         x_mm, y_mm, z_mm = self.context.perform_task(
             Task(
                 DIALS,
-                f"at orientation {look + 1} raise the divot to the tip and read the three dials",
+                f"at orientation {look + 1} of {len(self.observed.looks)} raise the divot to the tip and read the three dials",
                 reads=READS,
                 plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
             )
