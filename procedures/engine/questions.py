@@ -112,7 +112,11 @@ class Questions:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
         is_in_doubt = self._setting.workcell.place.assumed
-        look = f"look whether one is there; if so, {removal_words(place)}" if is_in_doubt else removal_words(place)
+        look = (
+            f"look whether one is there; if so, {removal_words(place)}"
+            if is_in_doubt
+            else removal_words(place)
+        )
         self.perform_task(Task(OUT, look, trajectory))
         asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide?"
         if place == IN_DIVOT:

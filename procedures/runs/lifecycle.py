@@ -162,8 +162,8 @@ def open_engine(
             ended_by = problem if isinstance(problem, RonnaError) else None
             raise
         finally:
-            if engine.instrument_in is not None:
-                tell(f"an instrument is still in {engine.instrument_in}: the arm does not move")
+            if (instrument := engine.setting.workcell.place.instrument_description) is not None:
+                tell(f"{instrument}: the arm does not move")
             with defer_interruption():
                 engine.close(outcome, ended_by)
 

@@ -60,9 +60,7 @@ class RequestFile(BaseModel):
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
-    ask: bool = Field(
-        default=False, description="Whether a person answers, and does manual work by words."
-    )
+    ask: bool = Field(default=False, description="Whether a person answers, and does manual work by words.")
     answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
     calibration: CalibrationFile | None = Field(
         default=None, description="What to calibrate, if it is not a case."

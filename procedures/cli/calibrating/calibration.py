@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 from procedures.cli.case.case_view import EventFollower
 from procedures.cli.case.operators import WritePrompt, write_prompt
 from procedures.cli.case.staff import terminal_observers
-from procedures.engine.events import Event, Progress
+from procedures.engine.events import Event, Progress, StepState
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
 from procedures.runs.calibration_files import read_finished_figures, require_same_folder
 from procedures.runs.calibrations import (
@@ -169,19 +169,32 @@ def check_calibration(
 
 
 def bar_observers(bar: ProgressBar) -> RunObservers:
-    """Return observers that show progress in `bar` and hide it during questions."""
+    """Return observers that show each step's own progress in `bar` and hide it during questions.
 
-    def advance(events: Sequence[Event]) -> None:
-        for event in events:
-            if isinstance(event.what, Progress):
-                bar(event.what.share)
+    Steps take seconds or an hour, so their number says nothing about the time left.
+    """
+
+    def follow(engine: Engine) -> None:
+        numbers = {str(key): number for number, key in enumerate(engine.order.sequence, 1)}
+
+        def advance(events: Sequence[Event]) -> None:
+            for event in events:
+                match event.what:
+                    case StepState(state="begun", step=step, title=title):
+                        bar(0.0, f"{numbers[step]} of {len(numbers)}: {title}")
+                    case Progress(share=share):
+                        bar(share)
+                    case _:
+                        pass
+
+        EventFollower(engine.events, advance).start()
 
     @contextmanager
     def asking() -> Iterator[WritePrompt]:
         with bar.hidden():  # it would write over the question
             yield write_prompt
 
-    return terminal_observers(asking, lambda engine: EventFollower(engine.events, advance).start())
+    return terminal_observers(asking, follow)
 
 
 def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json: bool) -> None:
