@@ -8,7 +8,8 @@ from console.case_view import CaseView, Notice
 from console.errors import UnreliableRun
 from console.hub import Hub
 from console.panels.html import evidence_table, tag, text
-from procedures.reporting.case_figures import PLAN_PICTURE, CaseFigures
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE
+from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE

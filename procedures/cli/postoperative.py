@@ -90,10 +90,10 @@ def postoperative(
 
 def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
     """Raise POST-005 if the patient identifiers differ; return a warning if one is missing."""
-    from procedures.imaging.dicom.slice_headers import read_patient_identifier
+    from procedures.imaging.dicom.slice_headers import read_identity
     from procedures.postoperative.errors import OtherPatient
 
-    before, after = read_patient_identifier(pre_dir), read_patient_identifier(post_dir)
+    before, after = (read_identity(folder).identifier for folder in (pre_dir, post_dir))
     if before and after and before != after:  # messages never name patients
         raise OtherPatient("the two CTs have different patient identifiers")
     if before and after:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from itertools import chain, count
+from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -18,7 +18,7 @@ from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import YES, Evidence, Question, ReadBack, Task, Topic
+from procedures.operator.question import YES, Picture, Question, Task, Topic
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, hash_inputs
 from ronna_hw.records import Record, write_atomically
@@ -127,15 +127,28 @@ class StepContext:
         """Return a device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
         return self.workcell.device(name, interface)
 
-    def keep_picture(self, name: str, png: bytes) -> None:
+    def keep_picture(self, name: str, png: bytes) -> Picture:
         """Save a PNG image in the run folder, adding a number if the name is taken."""
-        folder = self._case.folder / PICTURES_FOLDER
-        folder.mkdir(exist_ok=True)
-        first = folder / name
-        numbered = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
-        path = next(path for path in chain((first,), numbered) if not path.exists())
+        path = next(path for path in self._numbered(name) if not path.exists())
+        path.parent.mkdir(exist_ok=True)
         write_atomically(path, png, exclusive=True)
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
+        return Picture(name=path.name, sha256=self._pictures[path.name])
+
+    def find_picture(self, name: str, others: Collection[str] = ()) -> Picture | None:
+        """Return the latest image that was saved under a name, as it is now; None if there is none.
+
+        `others` are names of other images, which a numbered one may happen to have.
+        """
+        numbered = takewhile(Path.is_file, self._numbered(name))
+        saved = [path for path in numbered if path.name == name or path.name not in others]
+        if not saved:
+            return None
+        return Picture(name=saved[-1].name, sha256=hashlib.sha256(saved[-1].read_bytes()).hexdigest())
+
+    def _numbered(self, name: str) -> Iterator[Path]:
+        first = self._case.folder / PICTURES_FOLDER / name
+        return chain((first,), (first.with_stem(f"{first.stem}-{number}") for number in count(2)))
 
     def note_inputs(self, *files: Path) -> None:
         """Record the hashes of input files, so that `verify` detects any later change."""
@@ -202,21 +215,14 @@ class StepContext:
         """Void a result and its descendants without a replacement."""
         self._void(StepKey(model.kind), reason)
 
-    def confirm(
-        self,
-        topic: Topic,
-        subject: str,
-        value: str,
-        trajectory: str | None = None,
-        read_back: ReadBack | None = None,
-        evidence: tuple[Evidence, ...] = (),
-    ) -> None:
+    def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
         """Ask the operator to confirm a value and record the answer. Raises PRO-002 unless it is yes."""
-        question = Question(
-            topic, subject, value, trajectory=trajectory, read_back=read_back, evidence=evidence
-        )
+        self.require_yes(Question(topic, subject, value, trajectory=trajectory))
+
+    def require_yes(self, question: Question) -> None:
+        """Ask the operator a question and record the answer. Raises PRO-002 unless it is yes."""
         if self.choose(question) != YES:
-            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
+            raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
         """Assign a task to the room staff and record their readings. Raises PRO-002 if any are missing."""

@@ -28,7 +28,12 @@ def as_shown(question: Question, number: int) -> Questioned:
         answers=question.answers,
         timeout_s=question.timeout_s,
         evidence=question.evidence,
+        predicted=question.predicted,
+        pictures=question.pictures,
+        identity=question.identity,
+        identity_sha256="" if question.identity is None else question.identity.sha256,
         read_back=None if question.read_back is None else question.read_back.what,
+        emphasis="" if question.read_back is None else question.read_back.shown,
         reads=question.reads,
         deliberate=question.deliberate,
     )

@@ -12,6 +12,7 @@ from procedures.imaging.volume import Volume
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+PLAN_PICTURE = "plan-"  # prefix of the file names, followed by the trajectory
 HALF_WIDTH_MM = 120.0  # of an image: a head and what is mounted on it
 STEP_MM = 0.9
 WINDOW_HU = (-300.0, 1300.0)

@@ -6,13 +6,16 @@ never continues. Only one of the listed words answers; anything else is asked ag
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from ronna_hw.text import strip_unit
 
@@ -93,8 +96,58 @@ class Evidence(BaseModel):
     rows: tuple[tuple[str, ...], ...]
 
 
+class PredictedError(BaseModel):
+    """Predicted error at a target, against the margin that the plan allows there."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    target: str
+    rms_mm: float
+    limit_mm: float
+    confidence: float
+    margin_mm: float
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is within the margin, with the limit of the error spelled out."""
+        within = "within" if self.rms_mm <= self.margin_mm else "BEYOND"
+        limit = f"{self.limit_mm:.2f} mm at {self.confidence:.0%}"
+        beyond = " is beyond it" if self.rms_mm <= self.margin_mm < self.limit_mm else ""
+        return (
+            f"{within} the margin; its limit, {limit},{beyond}" if beyond else f"{within} the margin; {limit}"
+        )
+
+
+class Picture(BaseModel):
+    """Picture shown with a question: its name among the run's pictures, and its SHA-256."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    sha256: str
+
+
+class Identity(BaseModel):
+    """Identity of the patient, shown with a question and stored nowhere.
+
+    Its digest is salted, because a record that has the digest must not confirm a guessed identity.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rows: tuple[tuple[str, str], ...] = Field(repr=False)  # name and value
+    salt: str = Field(default_factory=lambda: secrets.token_hex(16), repr=False)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 (hex) of salt and rows."""
+        content = json.dumps([self.salt, self.rows], ensure_ascii=False)
+        return hashlib.sha256(content.encode()).hexdigest()
+
+
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
+MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 @dataclass(frozen=True)
@@ -145,8 +198,9 @@ class Question:
     """Question to the operator. The first of `answers` continues; the last is assumed on timeout.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
-    value was read back. `number` counts the questions of a run; `evidence` is shown with the value. With
-    `reads`, the answer that goes on comes with that many readings, each within `plausible_mm`.
+    value was read back. `number` counts the questions of a run. `evidence`, `predicted` errors, `pictures`
+    and the patient's `identity` are shown with the value, which has one statement on each line. With `reads`,
+    the answer that goes on comes with that many readings, each within `plausible_mm`.
     """
 
     topic: Topic
@@ -159,6 +213,9 @@ class Question:
     misread: Callable[[], None] = field(default=_record_nothing, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
+    predicted: tuple[PredictedError, ...] = ()  # first what is decided on
+    pictures: tuple[Picture, ...] = ()
+    identity: Identity | None = field(default=None, repr=False)
     reads: tuple[str, ...] = ()
     plausible_mm: tuple[float, float] | None = None
 
@@ -196,6 +253,12 @@ class Question:
             return f"type {', '.join(self.reads)}"
         wrong = [why for one in answer.readings or () if (why := misread(one, self.plausible_mm))]
         return "; ".join(wrong)
+
+
+def tries_left(misread: int) -> str:
+    """Describe how many values may still be typed after `misread` wrong ones."""
+    left = MOST_MISREAD - misread
+    return f"{left} {'try' if left == 1 else 'tries'} left"
 
 
 class Operator(Protocol):

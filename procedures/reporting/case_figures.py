@@ -11,8 +11,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.journal.results import StepResult
-from procedures.operator.question import Evidence
+from procedures.operator.question import Evidence, PredictedError
 from procedures.reporting.pictures import timeline_figure
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import timeline
@@ -25,7 +26,6 @@ from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
-PLAN_PICTURE = "plan-"  # prefix of the pictures kept by the plan's check
 Point = tuple[float, float, float]
 R = TypeVar("R", bound=StepResult)
 
@@ -50,17 +50,6 @@ class TrajectoryFigure:
 
 
 @dataclass(frozen=True)
-class PredictionFigure:
-    """Predicted error at a target."""
-
-    target: str
-    rms_mm: float
-    limit_mm: float
-    confidence: float
-    margin_mm: float
-
-
-@dataclass(frozen=True)
 class CaseFigures:
     """All figures of a case known so far."""
 
@@ -68,7 +57,7 @@ class CaseFigures:
     robot_from_tracker: Transform | None = None
     spheres: tuple[SphereFigure, ...] = ()
     trajectories: tuple[TrajectoryFigure, ...] = ()
-    predictions: tuple[PredictionFigure, ...] = ()
+    predictions: tuple[PredictedError, ...] = ()
     tables: tuple[Evidence, ...] = ()
     pictures: tuple[str, ...] = ()  # names in the folder `pictures`, from the stereo head
     cuts: tuple[str, ...] = ()  # and those of the planned trajectories in the CT
@@ -97,7 +86,13 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
         spheres=_spheres(reading, pose),
         trajectories=_trajectories(plan, poses, pose),
         predictions=tuple(
-            PredictionFigure(one.target, one.rms_mm, one.limit_mm, one.confidence, margins_mm[one.target])
+            PredictedError(
+                target=one.target,
+                rms_mm=one.rms_mm,
+                limit_mm=one.limit_mm,
+                confidence=one.confidence,
+                margin_mm=margins_mm[one.target],
+            )
             for one in predictions
             if one.target in margins_mm
         ),

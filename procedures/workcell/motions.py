@@ -16,6 +16,7 @@ from procedures.workcell.arm_history import Insertion, MotionKind
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 
@@ -70,21 +71,26 @@ class MotionFacts:
 
     def __str__(self) -> str:
         """Return a one-line description for the operator."""
-        return self.describe(", ", self.clearances())
+        moves = f"{self.what} moves {_format_nonzero(self.travel_mm)} mm{self.by}, {self.turn()}"
+        return "; ".join((f"{moves}, {self.duration()} at {self.speed()}", *self.clearances()))
 
-    def describe(self, apart: str, clearances: Sequence[str]) -> str:
-        """Describe the moving tool and its travel, then, after the separator `apart`, time and clearances."""
+    @property
+    def by(self) -> str:
+        """The detour with a leading space, or an empty string."""
+        return self.detour and f" {self.detour}"
+
+    def turn(self) -> str:
+        """Describe the largest turn of a joint."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
-        duration_s = sum(one.duration_s for one in self.previews)
-        fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
-        by = self.detour and f" {self.detour}"
-        how = (
-            f"joints turn up to {_format_nonzero(math.degrees(max(turns_rad)))} deg, in {duration_s:.1f} s "
-            f"at up to {_format_nonzero(fastest_mm_s)} mm/s"
-        )
-        return f"{self.what} moves {_format_nonzero(self.travel_mm)} mm{by}{apart}" + "; ".join(
-            (how, *clearances)
-        )
+        return f"joints turn up to {_format_nonzero(math.degrees(max(turns_rad)))} deg"
+
+    def speed(self) -> str:
+        """Describe the largest speed of a body."""
+        return f"up to {_format_nonzero(max(one.largest_speed_mm_s for one in self.previews))} mm/s"
+
+    def duration(self) -> str:
+        """Describe the duration."""
+        return f"in {sum(one.duration_s for one in self.previews):.1f} s"
 
     def clearances(self) -> list[str]:
         """Describe the closest pair of bodies and, unless implied, the distance from the head."""
@@ -111,19 +117,46 @@ class MotionFacts:
         )
 
 
-def describe_motions(facts: Sequence[MotionFacts]) -> str:
-    """Describe all motions in a question. The distance to type ends a line; no clearance is repeated."""
-    motions: list[str] = []
-    statements: set[str] = set()
-    for one in facts:
-        clearances = one.clearances()
-        motions.append(
-            one.describe(
-                ", " if motions else ",\n", [words for words in clearances if words not in statements]
-            )
+@dataclass(frozen=True)
+class AnnouncedMotions:
+    """Motions that an answer allows besides those asked about, as previewed when the paths were checked."""
+
+    count: int
+    small: str  # motions too small to be previewed, in words
+    duration_s: float
+    largest_speed_mm_s: float
+    clearance: str
+
+
+def describe_motions(
+    facts: Sequence[MotionFacts], announced: AnnouncedMotions | None = None, covers: str = ""
+) -> str:
+    """Describe motions in four lines: the first one, what follows, the closest bodies, the speed.
+
+    `covers` says what else the answer allows.
+    """
+    if not facts:
+        return covers
+    first, *others = facts
+    previews = tuple(preview for one in facts for preview in one.previews)
+    together = MotionFacts(first.what, sum(one.travel_mm for one in facts), previews)
+    follows = [f"{_format_nonzero(one.travel_mm)} mm{one.by}" for one in others]
+    near, pace = (
+        ", ".join(together.clearances()),
+        f"{together.speed()}, {together.duration()}; {together.turn()}",
+    )
+    if announced is not None:
+        follows += [f"{format_count(announced.count, 'motion')} of this step", announced.small]
+        near += f"; later {announced.clearance}"
+        pace += f"; later up to {announced.largest_speed_mm_s:.0f} mm/s, in {announced.duration_s:.0f} s"
+    return "\n".join(
+        (
+            f"first: {first.what} moves {_format_nonzero(first.travel_mm)} mm{first.by}",
+            f"then: {'; '.join(one for one in (', '.join(follows), covers) if one) or 'it rests'}",
+            f"closest: {near}",
+            f"speed: {pace}",
         )
-        statements.update(clearances)
-    return "; then ".join(motions)
+    )
 
 
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:

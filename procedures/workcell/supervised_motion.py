@@ -16,7 +16,7 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_history import ArmLog, MotionKind
-from procedures.workcell.motions import PlannedMotion, describe_motions, motion_facts
+from procedures.workcell.motions import AnnouncedMotions, PlannedMotion, describe_motions, motion_facts
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -37,8 +37,8 @@ MOTION_DESCRIPTIONS = {
 }
 REPLANNED = "re-plans it from the arm's present position"
 COVERS = (
-    "; a yes also covers every later motion without a question of its own, until the arm is stopped or its "
-    "stream ends{}"
+    "a yes also covers every later motion without a question of its own, until the arm is stopped or its "
+    "stream ends"
 )
 OPERATOR = "the operator of the case"  # the journal names the person, with the answer
 
@@ -61,16 +61,16 @@ class SupervisedMotion:
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
         self._held = False  # the arm, by ourselves or when a motion was last asked about
-        self._step_motions = ""
+        self._announced: AnnouncedMotions | None = None
 
     @contextlib.contextmanager
-    def announce_step_motions(self, step_motions: str) -> Iterator[None]:
+    def announce_step_motions(self, announced: AnnouncedMotions | None) -> Iterator[None]:
         """Within the block, include all motions of the step when asking to confirm the first one."""
-        self._step_motions = step_motions
+        self._announced = announced
         try:
             yield
         finally:
-            self._step_motions = ""
+            self._announced = None
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """From now on, pass this checkpoint before every motion and ask before the first one."""
@@ -90,17 +90,18 @@ class SupervisedMotion:
         subject: str,
         motions: Sequence[PlannedMotion],
         trajectory: str | None = None,
+        announced: AnnouncedMotions | None = None,
         covers: str = "",
     ) -> None:
         """Ask a person to confirm motions in two steps. Raises PRO-002 unless the answer is yes.
 
-        `covers` states what else the answer confirms.
+        `announced` motions and what `covers` says are confirmed by the same answer.
         """
         facts = motion_facts(self._arm(), motions) if motions else []
         question = Question(
             topic,
             subject,
-            describe_motions(facts) + covers,
+            describe_motions(facts, announced, covers),
             trajectory=trajectory,
             read_back=facts[0].read_back if facts else None,
         )
@@ -172,13 +173,13 @@ class SupervisedMotion:
         while True:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
-                here = f", here {self._step_motions}" if self._step_motions else ""
                 self.confirm(
                     Topic.FIRST_MOTION,
                     f"first motion: {MOTION_DESCRIPTIONS[motion.what]}",
                     [motion],
                     motion.trajectory,
-                    COVERS.format(here),
+                    self._announced,
+                    COVERS,
                 )
                 if checkpoint.wanted:  # such as a stop while the question stood
                     self._confirmed = False

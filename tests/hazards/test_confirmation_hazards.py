@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pty
+import re
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -149,7 +150,9 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     cell.operator = TerminalOperator()
     questions = Questions(cell.setting(), cell.journal, events)
     assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)).word == "no"
-    assert f"'63' {READ_BACK.wrong}. Answer from the start, or no to stop.\n" in screen.getvalue()
+    assert (
+        f"'63' {READ_BACK.wrong}. Answer from the start, or no to stop; 2 tries left.\n" in screen.getvalue()
+    )
     assert "'Case 62' is not an answer: type yes or no in full." in screen.getvalue()
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
     assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
@@ -162,7 +165,8 @@ def test_three_wrong_values_read_back_count_as_no(keyboard: int, monkeypatch: py
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *typed, b"yes\n", b"62\n"))
     assert ask(30.0, READ_BACK) == "no"
     assert screen.getvalue().endswith(f"'mini-5' {READ_BACK.wrong}. 3 wrong values count as 'no'.\n")
-    assert screen.getvalue().count("Answer from the start, or no to stop.") == 2
+    left = re.findall(r"Answer from the start, or no to stop; (\d tr(?:y|ies)) left", screen.getvalue())
+    assert left == ["2 tries", "1 try"]
 
 
 class ReadScreen(Screen):

@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING
 
 from typer import style
 
-from procedures.operator.question import Answer, Question, join_answers, pick_answer
+from procedures.operator.question import (
+    MOST_MISREAD,
+    Answer,
+    Question,
+    join_answers,
+    pick_answer,
+    tries_left,
+)
+from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.text import printable, printable_lines
 
 if TYPE_CHECKING:
@@ -25,7 +33,6 @@ WritePrompt = Callable[[str], None]  # a prompt
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
 HELP = "help"  # at a question: what can be typed
 RULE = f"Answers count in full, in upper or lower case; {HELP} explains those of a question."
-MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 class Alarms:
@@ -123,7 +130,7 @@ class TerminalOperator:
             if not self._knows_rule:
                 say_line(RULE)
                 self._knows_rule = True
-            sys.stderr.write(f"{printable(question.subject)}\n  {_emphasize_read_back(question)}\n")
+            sys.stderr.write(_describe_question(question))
             self._alarms.begin()
             misread_before = 0
             while typed := read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
@@ -145,7 +152,10 @@ class TerminalOperator:
                 if misread_before == MOST_MISREAD:
                     say_line(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
                     return silence
-                say_line(f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop.")
+                say_line(
+                    f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop; "
+                    f"{tries_left(misread_before)}."
+                )
             if deadline_s is not None and time.monotonic() >= deadline_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 say_line(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
@@ -168,11 +178,29 @@ def _explain(question: Question) -> None:
         say_line(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
 
 
-def _emphasize_read_back(question: Question) -> str:
-    """Return the question's value, with the part to read back in bold on a terminal."""
-    value = printable_lines(question.value).replace("\n", "\n  ")
-    shown = question.read_back.shown if question.read_back else ""
-    return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
+def _describe_question(question: Question) -> str:
+    """Describe a question; what decides it and what is to be read back is bold on a terminal."""
+    identity = () if question.identity is None else question.identity.rows
+    statements = printable_lines(question.value).splitlines()
+    bullet = "- " if len(statements) > 1 else ""
+    lines = [
+        printable(question.subject),
+        *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
+        *(f"  {bullet}{statement}" for statement in statements),
+        *(
+            f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
+            for picture in question.pictures
+        ),
+    ]
+    text = "\n".join(lines) + "\n"
+    bold = [question.read_back.shown] if question.read_back else []
+    for predicted in question.predicted[:1]:
+        text += f"  {predicted.verdict}\n"
+        bold += [f"{predicted.rms_mm:.2f} mm rms", f"{predicted.margin_mm:g} mm"]
+    if sys.stderr.isatty():
+        for shown in filter(None, bold):
+            text = text.replace(shown, style(shown, bold=True), 1)
+    return text
 
 
 def read_typed(

@@ -205,7 +205,7 @@ def _line(event: Event) -> str | None:
         case SignalsLost() as lost:
             return describe_loss(lost)
         case Questioned(subject=subject, value=value):
-            return f"? {subject}: {value}"
+            return f"? {subject}: {'; '.join(value.splitlines())}"
         case Refusal(step=step, unmet=unmet):
             return f"✗ {step} refused: {'; '.join(unmet)}"
         case _:

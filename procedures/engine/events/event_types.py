@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, JsonValue, model_validator
 
-from procedures.operator.question import Evidence
+from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 
 VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
 MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred
@@ -79,7 +79,16 @@ class Questioned(_EventBase):
         description="Host time after which no answer counts as the last one; none: it waits indefinitely."
     )
     evidence: tuple[Evidence, ...] = Field(default=(), description="The evidence for the decision.")
+    predicted: tuple[PredictedError, ...] = Field(
+        default=(), description="Predicted errors, first the one that is decided on."
+    )
+    pictures: tuple[Picture, ...] = Field(default=(), description="Pictures of the run that are shown.")
+    identity: Identity | None = Field(
+        default=None, exclude=True, repr=False, description="Of the patient: shown, and in no file."
+    )
+    identity_sha256: str = Field(default="", description="Salted SHA-256 of the identity shown.")
     read_back: str | None = Field(default=None, description="What must be typed with the first answer.")
+    emphasis: str = Field(default="", description="Part of the value that is to be read back.")
     reads: tuple[str, ...] = Field(
         default=(), description="The readings that must be typed with it, as numbers."
     )
@@ -335,13 +344,16 @@ class Event(_Plain):
         return f"{self.what.kind} {self.what.about}"
 
 
+SIGNED = {
+    *("question", "topic", "subject", "value", "answers", "evidence", "predicted", "pictures"),
+    *("identity_sha256", "read_back", "emphasis", "reads"),
+}
+
+
 def digest_of_question(question: Questioned) -> str:
     """Return the SHA-256 (hex) of everything in a question that can influence the answer.
 
     An answer quotes it, so that nobody confirms what was not shown.
     """
-    content = question.model_dump(
-        mode="json",
-        include={"question", "topic", "subject", "value", "answers", "evidence", "read_back", "reads"},
-    )
+    content = question.model_dump(mode="json", include=SIGNED)
     return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()

@@ -84,6 +84,7 @@ _TAGS = (
 )
 
 _IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
+_SCAN_DATES = ("AcquisitionDate", "SeriesDate", "StudyDate")  # the nearest to the scan first
 
 
 @dataclass(frozen=True)
@@ -337,19 +338,39 @@ class PatientIdentity:
         return ", ".join(parts)
 
 
-def read_patient_identifier(directory: Path) -> str:
-    """Return the first patient ID found in the slices of `directory`, else ''. Raises CT-001, CT-005."""
-    identifiers = (
-        read_attribute_text(path, header, "PatientID")
-        for path, header in iterate_images(directory, ("PatientID",))
-    )
-    return next(filter(None, identifiers), "")
+@dataclass(frozen=True, repr=False)  # keeps it out of logs
+class ScanIdentity:
+    """Whose scan a series is, and which, verbatim; missing attributes are empty."""
+
+    patient: PatientIdentity
+    date: str  # YYYYMMDD
+    study: str  # its description
 
 
-def read_identity(directory: Path) -> PatientIdentity:
-    """Read the patient identity from the first slice; `read_series` checks that all slices agree.
+def read_scan_identity(directory: Path) -> ScanIdentity:
+    """Read the identity of a scan from its first slice that names a patient, else from the first one.
 
     Raises CT-001, CT-002, CT-005, CT-012.
     """
-    path, header = read_images(Path(directory), _IDENTITY_TAGS)[0]
-    return PatientIdentity(*(read_attribute_text(path, header, keyword) for keyword in _IDENTITY_TAGS))
+    first = None
+    for path, header in iterate_images(directory, (*_IDENTITY_TAGS, *_SCAN_DATES, "StudyDescription")):
+        first = first or (path, header)
+        if read_attribute_text(path, header, "PatientID"):
+            return _parse_scan_identity(path, header)
+    if first is None:
+        raise SeriesEmpty(f"no DICOM image in {directory}")
+    return _parse_scan_identity(*first)
+
+
+def _parse_scan_identity(path: Path, header: FileDataset) -> ScanIdentity:
+    dates = (read_attribute_text(path, header, keyword) for keyword in _SCAN_DATES)
+    return ScanIdentity(
+        PatientIdentity(*(read_attribute_text(path, header, keyword) for keyword in _IDENTITY_TAGS)),
+        date=next(filter(None, dates), ""),
+        study=read_attribute_text(path, header, "StudyDescription"),
+    )
+
+
+def read_identity(directory: Path) -> PatientIdentity:
+    """Read the patient identity, as `read_scan_identity` does; `read_series` checks that all slices agree."""
+    return read_scan_identity(Path(directory)).patient

@@ -40,11 +40,11 @@ from procedures.strategies.catalogue import BestOfEach, StrategyByTrajectory
 from procedures.strategies.strategy import Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
+from procedures.workcell.motions import AnnouncedMotions
 from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
-from ronna_hw.text import format_count
 
 Array = NDArray[np.float64]
 
@@ -107,13 +107,17 @@ def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | Non
     return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
-def summarize_motions(motions: Sequence[MotionPreview]) -> str:
-    """Summarize motions, at least one: number, duration, speed and clearance."""
+def announce_motions(motions: Sequence[MotionPreview], small: str) -> AnnouncedMotions:
+    """Announce motions, at least one, and `small` ones: number, duration, speed and clearance."""
     near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
-    return (
-        f"{format_count(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
-        f"{max(one.largest_speed_mm_s for one in motions):.0f} mm/s; "
-        + (f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm" if near else "nothing near")
+    return AnnouncedMotions(
+        count=len(motions),
+        small=small,
+        duration_s=sum(one.duration_s for one in motions),
+        largest_speed_mm_s=max(one.largest_speed_mm_s for one in motions),
+        clearance=f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm"
+        if near
+        else "nothing near",
     )
 
 

@@ -10,12 +10,13 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.imaging.dicom.slice_headers import read_patient_identifier
+from procedures.imaging.dicom.slice_headers import ScanIdentity, read_scan_identity
 from procedures.imaging.markers import Marker
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE, trajectory_cuts
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
-from procedures.operator.question import ReadBack, Topic
+from procedures.operator.question import Identity, Picture, Question, ReadBack, Topic
 from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.plan_check import PlanCheck, check_plan
@@ -31,6 +32,9 @@ from procedures.steps.clinical.fiducial_localization import (
 from procedures.steps.conditions import needs_guide_unmounted
 
 SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
+DATE_DIGITS = 8  # of a DICOM date, YYYYMMDD
+LONGEST_SHOWN = 64  # characters, as DICOM allows for a description
+NOT_GIVEN = "not given"
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
@@ -64,9 +68,9 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     )
     check, spheres = _accept_count(context, check, localization)
     check.require()
-    _keep_cuts(context, volume, plan)
+    pictures = _keep_cuts(context, volume, plan)
     head = fit_head(volume)
-    _confirm_patient(context, plan, head)
+    _confirm_patient(context, plan, head, pictures)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
     context.note_inputs(context.clinical.plan)
@@ -96,43 +100,75 @@ def _as_held(context: StepContext) -> Plan:
         return parse_plan_bytes(held.content, path.name)
 
 
-def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
+def plan_picture(trajectory: str) -> str:
+    """Return the file name of a trajectory's cuts through the CT."""
+    return f"{PLAN_PICTURE}{trajectory}.png"
+
+
+def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> tuple[Picture, ...]:
     """Save CT cuts along the planned trajectories for the operator and the report."""
-    from procedures.imaging.trajectory_cuts import trajectory_cuts
-
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
-    for name in ways:
-        context.keep_picture(f"plan-{name}.png", trajectory_cuts(volume, ways, name))
+    return tuple(
+        context.keep_picture(plan_picture(name), trajectory_cuts(volume, ways, name)) for name in ways
+    )
 
 
-def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> None:
+def _confirm_patient(
+    context: StepContext, plan: Plan, head: HeadEllipsoid, pictures: tuple[Picture, ...]
+) -> None:
     """Ask to confirm patient and plan by reading back the patient's identifier. Raises PRO-002.
 
-    The identifier is in the CT and on the wristband, but neither in the question nor in any record.
+    The identity is shown with the question, and is in no record. Of the identifier only a part is shown: what
+    is typed must come from the wristband, not from the screen.
     """
-    identifier = read_patient_identifier(context.clinical.series)
+    scan = read_scan_identity(context.clinical.series)
+    identifier = scan.patient.identifier
     if not identifier:
         context.find("the CT series has no patient identifier: there is nothing to read back")
-    subject = "this is the right patient, and this is the right plan"
     wristband = ReadBack(
-        "the patient's identifier, as on the wristband",
+        "the patient's whole identifier, as on the wristband",
         identifier,
         wrong="is not the identifier in this CT (PatientID). Answer no if that is what the wristband says.",
     )
-    context.confirm(
-        Topic.PATIENT, subject, _describe_plan(plan, head), read_back=wristband if identifier else None
+    question = Question(
+        Topic.PATIENT,
+        "Is this the right patient, and is this the right plan?",
+        _describe_plan(plan, head),
+        read_back=wristband if identifier else None,
+        pictures=pictures,
+        identity=_identify(scan),
     )
+    context.require_yes(question)
+
+
+def _identify(scan: ScanIdentity) -> Identity:
+    """Tabulate whose scan it is, with the beginning of the identifier."""
+    date, identifier = scan.date, scan.patient.identifier
+    if len(date) == DATE_DIGITS and date.isascii() and date.isdigit():
+        date = f"{date[:4]}-{date[4:6]}-{date[6:]}"
+    rows = (
+        ("name", ", ".join(part for part in scan.patient.name.split("^") if part)),
+        ("identifier", identifier and f"begins with {identifier[: len(identifier) // 2]}"),
+        ("date of scan", date),
+        ("study", scan.study),
+    )
+    return Identity(rows=tuple((name, said[:LONGEST_SHOWN] or NOT_GIVEN) for name, said in rows))
 
 
 def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
     """Describe the plan anonymously, identifying the series by a hash of its UID."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
-    ways = "; ".join(
-        f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
-        for one in plan.trajectories
+    return "\n".join(
+        (
+            *(
+                f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
+                for one in plan.trajectories
+            ),
+            f"tool {plan.tool}; instrument {plan.instrument_length_mm:g} mm, "
+            f"stand-off {plan.standoff_mm:g} mm",
+            f"CT series {series}, {plan.patient_orientation.value}",
+        )
     )
-    instrument = f"instrument {plan.instrument_length_mm:g} mm, stand-off {plan.standoff_mm:g} mm"
-    return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {instrument}; {ways}"
 
 
 def _accept_count(

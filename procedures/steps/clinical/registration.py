@@ -5,7 +5,7 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import undetected_changes_mm
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
-from procedures.operator.question import Topic
+from procedures.operator.question import Picture, PredictedError, Question, Topic
 from procedures.planning.guide import (
     DIRECTION,
     INSTRUMENT,
@@ -50,7 +50,7 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.plan_check import CheckedPlan, plan_picture
 from procedures.steps.clinical.results import (
     NOT_PREDICTED,
     ErrorShare,
@@ -140,20 +140,26 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
-    left_out = _exclude_beyond_margin(context, trajectories, predictions)
+    left_out = _exclude_beyond_margin(context, plan, predictions)
     methods = context.clinical.methods.describe()
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
-        if predicted.target not in left_out:
-            context.confirm(
-                Topic.REGISTRATION,
-                f"accept the registration for {predicted.target}",
-                f"predicted target error {predicted.rms_mm:.2f} mm rms, "
-                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}{_tell_widening(predicted)}"
-                + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
-                predicted.target,
-                evidence=(budget_table(predicted), two_way_table(two_way)),
-            )
+        if predicted.target in left_out:
+            continue
+        against = _against_margins(plan, predictions, predicted)
+        question = Question(
+            Topic.REGISTRATION,
+            f"accept the registration for {predicted.target}",
+            f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
+            f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
+            + _tell_widening(predicted)
+            + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
+            trajectory=predicted.target,
+            evidence=(budget_table(predicted), two_way_table(two_way)),
+            predicted=against,
+            pictures=_picture_of(context, predicted.target),
+        )
+        context.require_yes(question)
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(
         RegisteredRobot(
@@ -210,11 +216,12 @@ def _select_agreeing_pairs(
 
 
 def _exclude_beyond_margin(
-    context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
+    context: StepContext, plan: CheckedPlan, predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
     """Return trajectories to leave out, with reasons. Raises PRO-007 unless agreed and others remain."""
     left_out: dict[str, str] = {}
-    for trajectory, predicted in zip(trajectories, predictions, strict=True):
+    for predicted in predictions:
+        trajectory = plan.trajectory(predicted.target)
         if predicted.rms_mm <= trajectory.margin_mm:
             continue
         refusal = GateFailed(
@@ -229,10 +236,39 @@ def _exclude_beyond_margin(
         question = BEYOND_MARGIN.question(
             refusal.what, f"{refusal.summary}; {', '.join(others)} would remain without it", trajectory.id
         )
-        if context.choose(question) != LEAVE_OUT:
+        shown = replace(
+            question,
+            predicted=_against_margins(plan, predictions, predicted),
+            pictures=_picture_of(context, trajectory.id),
+        )
+        if context.choose(shown) != LEAVE_OUT:
             raise refusal
         left_out[trajectory.id] = refusal.summary
     return left_out
+
+
+def _against_margins(
+    plan: CheckedPlan, predictions: tuple[Prediction, ...], first: Prediction
+) -> tuple[PredictedError, ...]:
+    """Set the predictions of a registration against the plan's margins, the one that is decided on first."""
+    return tuple(
+        PredictedError(
+            target=one.target,
+            rms_mm=one.rms_mm,
+            limit_mm=one.limit_mm,
+            confidence=one.confidence,
+            margin_mm=plan.trajectory(one.target).margin_mm,
+        )
+        for one in sorted(predictions, key=lambda one: one is not first)
+    )
+
+
+def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
+    """Return the cuts of a trajectory, if the plan's check has kept them."""
+    found = context.find_picture(
+        plan_picture(trajectory), [plan_picture(one) for one in context.trajectories]
+    )
+    return () if found is None else (found,)
 
 
 def _unnoticed_in_pushes_mm(context: StepContext) -> float:

@@ -22,7 +22,7 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.path_check import CheckedPaths, motions_over_spheres, summarize_motions
+from procedures.steps.clinical.path_check import CheckedPaths, announce_motions, motions_over_spheres
 from procedures.steps.clinical.results import LeftOutSphere, Relocalization
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
@@ -38,7 +38,7 @@ from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
-SMALL_STEPS = "and the small steps over each sphere, or in search of one that is not seen"
+SMALL_STEPS = "the small steps over each sphere, or in search of one that is not seen"
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
@@ -46,8 +46,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     """Localize all matched spheres. Raises PRO-008 for a missing sphere, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
-    step_motions = f"{summarize_motions(motions)}; {SMALL_STEPS}" if motions else ""
-    with context.workcell.supervised.announce_step_motions(step_motions):
+    announced = announce_motions(motions, SMALL_STEPS) if motions else None
+    with context.workcell.supervised.announce_step_motions(announced):
         return _localize_spheres(context, paths)
 
 

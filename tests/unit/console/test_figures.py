@@ -15,15 +15,18 @@ from starlette.routing import Route
 from console.case_view import CaseView, RecordedCase, StepRow
 from console.figures import Figures, figures_at
 from console.hub import Hub
-from procedures.operator.question import Evidence
-from procedures.reporting.case_figures import CaseFigures, PredictionFigure, SphereFigure, TrajectoryFigure
+from procedures.operator.question import Evidence, PredictedError
+from procedures.reporting.case_figures import CaseFigures, SphereFigure, TrajectoryFigure
 from procedures.runs.finishing import seal_run
 
 PLACE = (1.0, 2.0, 3.0)
 FIGURES = CaseFigures(
     spheres=(SphereFigure(1, PLACE, PLACE, PLACE),),
     trajectories=(TrajectoryFigure("T1", PLACE, PLACE),),
-    predictions=(PredictionFigure("T1", 0.2, 0.4, 0.95, 2.0), PredictionFigure("T2", 0.2, 0.4, 0.95, 2.0)),
+    predictions=tuple(
+        PredictedError(target=name, rms_mm=0.2, limit_mm=0.4, confidence=0.95, margin_mm=2.0)
+        for name in ("T1", "T2")
+    ),
     tables=(Evidence(title="budget", head=("source",), rows=()),),
     pictures=("stereo-T1-1.png",),
 )

@@ -50,12 +50,15 @@ def test_only_the_first_motion_is_confirmed_and_the_question_states_what_will_mo
     assert topics(cell) == [Topic.FIRST_MOTION]
     (asked,) = cell.operator.asked
     assert asked.read_back is not None
-    assert asked.value.startswith(f"the stereo head moves {asked.read_back.value} mm,\njoints turn ")
+    first, then, closest, speed = asked.value.splitlines()
+    assert first == f"first: the stereo head {asked.read_back.shown}"
+    assert asked.read_back.shown == f"moves {asked.read_back.value} mm"
     assert asked.read_back.fits(f"{asked.read_back.value}mm")
-    assert asked.value.endswith(
-        "a yes also covers every later motion without a question of its own, until the arm is stopped or "
-        "its stream ends"
+    assert then == (
+        "then: a yes also covers every later motion without a question of its own, until the arm is stopped "
+        "or its stream ends"
     )
+    assert (closest, speed.partition(",")[0]) == ("closest: nothing near", "speed: up to 100 mm/s")
 
 
 @pytest.mark.hazard(36)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -152,10 +153,25 @@ def test_a_plan_that_changed_since_the_case_was_opened_is_refused(
         checked(cell)
 
 
-def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: ClinicalCell) -> None:
-    checked(cell)
+def test_patient_and_plan_are_asked_about_with_the_identity_apart_and_the_plans_pictures(
+    cell: ClinicalCell,
+) -> None:
+    def dated(data: Dataset, _number: int) -> None:
+        data.StudyDate = "20260102"
+
+    checked(cell, edit=dated)
     (question,) = cell.operator.asked
     assert question.topic is Topic.PATIENT
+    assert question.identity is not None
+    assert question.identity.rows == (
+        ("name", "Secret, Name"),
+        ("identifier", "begins with SECR"),  # the rest is on the wristband only
+        ("date of scan", "2026-01-02"),
+        ("study", "not given"),
+    )
+    kept = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in cell.folder.rglob("*.png")}
+    assert {one.name: one.sha256 for one in question.pictures} == kept
+    assert "Secret" not in question.value + repr(question)
     assert all(f", {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
     assert SERIES not in question.value
 
@@ -174,7 +190,7 @@ def test_the_side_of_each_trajectory_is_confirmed(cell: ClinicalCell, sign: floa
     )
     checked(cell, plan().model_copy(update={"trajectories": (first, second)}))
     (question,) = cell.operator.asked
-    assert f"; {first.id} middle, {first.depth_mm:.1f} mm deep; {second.id} {side}, " in question.value
+    assert f"{first.id} middle, {first.depth_mm:.1f} mm deep\n{second.id} {side}, " in question.value
 
 
 @pytest.mark.hazard(9)

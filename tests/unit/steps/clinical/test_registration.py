@@ -15,6 +15,7 @@ from prepared_results import (
     correspondence,
     global_localization,
     localized_fiducials,
+    plan,
     relocalization,
 )
 from recording_cell import RecordingOperator, theatre_of
@@ -65,9 +66,14 @@ def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: Cli
     predicted = registered(cell).result.prediction(FIRST)
     (question,) = cell.operator.asked
     assert question.subject == f"accept the registration for {FIRST}"
+    margin_mm = plan().trajectory(FIRST).margin_mm
     assert question.value == (
-        f"predicted target error {predicted.rms_mm:.2f} mm rms, {predicted.limit_mm:.2f} mm at 95%"
+        f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of {margin_mm:g} mm, "
+        f"{predicted.limit_mm:.2f} mm at 95%"
     )
+    (shown,) = question.predicted
+    assert (shown.target, shown.rms_mm, shown.margin_mm) == (FIRST, predicted.rms_mm, margin_mm)
+    assert shown.verdict == f"within the margin; {predicted.limit_mm:.2f} mm at 95%"
 
 
 def test_guide_head_and_arm_errors_are_part_of_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:

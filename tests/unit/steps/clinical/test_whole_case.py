@@ -99,8 +99,10 @@ def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_cove
     assert settled == MotionKind.HOME
     assert len(driven) > len(over) > len(TRAJECTORIES)
     asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
-    assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
-    assert asked.value.endswith("the small steps over each sphere, or in search of one that is not seen")
+    _, then, closest, speed = asked.value.splitlines()
+    assert f"then: {len(over)} motions of this step, the small steps over each sphere, " in then
+    assert "; later " in closest
+    assert "; later up to " in speed
 
 
 def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_end(
