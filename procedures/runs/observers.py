@@ -37,6 +37,10 @@ NOBODY_ACCEPTS = (
     "warning: standard input is not a terminal, so nobody can accept what was found: run at a terminal, "
     "with --accept, or with --answers FILE"
 )
+ASKED = "every question of a real case is asked here; manual work is done by the word that is asked for"
+ASKED_AT_CONSOLE = (
+    "questions are asked at the console; manual work is done here, by the word that is asked for"
+)
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
@@ -94,7 +98,9 @@ def operator_selection(
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
     configured = request.config is not None
-    if not request.has_person:
+    if request.ask:
+        observers.announce(ASKED if observers.executor is None else ASKED_AT_CONSOLE)
+    elif not request.has_person:
         observers.announce(_describe_script(request, observers, resumption))
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     accepted = resumption is not None and resumption.accepted

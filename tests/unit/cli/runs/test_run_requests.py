@@ -41,6 +41,7 @@ def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: 
         choice=SceneChoice("mini", 7, 4),
         speed="1",
         faults=Path("/a/b.txt"),
+        ask=True,
     )
     folder = new_run_folder(asked, tmp_path)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
