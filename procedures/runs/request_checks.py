@@ -70,9 +70,8 @@ def check_asking(request: RunRequest) -> None:
     if not os.environ.get(VARIABLE):
         raise UsageMistake(
             f"--ask needs the control port of the theatre in {VARIABLE}, where manual work is done by a word",
-            got="none",
-            action=f"export {VARIABLE}='tcp://127.0.0.1:PORT?token=...', from the READY line of the "
-            "theatre; or omit --ask and do the work with ronna-sim.",
+            action=f"Type export {VARIABLE}='tcp://127.0.0.1:PORT?token=...', with the control endpoint of "
+            "the theatre's READY line; a new run may omit --ask, and the work is done with ronna-sim.",
         )
 
 

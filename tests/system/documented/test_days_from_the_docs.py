@@ -14,7 +14,7 @@ from threading import Thread
 import pytest
 from console_script import ConsoleScript
 from documented import commands_of
-from person import TOLD, Person
+from person import SHOWN, Person
 from run_folders import await_motion_in
 from user_commands import Commands
 
@@ -63,10 +63,9 @@ class Day:
 
 
 class Surgeon:
-    """Answers at the console whose URL a terminal shows; the person at the terminal is the hands."""
+    """Answers at the console whose URL a terminal shows; the person at the terminal does the manual work."""
 
-    def __init__(self, person: Person) -> None:
-        self._person = person
+    def __init__(self) -> None:
         self._text = ""
         self._answering = False
         self.answered: set[str] = set()  # topics
@@ -80,24 +79,21 @@ class Surgeon:
             Thread(target=self._answer_all, args=(json.loads(found[1])["url"],), daemon=True).start()
 
     def _answer_all(self, address: str) -> None:
-        script, hands = ConsoleScript(address), 0
-        read_off: list[str] = []
+        script, typed = ConsoleScript(address), 0
         assert script.order("claim", name=SURGEON) == ""
         with contextlib.suppress(OSError):  # the console ends with the case
             while not (state := script.state())["outcome"]:
-                said = TOLD.findall(self._text)[hands:]
-                hands += len(said)
-                read_off += [number for line in said for number in self._person.hands(line)]
+                called_out = SHOWN.findall(self._text)
                 asked = state["question"]
                 time.sleep(PICTURE_PERIOD_S)
                 if asked is None and state["waiting"] and state["upcoming"]:
                     script.order("resume", upcoming=state["upcoming"])
-                if asked is None or said:  # it may be older than what was done just now
+                if asked is None or (asked["reads"] and len(called_out) == typed):
                     continue
-                readings = {"readings": [float(one) for one in read_off]} if asked["reads"] else {}
+                readings = {"readings": list(map(float, called_out[-1].split()))} if asked["reads"] else {}
                 if not script.answer(asked, PATIENT, **readings):
                     self.answered.add(asked["topic"])
-                    read_off.clear()
+                    typed = len(called_out)
 
 
 @pytest.fixture
@@ -196,7 +192,7 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
     assert ended is not None, text[-2000:]
     assert int(ended[1]) == EXIT_SAFETY_STOP
     pressed[0].join()
-    surgeon = Surgeon(rehearsal.person)
+    surgeon = Surgeon()
     code, text = rehearsal.to("ronna-procedure resume", happens=surgeon.reads)
     assert code == 0, text[-2000:]
     assert {"resume", "tool_check", "reading", "at_target:T1"} <= surgeon.answered
