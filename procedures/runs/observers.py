@@ -142,10 +142,10 @@ def operator_selection(
 
 def _describe_script(request: RunRequest, observers: RunObservers, resumption: Resumption | None) -> str:
     """Return the first line of a rehearsal without a person: who answers in it."""
-    who = "a script answers" if request.answers is None else "a file and a script answer"
+    by_file = "" if request.answers is None else " that the file of answers leaves"
     until = "" if observers.executor is None else " until somebody takes the operator's seat"
     hint = "; --ask asks you" if resumption is None else ""
-    return f"{who} the questions and a script does the manual work{until}{hint}"
+    return f"a script answers the questions{by_file} and does the manual work{until}{hint}"
 
 
 def _apply_rules(rules: Iterable[Rule]) -> Operator:
