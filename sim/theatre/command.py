@@ -12,6 +12,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from ronna_hw.control_port import ask_control_port
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
 from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
@@ -98,6 +99,7 @@ def theatre(
             help="Change a parameter of the robot or the tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
+    detach: DetachOption = False,
 ) -> None:
     """Simulate a whole theatre and write its theatre.toml, until terminated."""
     import threading
@@ -110,6 +112,9 @@ def theatre(
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
+    if detach and not IN_BACKGROUND:
+        start_in_background("theatre")
+        return
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
     scene_source = str(saved_scene) if continued and saved_scene.exists() else scene
     if scene_source == str(saved_scene):
