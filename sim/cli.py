@@ -29,15 +29,14 @@ def register(app: typer.Typer) -> None:
     from sim.running_command import env, list_command, stop_command
     from sim.theatre.command import fault, mount, move, scene, stand, theatre, verify, work
 
-    for command in (theatre, polaris, kuka, basler, env):
-        app.command()(command)
-    app.command("list")(list_command)
-    app.command("stop")(stop_command)
-    for command in (phantom, scene, mount, stand, move, fault, verify):
+    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, move, fault, verify):
         app.command()(command)
     app.command(context_settings={"ignore_unknown_options": True})(
         work
     )  # negative joint angles look like options
+    app.command()(env)
+    app.command("list")(list_command)
+    app.command("stop")(stop_command)
 
 
 register(app)

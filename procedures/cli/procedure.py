@@ -12,6 +12,7 @@ from procedures.cli.calibrating.mount import app as calibrate_app
 from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
+from procedures.cli.theatre_history import theatre_history
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
@@ -134,6 +135,7 @@ def doctor_command(
 add_commands(app)
 app.add_typer(calibrate_app, name="calibrate")
 app.command("new-theatre")(new_theatre)
+app.command("theatre-history")(theatre_history)
 
 
 def main() -> None:

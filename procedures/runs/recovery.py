@@ -20,6 +20,8 @@ from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.request_file import read_request
+from procedures.runs.theatre_history import describe_updates_since, find_state, read_states
 from procedures.runs.theatre_note import NOT_KNOWN
 from procedures.runs.way_out import (
     MOVED_SINCE,
@@ -135,6 +137,8 @@ def _restore_arm(
         comparison.warn(f"an instrument is in {inside}, as the journal says")
     begun = _has_exchange_begun(engine, previous)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
+    if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
+        comparison.refuse(updates)
     _compare_last_to_move(engine, comparison)
     if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
         axis, travel_mm = found
@@ -150,6 +154,21 @@ def _restore_arm(
         comparison.warn("the guide is at the divot, which is assumed to be raised")
     if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
         workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
+
+
+def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
+    """Describe the theatre file's updates since a run, and the command that undoes them, as far as known."""
+    config, recorded = read_request(previous.folder).config, previous.theatre_sha256
+    if config is None or recorded is None:
+        return None
+    updates = describe_updates_since(config, recorded)
+    number = find_state(read_states(config), recorded)
+    if updates is None or number is None:
+        return updates
+    command = (
+        f"ronna-procedure theatre-history {shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
+    )
+    return f"{updates}; {command} puts the former records back"
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:

@@ -141,7 +141,7 @@ def test_each_calibration_record_shows_how_long_it_is_valid(
     )
     records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
     theatre = cast("Any", SimpleNamespace(calibration=records, tools={"guide": record}))
-    again = "--config 'my lab/theatre.toml' --write 'my lab/theatre.toml'"
+    again = "--config 'my lab/theatre.toml' --update"
     found = list(calibration_diagnostics(theatre, Path("my lab/theatre.toml"), now))
     assert [one.subject.split()[-1] for one in found] == ["stereo_head", "tracker_frame", "tool_tip"]
     assert ["ronna-tool renew" in one.advice for one in found] == [False, False, advised]
