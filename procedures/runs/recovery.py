@@ -38,6 +38,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
+from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, TipReadings.kind)  # steps in which the guide is mounted
@@ -158,11 +159,15 @@ def _restore_arm(
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
     """Describe the theatre file's updates since a run, and the command that undoes them, as far as known."""
-    config, recorded = read_request(previous.folder).config, previous.theatre_sha256
+    recorded = previous.theatre_sha256
+    config = None if recorded is None else read_request(previous.folder).config
     if config is None or recorded is None:
         return None
-    updates = describe_updates_since(config, recorded)
-    number = find_state(read_states(config), recorded)
+    try:
+        updates = describe_updates_since(config, recorded)
+        number = find_state(read_states(config), recorded)
+    except (OSError, RonnaError):  # it explains the differences, which are said in any case
+        return None
     if updates is None or number is None:
         return updates
     command = (
