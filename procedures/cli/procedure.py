@@ -112,6 +112,9 @@ def doctor_command(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also list the checks without a finding.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
@@ -129,7 +132,7 @@ def doctor_command(
 
     with progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress, out=out)
-    show(report, as_json=as_json)
+    show(report, as_json=as_json, everything=everything)
 
 
 add_commands(app)

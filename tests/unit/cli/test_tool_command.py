@@ -273,9 +273,9 @@ def test_the_doctor_warns_of_a_doubtful_record_of_a_guide(
     theatre: Path, edit: Callable[[dict[str, Any]], object], advice: str
 ) -> None:
     content = tomllib.loads(theatre.read_text())
-    (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
+    (before,) = tool_diagnostics(read_theatre_file(theatre), theatre, datetime.now(UTC))
     edit(content["tools"]["guide"])
-    (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
+    (after,) = tool_diagnostics(parse_theatre(content), theatre, datetime.now(UTC))
     assert (before.advice, after.well) == ("", True)
     assert re.match(advice, after.advice)
 
