@@ -48,27 +48,26 @@ class RunningSimulator:
         """Whether the simulator still holds its entry."""
         return _is_held(register_folder() / f"{self.pid}{ENTRY}")
 
-    @property
-    def variables(self) -> dict[str, str]:
-        """Shell variables with its endpoints, under the names that the documentation uses."""
-        endpoints = self.ready.get("endpoints", {})
-        polaris = self.ready.get("endpoint", endpoints.get("polaris"))
-        kuka, basler = endpoints.get("kuka", endpoints), endpoints.get("basler", endpoints)
-        found = {
-            "RONNA_CONTROL": self.ready.get("control", endpoints.get("control")),
-            "THEATRE": self.ready.get("file"),
-            "LINE": polaris,
-            "CONTROLLER": kuka.get("eki_project"),
-            "STREAM": kuka.get("rsi"),
-            "LEFT": basler.get("left") and parse_endpoint(basler["left"]).host,
-            "RIGHT": basler.get("right") and parse_endpoint(basler["right"]).host,
-            "CLOCK": endpoints.get("clock"),
-        }
-        return {name: value for name, value in found.items() if value}
-
     def shell_lines(self) -> Iterator[str]:
         """Yield one quoted `export` line per variable, for `eval`."""
-        return (f"export {name}={shlex.quote(value)}" for name, value in self.variables.items())
+        return (f"export {name}={shlex.quote(value)}" for name, value in variables_of(self.ready).items())
+
+
+def variables_of(ready: Mapping[str, Any]) -> dict[str, str]:
+    """Return shell variables with the endpoints of a READY line, under the names that the pages use."""
+    endpoints = ready.get("endpoints", {})
+    kuka, basler = endpoints.get("kuka", endpoints), endpoints.get("basler", endpoints)
+    found = {
+        "RONNA_CONTROL": ready.get("control", endpoints.get("control")),
+        "THEATRE": ready.get("file"),
+        "LINE": ready.get("endpoint", endpoints.get("polaris")),
+        "CONTROLLER": kuka.get("eki_project"),
+        "STREAM": kuka.get("rsi"),
+        "LEFT": basler.get("left") and parse_endpoint(basler["left"]).host,
+        "RIGHT": basler.get("right") and parse_endpoint(basler["right"]).host,
+        "CLOCK": endpoints.get("clock"),
+    }
+    return {name: value for name, value in found.items() if value}
 
 
 def register(ready: Mapping[str, Any], *, in_background: bool) -> None:

@@ -13,7 +13,8 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
-A, T = TypeVar("A"), TypeVar("T")
+A = TypeVar("A")
+T = TypeVar("T")
 Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
 
 
@@ -114,9 +115,7 @@ class Mistakes:
             f"({number}) {one.what}" + (f", expected {one.expected}" if one.expected else "")
             for number, one in enumerate(self._found, start=1)
         )
-        raise UsageMistake(
-            f"{len(self._found)} mistakes: {every}", action="Correct them all, then try again."
-        )
+        raise UsageMistake(f"{len(self._found)} mistakes: {every}", action="Correct them all.")
 
 
 def search_all(

@@ -14,7 +14,13 @@ from user_commands import Commands
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 from sim.errors import NotRunning
 from sim.world import running
-from sim.world.running import RunningSimulator, find_running, list_running, register_folder
+from sim.world.running import (
+    RunningSimulator,
+    find_running,
+    list_running,
+    register_folder,
+    variables_of,
+)
 
 CONTROL = "tcp://127.0.0.1:4?token=it's"
 THEATRE = {
@@ -94,7 +100,7 @@ def test_every_endpoint_of_a_theatre_is_a_quoted_variable() -> None:
         check=True,
     )
     assert said.stdout.splitlines() == [CONTROL, THEATRE["file"], "127.77.0.1", "udp://127.0.0.1:1"]
-    assert cell.variables["CONTROLLER"] == "tcp://127.0.0.1:3"
+    assert variables_of(THEATRE)["CONTROLLER"] == "tcp://127.0.0.1:3"
 
 
 def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_apart(
