@@ -55,7 +55,7 @@ def theatre_history(
             {
                 "number": one.number,
                 "sha256": one.sha256,
-                "update": None if one.update is None else one.update.model_dump(exclude={"former"}),
+                "update": None if one.update is None else one.update.model_dump(exclude={"former", "text"}),
             }
             for one in states
         ]

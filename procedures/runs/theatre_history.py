@@ -1,7 +1,7 @@
 """Updates of a theatre file in place, and its history: each earlier state, who changed it, when and by what.
 
 FOLDER/theatre.toml               the theatre file, updated atomically
-FOLDER/theatre.toml.history       one JSON line for each update, with the file as it was before
+FOLDER/theatre.toml.history       one JSON line for each update, with the file as it became
 
 The history is written first and locked for the whole update, so two updates follow one another and neither is
 lost. A run records the hash of its theatre file; the history says which state that was, and can restore it.
@@ -45,7 +45,8 @@ class Update(BaseModel):
     changes: tuple[str, ...]  # such as "calibration.tool_tip: OLD -> NEW"
     sha256_before: str
     sha256_after: str
-    former: str  # text of the file before
+    former: str | None = None  # text of the file before, unless the line above has it
+    text: str  # of the file after
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], sign
         return
     after = parse_toml_bytes(new, theatre.name, BadTheatreFile)
     parse_theatre(after, f"{theatre.name} with the update")
-    account = getpass.getuser()
+    account, earlier = getpass.getuser(), _read_updates(history_path(theatre))
     update = Update(
         time=datetime.now(UTC).isoformat(timespec="seconds"),
         by=signature.by or account,
@@ -122,7 +123,8 @@ def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], sign
         changes=tuple(_describe_changes(before, after)),
         sha256_before=_sha256(content),
         sha256_after=_sha256(new),
-        former=content.decode(),
+        former=None if earlier and earlier[-1].sha256_after == _sha256(content) else content.decode(),
+        text=new.decode(),
     )
     _append(history, update)
     mode = theatre.stat().st_mode
@@ -171,15 +173,19 @@ def read_states(theatre: Path) -> tuple[State, ...]:
     present = read_bounded(theatre, LARGEST_TOML_BYTES)
     updates = _read_updates(history_path(theatre))
     followed_by = [*(one.sha256_before for one in updates), _sha256(present)][1:]
-    carried_out = [one for one, then in zip(updates, followed_by, strict=True) if then != one.sha256_before]
-    texts = [*(one.former for one in carried_out), present.decode()]
     states: list[State] = []
-    for number, text in enumerate(texts):
-        sha256 = _sha256(text.encode())
-        previous = carried_out[number - 1] if number else None
-        states.append(
-            State(number, sha256, text, previous if previous and previous.sha256_after == sha256 else None)
-        )
+
+    def add(text: str, sha256: str, update: Update | None = None) -> None:
+        if update is not None or not states or states[-1].sha256 != sha256:
+            states.append(State(len(states), sha256, text, update))
+
+    for update, next_sha256 in zip(updates, followed_by, strict=True):
+        if next_sha256 == update.sha256_before:  # not carried out
+            continue
+        if update.former is not None:
+            add(update.former, update.sha256_before)
+        add(update.text, update.sha256_after, update)
+    add(present.decode(), _sha256(present))
     return tuple(states)
 
 

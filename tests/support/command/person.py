@@ -17,6 +17,7 @@ from user_commands import Commands
 
 ASKED = re.compile(r"Type ([^:\n]+): |held> ")
 TOLD = re.compile(r"In the simulated room: (ronna-sim [^\r\n]+?)(?: --control .*)?\r?\n")
+MOVES = re.compile(r"moves\s+(\d+)\s+mm")
 HANDS_S = 30.0
 
 
@@ -84,7 +85,9 @@ class Person:
         if asked is None:
             return "quit"
         if asked.startswith("how many mm"):
-            return re.findall(r"moves\s+(\d+)\s+mm", text)[-1]
+            prompts = [found.start() for found in ASKED.finditer(text)]
+            in_question = MOVES.findall(text, prompts[-2] if len(prompts) > 1 else 0)
+            return (in_question or MOVES.findall(text)[-1:])[0]  # the first of its motions
         if asked.startswith("the patient"):
             return self.patient
         if asked.startswith("wait, continue") and asked in text[: text.rindex("Type ")]:

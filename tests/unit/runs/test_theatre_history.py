@@ -134,8 +134,11 @@ def test_the_state_of_a_run_is_found_and_restored_byte_for_byte(lab: Path) -> No
     define(lab, 4)
     said = describe_updates_since(lab, of_run)
     assert said is not None
-    assert said.startswith("lab.toml was updated since its state 0: edited by hand; ")
-    assert "Ana Novak, ronna-tool define: tools.drill4" in said
+    assert said.startswith("lab.toml was updated since its state 0: ")
+    first, by_hand, second = said.partition(" 0: ")[2].split("; ")
+    assert first.endswith("Ana Novak, ronna-tool define: tools.drill3: none -> drill-3")
+    assert by_hand == "edited by hand"
+    assert second.endswith("Ana Novak, ronna-tool define: tools.drill4: none -> drill-4")
     refused = in_this_process(app, "theatre-history", lab, "--restore", 0)
     assert (refused.returncode, "--by" in refused.stderr) == (2, True)
     done = in_this_process(
