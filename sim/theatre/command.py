@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from sim.theatre.launch import Theatre
 
 CONTROL = "RONNA_CONTROL"  # in the environment; on the command line every user here could read the token
-ControlOption = Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")]
+ControlOption = Annotated[
+    str, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
+]
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
@@ -240,7 +242,7 @@ def move(
         bool, typer.Option("--anyway", help="Move it even with an instrument in the guide.")
     ] = False,
     control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
     ] = None,
 ) -> None:
     """Wheel the cart of an arm to another place in a running theatre, as the staff would."""
@@ -265,8 +267,8 @@ def _require_control(control: str | None, purpose: str) -> str:
         raise UsageMistake(
             f"no control port {purpose}",
             expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
-            action="Copy it from the output of ronna-procedure run --sim or step --sim, or from the READY "
-            "line.",
+            action='Run eval "$(ronna-sim env CELL)", as ronna-sim list names it; ronna-procedure run --sim '
+            "and step --sim print theirs.",
         )
     return control
 
@@ -294,7 +296,7 @@ def fault(
         ),
     ] = None,
     control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
     ] = None,
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:

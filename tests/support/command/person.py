@@ -17,7 +17,7 @@ from user_commands import Commands
 
 ASKED = re.compile(r"Type ([^:\n]+): |held> ")
 TOLD = re.compile(r"In the simulated room: (ronna-sim [^\r\n]+?)(?: --control .*)?\r?\n")
-MOVES = re.compile(r"moves\s+(\d+)\s+mm")
+FIRST_MOVE = re.compile(r"moves\s+(\d+)\s+mm[^,\r\n]*,\r*\n")  # of a question's motions: it ends a line
 HANDS_S = 30.0
 
 
@@ -85,9 +85,7 @@ class Person:
         if asked is None:
             return "quit"
         if asked.startswith("how many mm"):
-            prompts = [found.start() for found in ASKED.finditer(text)]
-            in_question = MOVES.findall(text, prompts[-2] if len(prompts) > 1 else 0)
-            return (in_question or MOVES.findall(text)[-1:])[0]  # the first of its motions
+            return FIRST_MOVE.findall(text)[-1]
         if asked.startswith("the patient"):
             return self.patient
         if asked.startswith("wait, continue") and asked in text[: text.rindex("Type ")]:
