@@ -30,7 +30,10 @@ class ControlPortSilent(ConnectError):
     """No simulated theatre or device answers at the control port."""
 
     code = "CTL-001"
-    action = "Copy the control endpoint from the READY line; if that program has ended, start it again."
+    action = (
+        'Set it anew: eval "$(ronna-sim env CELL)", or copy it from the READY line; if that program '
+        "has ended, start it again."
+    )
 
 
 class ControlRequestRefused(ConfigurationError):

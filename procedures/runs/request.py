@@ -110,7 +110,7 @@ class CalibrationProcedure:
 
     recipe: Mapping[str, JsonValue]  # as `Recipe` writes it
     days: int
-    write: Path | None = None  # the theatre file with the new records
+    update: bool = False  # the theatre file, with the new records
 
 
 @dataclass(frozen=True, kw_only=True)

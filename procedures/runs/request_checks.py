@@ -71,8 +71,8 @@ def check_asking(request: RunRequest) -> None:
     if not os.environ.get(VARIABLE):
         raise UsageMistake(
             f"--ask needs the control port of the theatre in {VARIABLE}, where manual work is done by a word",
-            action=f"Type export {VARIABLE}='tcp://127.0.0.1:PORT?token=...', with the control endpoint of "
-            "the theatre's READY line; a new run may omit --ask, and the work is done with ronna-sim.",
+            action='Type eval "$(ronna-sim env THEATRE-FOLDER)"; a new run may omit --ask, and the work is '
+            "done with ronna-sim.",
         )
 
 

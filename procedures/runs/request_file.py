@@ -31,7 +31,7 @@ class CalibrationFile(BaseModel):
 
     recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
     days: int = Field(ge=1, description="Validity of its records.")
-    write: Path | None = Field(default=None, description="Theatre file to write, with the new records.")
+    update: bool = Field(default=False, description="Whether its records go into the theatre file.")
 
 
 class RequestFile(BaseModel):
@@ -104,8 +104,8 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
                 case=case.case and case.case.resolve(),
                 plan=case.plan and case.plan.resolve(),
             )
-        case CalibrationProcedure(recipe=recipe, days=days, write=write):
-            file = CalibrationFile(recipe=dict(recipe), days=days, write=write and write.resolve())
+        case CalibrationProcedure(recipe=recipe, days=days, update=update):
+            file = CalibrationFile(recipe=dict(recipe), days=days, update=update)
             return {"calibration": file}
         case _:
             raise AssertionError("only cases and calibrations are resumed")
@@ -127,7 +127,7 @@ def read_request(folder: Path) -> RunRequest:
     procedure: CaseProcedure | CalibrationProcedure
     if (calibration_file := content.calibration) is not None:
         procedure = CalibrationProcedure(
-            recipe=calibration_file.recipe, days=calibration_file.days, write=calibration_file.write
+            recipe=calibration_file.recipe, days=calibration_file.days, update=calibration_file.update
         )
     elif content.strategy is not None:
         procedure = CaseProcedure(

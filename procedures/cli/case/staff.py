@@ -39,8 +39,8 @@ STAND_HOLDS = ("ball", "divot", "nothing")
 SETTABLE = (room_tasks.DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
 UNIT = "mm"
 NO_CONTROL = (
-    f"ronna-sim needs the control port from the theatre's READY line: set it as {VARIABLE} in that terminal. "
-    "Set here, --ask has this work done by a word in this one."
+    f'ronna-sim needs {VARIABLE}, which eval "$(ronna-sim env THEATRE-FOLDER)" sets in that terminal. Set '
+    "here, --ask has this work done by a word in this one."
 )
 
 Readings = tuple[float, ...]

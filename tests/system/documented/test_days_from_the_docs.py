@@ -18,9 +18,9 @@ from person import SHOWN, Person
 from run_folders import await_motion_in
 from user_commands import Commands
 
-from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import ChildProcess, command
+from sim.world.running import variables_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 CONSOLE = re.compile(r"CONSOLE (\{.*\})")
@@ -45,7 +45,7 @@ class Day:
         """What the page has in a terminal of its own."""
         found = THEATRE.search(self.page.read_text())
         assert found is not None
-        words = found[1].split()
+        words = [word for word in found[1].split() if word != "--detach"]  # it ends with the test
         out = words.index("--out") + 1
         words[out] = str(self.folder / words[out])
         return ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *words))
@@ -100,16 +100,7 @@ class Surgeon:
 def lab(commands: Commands, tmp_path: Path) -> Iterator[Day]:
     day = Day("docs/tutorial/first-day-in-a-lab.md", commands, tmp_path)
     with day.theatre() as theatre:
-        endpoints = theatre.ready["endpoints"]
-        commands.environment |= {
-            "RONNA_CONTROL": endpoints["control"],
-            "LINE": endpoints["polaris"],
-            "CONTROLLER": endpoints["kuka"]["eki_project"],
-            "STREAM": endpoints["kuka"]["rsi"],
-            "LEFT": parse_endpoint(endpoints["basler"]["left"]).host,
-            "RIGHT": parse_endpoint(endpoints["basler"]["right"]).host,
-            "CLOCK": endpoints["clock"],
-        }
+        commands.environment |= variables_of(theatre.ready)
         yield day
 
 
@@ -143,7 +134,7 @@ def day_of(page: str, commands: Commands, folder: Path) -> Iterator[Day]:
     """The day of a page that uses the theatre's own file."""
     day = Day(page, commands, folder)
     with day.theatre() as theatre:
-        commands.environment["RONNA_CONTROL"] = theatre.ready["endpoints"]["control"]
+        commands.environment |= variables_of(theatre.ready)
         yield day
 
 
