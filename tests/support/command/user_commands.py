@@ -94,7 +94,6 @@ def one_error(stderr: str) -> Sequence[str]:
     """
     before = (
         "a script answers",
-        "a file and a script answer",
         "control port tcp://",
         "pendant at ",
         "done ",

@@ -190,7 +190,7 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
     _, text = rehearsal.person.does(case, happens=at_the_first_motion)
     ended = ENDED.search(text)
     assert ended is not None, text[-2000:]
-    assert int(ended[1]) == EXIT_SAFETY_STOP
+    assert int(ended[1]) == EXIT_SAFETY_STOP, text[-3000:]
     pressed[0].join()
     surgeon = Surgeon()
     code, text = rehearsal.to("ronna-procedure resume", happens=surgeon.reads)
