@@ -94,7 +94,7 @@ def test_a_simulated_case_is_driven_by_answers_and_words_alone_whatever_was_mist
     assert folder is not None
     journal = read_journal(folder / JOURNAL_FILE)
     answered = {str(one["topic"]) for one in journal if one["entry"] == Entry.CONFIRMATION}
-    assert {"patient", "first_motion", "registration", "tool_change", "drill:T1", "park"} <= answered
+    assert {"patient", "first_motion", "registration:T1", "tool_change", "drill:T1", "park"} <= answered
     assert read_request(folder).ask, "and a resumed case asks again"
 
 
