@@ -23,7 +23,7 @@ class NothingToExport(DataError):
     """The run has no result of the requested kind."""
 
     code = "EXC-003"
-    action = "Give the folder of a run that reached a registration, such as runs/<run id>."
+    action = "Give a case, such as runs/<run id>; figures of a calibration are in its report and result.json."
 
 
 class FieldNotAllowed(DataError):

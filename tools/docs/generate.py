@@ -155,19 +155,34 @@ def _name_places(error: type[RonnaError], raised: Mapping[str, set[str]]) -> str
 
 
 def _tabulate_exported_fields() -> str:
-    """Tabulate the fields that may leave a run folder."""
+    """Tabulate the files of an export and the fields that may leave a run folder in them."""
+    files = table(("file", "holds"), [(f"`{name}`", what) for name, what in allowed_fields.FILES.items()])
+    columns = [
+        f"## Columns of `{name}`\n\n"
+        + table(("column", "type", ""), [(f"`{one.name}`", one.kind, one.meaning) for one in listed])
+        for name, listed in allowed_fields.TABLES.items()
+    ]
     rows = [
         (f"`{name}`", record_name, meaning)
         for record_name, fields in (
             ("spheres", allowed_fields.SPHERE_FIELDS),
             ("registrations", allowed_fields.REGISTRATION_FIELDS),
-            ("both", allowed_fields.DOCUMENT_FIELDS),
+            ("all", allowed_fields.DOCUMENT_FIELDS),
+            ("index", allowed_fields.INDEX_FIELDS),
         )
         for name, meaning in fields.items()
     ]
-    rows += [(f"`{name}`", "DICOM objects", "") for name in allowed_fields.FILLED_ATTRIBUTES]
-    rows += [(f"`{name}`", "DICOM objects", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
-    return table(("field", "in", ""), rows)
+    fields = table(("field", "in", ""), rows)
+    attributes = [(f"`{name}`", "") for name in allowed_fields.FILLED_ATTRIBUTES]
+    attributes += [(f"`{name}`", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
+    return "\n".join(
+        (
+            f"## Files\n\n{files}",
+            *columns,
+            f"## Fields of the JSON files and of the markups' heads\n\n{fields}",
+            f"## Attributes of the DICOM objects\n\n{table(('attribute', ''), attributes)}",
+        )
+    )
 
 
 def _tabulate_branches() -> str:
