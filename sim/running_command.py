@@ -59,7 +59,7 @@ def list_command(as_json: JsonOption = False) -> None:
                 one.name,
                 one.pid,
                 one.ready["device"],
-                f"ronna-sim stop {one.name}" if one.in_background else "its terminal or run",
+                f"ronna-sim stop {one.argument}" if one.in_background else "its terminal or run",
                 one.folder or "",
             )
             for one in running

@@ -58,8 +58,8 @@ def start_in_background(device: str) -> None:
     say(f"READY {json.dumps(line)}")
     running = find_running(str(child.process.pid))
     tell(f"{running.name} runs in the background (pid {running.pid}); its messages go to {running.log}")
-    tell(f'its variables: eval "$(ronna-sim env {running.name})"')
-    tell(f"to stop it: ronna-sim stop {running.name}")
+    tell(f'its variables: eval "$(ronna-sim env {running.argument})"')
+    tell(f"to stop it: ronna-sim stop {running.argument}")
 
 
 def hand_over() -> None:

@@ -13,7 +13,7 @@ import os
 import shlex
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,12 @@ class RunningSimulator:
         return register_folder() / f"{self.pid}{LOG}"
 
     @property
+    def argument(self) -> str:
+        """Shortest argument that means this simulator, quoted for a shell."""
+        alike = [one for one in list_running() if one.name == self.name]
+        return shlex.quote(self.name) if len(alike) == 1 else str(self.pid)
+
+    @property
     def is_alive(self) -> bool:
         """Whether the simulator still holds its entry."""
         return _is_held(register_folder() / f"{self.pid}{ENTRY}")
@@ -71,9 +77,9 @@ def variables_of(ready: Mapping[str, Any]) -> dict[str, str]:
 
 
 def register(ready: Mapping[str, Any], *, in_background: bool) -> None:
-    """Register this process until it ends. Without a folder for it, it runs unregistered."""
+    """Register this process until it ends; one in the foreground may lack a folder for that."""
     folder = Path(ready["file"]).parent if "file" in ready else None
-    with suppress(OSError):
+    with nullcontext() if in_background else suppress(OSError):
         path = register_folder() / f"{os.getpid()}{ENTRY}"
         entry = {
             "name": str(ready["device"]) if folder is None else folder.name,
