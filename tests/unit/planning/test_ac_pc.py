@@ -61,7 +61,9 @@ def test_a_plan_keeps_the_points_under_its_seal_and_refuses_degenerate_ones(
     plan_text: str, plan_path, tmp_path, make_volume
 ) -> None:
     plan = read_plan(plan_path(plan_text))
-    assert "ac_pc" not in plan.model_dump(mode="json", exclude_none=True), "plans without it keep their digest"
+    assert "ac_pc" not in plan.model_dump(mode="json", exclude_none=True), (
+        "plans without it keep their digest"
+    )
     points = AcPcPoints(ac_mm=AC, pc_mm=PC, midline_mm=FALX)
     sealed = seal_plan(plan.model_copy(update={"ac_pc": points}), "Dr Test", make_volume())
     write_plan(tmp_path / "with.toml", sealed)
