@@ -5,23 +5,23 @@ from __future__ import annotations
 from console.panels.html import tag, text
 
 WAY = (
-    "Click a small picture to enlarge it, or choose it under “Large”. The wheel or Page Up and Page Down change the "
-    "slice; with Ctrl, or + and −, they magnify about the crosshair.",
-    "Click moves the crosshair; arrow keys move it too, with Shift ten times as far. e and t set entry and target "
-    "there. Enter does what a click does.",
+    "Click a small picture to enlarge it, or choose it under “Large”. The wheel, Page Up and Page Down "
+    "change the slice; Ctrl with the wheel, + and − magnify about the crosshair.",
+    "A click moves the crosshair; arrow keys move it too, with Shift ten times as far. e and t set entry and "
+    "target there. Enter does what a click does.",
     "“measure”: two clicks, also in two pictures or slices; the length is that in space.",
-    "“AC–PC”: click the anterior commissure, the posterior, and a midline point far above them. Coordinates then "
-    "count from halfway between the commissures: x to the patient's right, y to the front, z up.",
+    "“AC–PC”: click the anterior commissure, the posterior, and a midline point far above them. Coordinates "
+    "then count from halfway between the commissures: x to the patient's right, y to the front, z up.",
     "L, P, S are the scan's coordinates: to the patient's left, to the back, up. Pictures are seen from the "
     "patient's feet and front: the patient's left is on the right.",
     "Windows: brain 0 to 80 HU, bone −500 to 1300 HU, spheres −1000 to 600 HU.",
     "Check, Reach and Expected error follow every change. Save seals the plan under your name.",
 )
 LIMITS = (
-    "It is research software, not a certified medical device: no plan made with it may be the only basis of an "
-    "operation.",
-    "It reads one CT. It neither shows nor fuses MR, and commissures are hard to see in CT; points found in MR have "
-    "to be read there and typed here. Fusion comes when the links to other systems do.",
+    "It is research software, not a certified medical device: never operate on the strength of its plan "
+    "alone.",
+    "It reads one CT. It neither shows nor fuses MR until the links to other systems come; commissures are "
+    "hard to see in CT.",
     "It has no atlas and finds no vessel by itself: draw or import what a trajectory must keep away from.",
     "Its distances are those of the scan: a brain that shifts after the skull is opened is not in it.",
     "Reach is checked for the place where the head is assumed; the case checks it again where the head is.",

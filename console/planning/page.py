@@ -39,7 +39,7 @@ RECONNECT_S = 30.0  # a page delayed by a busy computer keeps its view
 LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
 MEASURE, AC_PC = "measure", "acpc"
 CLICK_ACTIONS = {
-    LOOK: "move the crosshair",
+    LOOK: "look around",
     ENTRY: "set the entry",
     TARGET: "set the target",
     SPHERE: "pick a sphere",
@@ -48,15 +48,14 @@ CLICK_ACTIONS = {
     AC_PC: "AC–PC",
 }
 VIEWERS_ACTIONS = (LOOK, MEASURE)
-STYLE = Path(__file__).parent / "planner.css"
-# The scene measures its element only when the window changes, so it is told once the new size holds.
-RESIZED_JS = "requestAnimationFrame(() => window.dispatchEvent(new Event('resize')))"
+FOLDER = Path(__file__).parent
 
 
 def add_planner(app: FastAPI, editor: PlanEditor) -> None:
     """Serve the planner at `/` of an application."""
     add_pictures(app, editor)
-    head = f"{page_head()}<style>{STYLE.read_text(encoding='utf-8')}</style>"
+    style, script = ((FOLDER / f"planner.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    head = f"{page_head()}<style>{style}</style><script>{script}</script>"
 
     @ui.page("/")
     async def page(request: Request) -> None:
@@ -90,8 +89,8 @@ class PlannerPage:
         self._notice = ui.html("", sanitize=False).classes("words")
         self._words = ui.html("", sanitize=False).classes("words")
         with ui.element("main").classes("places planner"):
+            self._picture_bar()
             with ui.element("div").classes("middle"):
-                self._picture_bar()
                 with ui.element("div").classes("board"):
                     self._slices = [
                         SlicePanel(
@@ -158,19 +157,18 @@ class PlannerPage:
         self._help_opener.props(f"aria-expanded={'true' if visible else 'false'}")
 
     def _picture_bar(self) -> None:
-        with ui.element("div").classes("orders").props('role=toolbar aria-label="Pictures"'):
+        with ui.element("div").classes("orders bar").props('role=toolbar aria-label="Pictures"'):
             actions = VIEWERS_ACTIONS if not self._may_edit else tuple(CLICK_ACTIONS)
             ui.label("Click to")
             self._mode = self._choices({name: CLICK_ACTIONS[name] for name in actions}, LOOK, "Click to")
             self._mode.on_value_change(self._on_mode)
-            ui.label("Large")
-            self._large = self._choices(
-                {view.value: NAMES[view] for view in View}, View.AXIAL.value, "Large view"
-            )
-            self._large.on_value_change(lambda event: self._enlarge(View(event.value)))
             ui.label("Window")
             window = self._choices({name: name for name in WINDOWS_HU}, self._page_view.window, "CT window")
             window.on_value_change(lambda event: self._set_window(str(event.value)))
+            ui.label("Large")
+            names = {view.value: NAMES[view] for view in View}
+            self._large = self._choices(names, self._page_view.large.value, "Large view")
+            self._large.on_value_change(lambda event: self._enlarge(View(event.value)))
             with ui.element("div").classes("views"):
                 self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
                 self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
@@ -266,7 +264,6 @@ class PlannerPage:
         self._large.set_value(view.value)
         for item, size in arrange(view).items():
             self._sections[item].classes(size, remove=" ".join(Size))
-        ui.context.client.run_javascript(RESIZED_JS)
 
     def _set_window(self, name: str) -> None:
         self._page_view.window = name

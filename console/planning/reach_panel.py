@@ -1,4 +1,4 @@
-"""Panel that checks the arm's reach with a theatre file chosen by name, and tells the result per trajectory."""
+"""Panel that checks the arm's reach with a theatre file chosen by name, and tells it per trajectory."""
 
 from __future__ import annotations
 

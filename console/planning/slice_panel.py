@@ -24,7 +24,6 @@ POINT_WITHIN_MM = 1.5  # from the image: points of a structure that are drawn in
 NEAR_MM = 3.0  # from the image: a closer end is drawn opaque, one farther off faint
 GAP_PX = 12.0  # left free by the crosshair around its centre
 HANDLE_PX = 12.0  # within which an end can be grasped
-FONT_PX = 16
 LEAST_SHARE = 0.35  # of a direction along an image's edge, to be labelled there
 LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 WHEEL_S = 0.02  # host time between two steps of the wheel that are sent
@@ -46,7 +45,8 @@ TITLES = {
 }
 KEYBOARD_HELP = (
     "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and minus magnify,"
-    " Enter does what a click at the crosshair does, or enlarges a small picture; e and t set entry and target."
+    " Enter does what a click at the crosshair does, or enlarges a small picture,"
+    " e and t set entry and target."
 )
 Place = Callable[[Point], Awaitable[None]]
 Drag = Callable[[str, Point, bool], None]
@@ -344,8 +344,5 @@ def _draw_circle(x: float, y: float, radius: float, colour: str, width: float, s
     )
 
 
-def _words(x: float, y: float, words: str, colour: str, css: str = "") -> str:
-    style = f"font-size:{FONT_PX}px" if not css else ""
-    return tag(
-        "text", text(words), x=f"{x:.1f}", y=f"{y:.1f}", fill=colour, style=style, class_=css or "name"
-    )
+def _words(x: float, y: float, words: str, colour: str, css: str = "name") -> str:
+    return tag("text", text(words), x=f"{x:.1f}", y=f"{y:.1f}", fill=colour, class_=css)

@@ -28,8 +28,8 @@ UNSCANNED_HU = -32768  # no CT has this value
 UNSCANNED_GREY = 40  # unlike the black of air
 ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
 PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
-# Lowest and highest HU shown. Brain and bone are the usual presets for the head in radiology: width 80 at level 40,
-# and width 1800 at level 400. Spheres are plastic: below bone, and set off against air at -1000.
+# Lowest and highest HU shown. Brain and bone are the presets that radiology uses for the head: width 80 at
+# level 40, width 1800 at level 400. Spheres are plastic: below bone, set off against air at -1000.
 WINDOWS_HU = {"brain": (0.0, 80.0), "bone": (-500.0, 1300.0), "spheres": (-1000.0, 600.0)}
 ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
 TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel

@@ -60,7 +60,7 @@ class TheatreChoice:
             return self.robot_from_ct, "head where it was given when the planner was started"
         found = read_place(self.plan.with_name(PLACE_FILE))
         if found is None:
-            raise HeadPlaceUnknown("reach was not checked: where the head will be from the arm is not known")
+            raise HeadPlaceUnknown("reach was not checked: it is not known where the head will be")
         if found.place.series_instance_uid != series_instance_uid:
             raise PlaceUnfit(f"{PLACE_FILE} next to the plan belongs to another CT")
         return found.place.robot_from_ct, "cart at the place proposed for it"

@@ -19,8 +19,8 @@ NAMES = {
     View.AXIAL: "axial",
     View.CORONAL: "coronal",
     View.SAGITTAL: "sagittal",
-    View.HEAD: "3-D head",
-    View.ALONG: "along the trajectory",
+    View.HEAD: "3-D",
+    View.ALONG: "along trajectory",
 }
 SMALL_ONES = 3
 

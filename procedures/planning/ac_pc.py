@@ -1,7 +1,7 @@
 """AC-PC frame of a brain: from the commissures and a point of the midline to atlas coordinates.
 
-Origin halfway between the commissures; x to the patient's right, y from PC to AC, z up. The third point, on the
-midline and away from the line through the commissures, fixes the rotation about that line.
+Origin halfway between the commissures; x to the patient's right, y from PC to AC, z up. The third point, on
+the midline and away from the line through the commissures, fixes the rotation about that line.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from procedures.planning.errors import AcPcUnfit
 
-# Adult commissures are 19 to 32 mm apart, centre to centre. The limits leave room for children and ventricles of
-# any size; they catch clicks on one commissure twice, on other structures, and metres.
+# Adult commissures are 19 to 32 mm apart, centre to centre (unconfirmed). The limits leave room for children
+# and wide ventricles; they catch clicks on one commissure twice or on another structure, and metres.
 LEAST_AC_PC_MM, MOST_AC_PC_MM = 10.0, 50.0
 LEAST_OFF_LINE_MM = 10.0  # a click 0.5 mm to the side then turns the frame by 3 degrees
 # Between x and the right side of the scan: no head is scanned as oblique as this.

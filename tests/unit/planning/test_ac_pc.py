@@ -70,5 +70,5 @@ def test_a_plan_keeps_the_points_under_its_seal_and_refuses_degenerate_ones(
     assert read_plan(tmp_path / "with.toml").ac_pc == points
     require_unaltered(sealed, "plan")
     content = plan.model_dump(mode="json", by_alias=True, exclude_none=True)
-    with pytest.raises(AcPcUnfit, match="PLAN-031.*ac_pc"):
+    with pytest.raises(AcPcUnfit, match=r"PLAN-031.*ac_pc"):
         parse_plan({**content, "ac_pc": {"ac_mm": AC, "pc_mm": AC, "midline_mm": FALX}})
