@@ -166,7 +166,7 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
         pair = f"{least.first}, {least.second}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
-        f"{name} is rotated by {math.degrees(turn):+.0f}° about its axis"
+        f"at {name} the guide is turned by {math.degrees(turn):+.0f}° about its axis"
         for name, turn in check.turns_rad
         if turn
     ]

@@ -159,15 +159,12 @@ class PlannerPage:
     def _picture_bar(self) -> None:
         with ui.element("div").classes("orders bar").props('role=toolbar aria-label="Pictures"'):
             actions = VIEWERS_ACTIONS if not self._may_edit else tuple(CLICK_ACTIONS)
-            ui.label("Click to")
-            self._mode = self._choices({name: CLICK_ACTIONS[name] for name in actions}, LOOK, "Click to")
+            self._mode = self._choices("Click to", {name: CLICK_ACTIONS[name] for name in actions}, LOOK)
             self._mode.on_value_change(self._on_mode)
-            ui.label("Window")
-            window = self._choices({name: name for name in WINDOWS_HU}, self._page_view.window, "CT window")
+            window = self._choices("Window", {name: name for name in WINDOWS_HU}, self._page_view.window)
             window.on_value_change(lambda event: self._set_window(str(event.value)))
-            ui.label("Large")
             names = {view.value: NAMES[view] for view in View}
-            self._large = self._choices(names, self._page_view.large.value, "Large view")
+            self._large = self._choices("Large", names, self._page_view.large.value)
             self._large.on_value_change(lambda event: self._enlarge(View(event.value)))
             with ui.element("div").classes("views"):
                 self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
@@ -175,8 +172,10 @@ class PlannerPage:
             self._hint = ui.label("").classes("hint")
             self._crosshair_label = ui.label("").classes("num")
 
-    def _choices(self, words: dict[str, str], chosen: str, name: str) -> ui.toggle:
-        choices = ui.toggle(words, value=chosen).props(f'no-caps unelevated aria-label="{name}"')
+    def _choices(self, name: str, words: dict[str, str], chosen: str) -> ui.toggle:
+        with ui.element("div").classes("choice").props(f'role=group aria-label="{name}"'):
+            ui.label(name)
+            choices = ui.toggle(words, value=chosen).props(f'no-caps unelevated aria-label="{name}"')
         return choices.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
 
     def _section(self, title: str, name: str) -> ui.html:
