@@ -24,9 +24,10 @@ NO_FILES = (
 # Names of poses and keys in the check's reasons, and what they are called here.
 WORDS = (
     (re.compile(r"\S+/target"), lambda found: "the target"),
-    (re.compile(r"\S+/fiducial (\d+)"), lambda found: f"marker {int(found[1]) + 1}"),
+    (re.compile(r"\S+/fiducial (\d+)"), lambda found: f"marker {int(found[1]) + 1}"),  # a pose, from 0
+    (re.compile(r"fiducial (\d+)"), lambda found: f"marker {found[1]}"),  # a body, from 1
     (
-        re.compile(r", with the plan's standoff_mm of (\S+)"),
+        re.compile(r", with the plan's standoff_mm of ([\d.]+)"),
         lambda found: f" at a stand-off of {found[1]} mm",
     ),
     (re.compile(r" \[[A-Z]+-\d+\]"), lambda found: ""),
@@ -90,7 +91,7 @@ def tell_trajectories(judged: Judgement) -> str:
     elsewhere = [item for item in judged.unmet if all(item not in found for found in unmet_by_name.values())]
     lines = [_trajectory_html(name, found, whole=not judged.unmet) for name, found in unmet_by_name.items()]
     lines += [tag("li", text(f"At {item.pose}: {reword(item.reason)}"), class_="bad") for item in elsewhere]
-    lines += [tag("li", text(item)) for item in judged.reached]
+    lines += [tag("li", text(reword(item))) for item in judged.reached]
     if len(judged.draft.markers) < FEWEST_PAIRS:
         lines.append(tag("li", "Only targets were tried: fewer than three markers are known.", class_="warn"))
     advice = tag("p", ADVICE, class_="advice") if judged.unmet else ""

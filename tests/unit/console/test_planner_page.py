@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from nicegui import Client, ui
-from plan_editors import ENTRY, TARGET, draw, scan
+from plan_editors import ENTRY, SERIES, TARGET, draw, scan
 from recording_cell import mini_theatre_file
 
 from console.guard import Role, Session
@@ -22,7 +23,7 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
 from console.planning.theatre_choice import TheatreChoice
 from console.planning.views import Size, View, arrange
-from procedures.planning.errors import HeadPlaceUnknown
+from procedures.planning.errors import HeadPlaceUnknown, PlaceUnfit
 
 AXIAL = list(Plane).index(Plane.AXIAL)
 
@@ -177,3 +178,26 @@ def test_only_theatre_files_are_offered_by_name_and_none_is_checked_without_a_pl
     assert choice.load_given("1.2.3") is None
     with pytest.raises(HeadPlaceUnknown, match="PLAN-032"):
         choice.load("theatre.toml", "1.2.3")
+
+
+def test_a_chosen_theatre_file_is_checked_from_the_cart_s_proposed_place_of_this_ct(tmp_path: Path) -> None:
+    mini_theatre_file(tmp_path, simulated=True)
+    place = {
+        "series_instance_uid": SERIES,
+        "assumed_robot_from_ct": [700.0, 0.0, 100.0, -90.0, 0.0, -90.0],
+        "best_mm": [15.0, 0.0],
+        "turned_deg": 0.0,
+        "free_mm": 20.0,
+        "turns_deg": [5.0, 5.0],
+    }
+    file = tmp_path / "place.json"
+    file.write_text(json.dumps(place))
+    editor = PlanEditor(scan(), tmp_path / "plan.toml", TheatreChoice(tmp_path, tmp_path / "plan.toml"))
+    assert editor.theatre is None
+    asyncio.run(editor.choose_theatre("theatre.toml"))
+    assert editor.theatre is not None
+    assert editor.theatre.arm.robot_from_ct.translation_mm == pytest.approx((685.0, 0.0, 100.0))
+    file.write_text(json.dumps({**place, "series_instance_uid": "1.2.3.4"}))
+    with pytest.raises(PlaceUnfit, match=r"PLAN-022.*another CT"):
+        asyncio.run(editor.choose_theatre("theatre.toml"))
+    assert editor.theatre is not None, "the arm so far is kept"
