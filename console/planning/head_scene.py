@@ -38,6 +38,7 @@ class HeadScene:
         self, editor: PlanEditor, page_view: PageView, enlarge: Callable[[View], None], *, low: bool
     ) -> None:
         self._editor, self._page_view, self._low = editor, page_view, low
+        self._scene: Any = None
         self._head: Any = None
         self._marks: list[Any] = []
         self._key: object = None
@@ -51,13 +52,17 @@ class HeadScene:
                 self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
             stage = ui.element("div").classes("stagebox")
             stage.on("click", lambda: enlarge(View.HEAD) if page_view.large is not View.HEAD else None)
-        with stage:
+        self._stage = stage
+
+    def build_scene(self) -> None:
+        """Create the scene, whose script is larger than all others: after the CT's pictures are shown."""
+        with self._stage:
             self._scene = ui.scene(
                 width=SIZE_PX,
                 height=SIZE_PX,
                 grid=False,
                 background_color=BACKGROUND,
-                fps=LOW_FRAMES_PER_S if low else FRAMES_PER_S,
+                fps=LOW_FRAMES_PER_S if self._low else FRAMES_PER_S,
                 camera=ui.scene.perspective_camera(fov=35, near=0.02, far=20),
             ).classes("stage")
             self._scene.props('role=img aria-label="The head in three dimensions"')
@@ -68,10 +73,13 @@ class HeadScene:
                 ui.button(name, on_click=lambda name=name: self._move_camera(name), color=None).classes(
                     "plain small"
                 ).props("no-caps unelevated")
+        self.show()
         self._move_camera("front")
 
     def show(self) -> None:
-        """Show the current draft."""
+        """Show the current draft, once the scene is built."""
+        if self._scene is None:
+            return
         editor, draft = self._editor, self._editor.draft
         with self._scene:
             if self._head is None and editor.head:

@@ -310,9 +310,13 @@ class PlannerPage:
     # Display
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
+        is_built = False
         while True:
             if client.has_socket_connection:
                 with client:
+                    if not is_built:
+                        is_built = True
+                        self._scene.build_scene()
                     self._show()
             await await_change(changed, BEAT_S)
 

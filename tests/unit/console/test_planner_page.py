@@ -89,7 +89,7 @@ def test_windows_slices_and_zoom_change_the_pictures_and_the_crosshair_follows_i
         assert np.abs(np.subtract(place, TARGET)).tolist() == pytest.approx([0.0, 0.0, 3.0])
         await press(page, "PageDown", Plane.ALONG)
         assert page._page_view.turn_deg == 5.0
-        page._scene.show()
+        page._scene.build_scene()
         for axis, rod in enumerate(page._scene._cross):
             start = list(place)
             start[axis] -= ARM_OF_CROSS_MM
