@@ -192,8 +192,7 @@ class Dated(Strict):
             )
         if moment > self.expires:
             raise CalibrationExpired(
-                f"{self.what} {self.identifier} expired",
-                limit=_as_text(self.expires),
+                f"{self.what} {self.identifier} expired on {_as_text(self.expires)}",
                 got=f"now {_as_text(moment)}",
                 action=self._renewing,
             )

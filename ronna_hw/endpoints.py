@@ -25,7 +25,9 @@ class BadEndpoint(ConfigurationError, ValueError):
     """The text is not an endpoint, or its scheme is not allowed in this context."""
 
     code = "CFG-002"
-    action = "Write it as scheme://address, for example serial:///dev/ttyUSB0 or tcp://127.0.0.1:8765."
+    action = (
+        "Write it as scheme://address: serial:///dev/ttyUSB0, tcp://192.168.1.5:8765 or gev://192.168.1.5."
+    )
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,9 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     except ValueError as error:
         raise BadEndpoint(f"{text!r} is not an endpoint: {error}") from error
     if parts.scheme not in SCHEMES or parts.scheme == "host":
-        raise BadEndpoint(f"{text!r} has an unknown scheme", expected=", ".join(SCHEMES))
+        raise BadEndpoint(
+            f"{text!r} has an unknown scheme", expected=", ".join(SCHEMES), action=_suggest_scheme(text)
+        )
     if parts.scheme in ("serial", "shm"):
         if parts.netloc or not parts.path.startswith("/"):
             raise BadEndpoint(f"{text!r} needs an absolute path", expected=f"{parts.scheme}:///path")
@@ -94,3 +98,17 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     if port is None or (port == 0 and not listening):
         raise BadEndpoint(f"{text!r} needs a port", expected=f"{parts.scheme}://host:port")
     return Endpoint(parts.scheme, host=parts.hostname, port=port)
+
+
+def _suggest_scheme(text: str) -> str | None:
+    """Suggest how to write a bare address or device file as an endpoint, or None for anything else."""
+    if text.startswith("/dev/"):
+        return f"For a serial line write serial://{text}."
+    host, colon, port = text.partition(":")
+    try:
+        IPv4Address(host)
+    except ValueError:
+        return None
+    if not colon:
+        return f"For a camera write gev://{host}; for another device tcp://{host}:PORT or udp://{host}:PORT."
+    return f"Write tcp://{host}:{port} or udp://{host}:{port}, whichever the device speaks."

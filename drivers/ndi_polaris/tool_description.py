@@ -121,6 +121,13 @@ def read_description(path: Path) -> ToolDescription:
     except OSError as error:
         what = f"cannot read {path}: {error.strerror}"
         raise BadToolFile(what, action="Give the path of a description; ronna-rom make --help.") from error
+    for key, kind in (("trajectories", "plan"), ("theatre", "theatre file")):
+        if key in content:
+            raise BadToolFile(
+                f"{path.name} is a {kind}, not a tool description",
+                expected="part_number and markers_mm",
+                action="Give the path of a description; ronna-rom show TOOL.rom --toml prints one.",
+            )
     try:
         # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))

@@ -44,7 +44,7 @@ def require_valid(
         try:
             record.check_valid_at(moment)
         except CalibrationExpired as problem:
-            if problem.limit is None:  # dated in the future: a clock is wrong, not a record
+            if moment <= record.expires:  # dated in the future: a clock is wrong, not a record
                 raise
             if name not in starts:
                 expired[name] = problem
@@ -60,7 +60,6 @@ def require_valid(
     renew = ", then ronna-tool renew for each tool with that tip" if new_tip else ""
     raise CalibrationExpired(
         "; ".join(problem.what for problem in expired.values()),
-        limit=first.limit,
         got=first.got,
         action=f"Run {commands}{renew}; no motion until then.",
     )

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from ronna_hw.tool_record import GuideBore
 
 PLANNER = "console.planning.serving"
-CT_FOLDER, PLAN_FILE = "ct", "plan.toml"  # side by side in the folder of a case
 STOP_NOT_JUDGED = (
     "whether the depth stop fits on the instrument was not judged: the length of the guide is in the theatre "
     "file; give --config and --robot-from-ct"
@@ -286,7 +285,8 @@ def new(
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """
-    from procedures.planning.plan_file import compose_plan
+    from procedures.imaging.dicom.slice_headers import CT_FOLDER
+    from procedures.planning.plan_file import PLAN_FILE, compose_plan
     from ronna_hw.records import write_atomically
 
     require_new(out)

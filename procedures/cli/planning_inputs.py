@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 DEFAULT_STRATEGY = "ocs"
+STRATEGY_HELP = (
+    "How the stereo head is oriented at the spheres. ocs (recommended): as at the target; improved: where "
+    "the arm errs most nearly as at the target, for a calibrated arm; best: whichever of ocs, jdms and "
+    "improved predicts the smallest error; jdms: joints turned least; nos: straight down, once for all "
+    "targets; thesis-ocs: ocs as published, for comparisons."
+)
 NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
 SixNumbers = tuple[float, float, float, float, float, float]
 
@@ -34,7 +40,7 @@ StrategyOption = Annotated[
     str,
     typer.Option(
         metavar="ocs|thesis-ocs|nos|jdms|improved|best",
-        help="How the stereo head is oriented at the markers; with --config.",
+        help=f"{STRATEGY_HELP} With --config.",
     ),
 ]
 HeadOption = Annotated[

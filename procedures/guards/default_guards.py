@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards.motion_watch import MotionWatch
 from procedures.guards.tracker_guards import HeadInSight, LineOfSight
+from procedures.journal.free_space import LEAST_FREE_BYTES, describe_shortage
 from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
@@ -22,8 +22,6 @@ from ronna_hw.errors import RonnaError
 
 LARGEST_BAD_SHARE = 0.05  # of the cycles; the driver slows down at more than 3 in a row, far below this
 LEAST_CYCLES = 250  # one second: fewer mean little
-LEAST_FREE_BYTES = 200_000_000  # pictures, log and records of a long case are below a tenth of that
-MEGABYTE = 1_000_000
 LARGEST_STEP_S = 1.0  # a clock that is slewed stays below that between two checkpoints
 Void = Callable[[RonnaError], None]
 Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
@@ -122,16 +120,7 @@ class DiskSpace:
 
     def unmet(self) -> str | None:
         """Describe a lack of free space."""
-        try:
-            free = shutil.disk_usage(self.folder).free
-        except OSError as error:
-            return f"the run folder cannot be read ({error.strerror}): mount it again"
-        if free >= self.least_bytes:
-            return None
-        return (
-            f"{free // MEGABYTE} MB free where the run is written, {self.least_bytes // MEGABYTE} MB "
-            "required: delete files there that are no longer needed"
-        )
+        return describe_shortage(self.folder, self.least_bytes)
 
 
 @dataclass

@@ -48,6 +48,7 @@ from ronna_hw.text import printable
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
 
+PLAN_FILE = "plan.toml"  # of the folder of a case, beside its `ct`
 LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
@@ -78,6 +79,13 @@ TRAJECTORY = """
 def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
     """Read and check a plan. Raises PLAN-001 and the errors of `parse_plan`, listing every mistake."""
     path = Path(path)
+    if path.is_dir():
+        inside = [one for one in (path / PLAN_FILE, path / "case" / PLAN_FILE) if one.is_file()]
+        raise PlanUnreadable(
+            f"{path} is a folder, not a plan",
+            expected="a plan file",
+            action=f"Give the plan in it: {inside[0]}." if inside else None,
+        )
     try:
         content = read_toml(path, PlanUnreadable)
     except OSError as error:

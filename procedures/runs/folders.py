@@ -115,7 +115,11 @@ def require_run(folder: Path) -> None:
             f"{folder} is not a run; it holds {format_count(len(held), 'run')}: {format_names(held)}",
             action=f"Give one of them: {folder / held[-1]}.",
         )
-    raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
+    raise PathProblem(
+        f"{folder} is not the folder of a run",
+        expected="a folder with journal.jsonl",
+        action=next((f"Give the run's folder: {above}." for above in folder.parents if is_run(above)), None),
+    )
 
 
 def is_run(folder: Path) -> bool:

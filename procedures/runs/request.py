@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 
 PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
-LARGEST_SEED = 2**63 - 1  # what a journal's JSON keeps exactly everywhere
+LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
+XFRAME_SPHERES = 4  # of the x-shaped frame
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,12 @@ class SceneChoice:
                 action=f"Did you mean {close_matches[0]}?"
                 if close_matches
                 else "ronna-sim scene prints one to start from.",
+            )
+        if self.fiducials != FREE and self.markers not in (None, XFRAME_SPHERES):
+            raise UsageMistake(
+                f"--markers cannot be {self.markers} with the x-shaped frame",
+                expected=f"its {XFRAME_SPHERES} spheres",
+                action="Omit --markers with the x-shaped frame.",
             )
 
     def arguments(self) -> list[str]:

@@ -11,14 +11,15 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.runs.request import CaseProcedure
+from procedures.journal.free_space import describe_shortage
+from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
 from ronna_hw.config import read_theatre_file
 from ronna_hw.theatre_kind import require_one_kind
 
 if TYPE_CHECKING:
-    from procedures.runs.request import RunRequest
+    from procedures.runs.request import RunRequest, SceneChoice
 
 LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
 _STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
@@ -44,9 +45,10 @@ def check_theatre(request: RunRequest) -> None:
         require_free_theatre(request.config)
 
 
-def check_case(request: RunRequest) -> None:
-    """Check theatre, plan, answers and fault script of a case before its run folder is made."""
+def check_case(request: RunRequest, out: Path) -> None:
+    """Check theatre, plan, answers, fault script and free space of a case before its run folder is made."""
     case_procedure = request.case
+    require_space(out)
     if case_procedure.strategy != CaseProcedure.strategy:
         from procedures.strategies.catalogue import find_strategy
 
@@ -70,14 +72,49 @@ def check_case(request: RunRequest) -> None:
     if case_procedure.plan is not None:
         from procedures.planning.plan_file import read_plan
 
-        planned = [one.id for one in read_plan(case_procedure.plan).trajectories]
+        plan = read_plan(case_procedure.plan)
         if request.answers is not None:
-            request.answers.check_trajectories(planned)
+            request.answers.check_trajectories([one.id for one in plan.trajectories])
+        if request.config is None:
+            require_simulated_patient(case_procedure.plan, plan.series_instance_uid, request.choice)
     if request.faults is not None:
         from procedures.steps.catalogue import clinical_steps
 
         steps = clinical_steps(measure_targets=case_procedure.measure_targets)
         check_fault_script(request.faults, [step.name for step in steps])
+
+
+def require_space(out: Path) -> None:
+    """Raise CLI-003 unless the disk that a run in `out` will be written to has room for a whole case."""
+    resolved = out.resolve()
+    folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
+    if shortage := describe_shortage(folder):
+        raise DiskFull(f"no case was started in {folder}: {shortage}")
+
+
+def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice: SceneChoice) -> None:
+    """Raise PLAN-003 if the plan lies beside the CT of another simulated patient.
+
+    The patient ID of a phantom's series names scene and seed. Without a CT beside it, the import of the
+    series judges the plan.
+    """
+    from procedures.imaging.dicom.attributes import read_attribute_text
+    from procedures.imaging.dicom.slice_headers import CT_FOLDER, iterate_images
+    from procedures.planning.errors import WrongSeries
+
+    ct = plan_file.resolve().parent / CT_FOLDER
+    tags = ("PatientID", "SeriesInstanceUID")
+    path, header = next(iterate_images(ct, tags), (ct, None)) if ct.is_dir() else (ct, None)
+    if header is None or read_attribute_text(path, header, tags[1]) != series_instance_uid:
+        return
+    scene, _, seed = read_attribute_text(path, header, tags[0]).rpartition("-")
+    if scene in PATIENT_SCENES and seed.isdigit() and (scene, int(seed)) != (choice.scene, choice.scene_seed):
+        same_scene = scene == choice.scene
+        raise WrongSeries(
+            f"{plan_file.name} belongs to the simulated patient of scene {scene}, seed {seed}",
+            expected=f"a plan of scene {choice.scene}, seed {choice.scene_seed}",
+            action=f"For its own patient add {'' if same_scene else f'--scene {scene} '}--seed {seed}.",
+        )
 
 
 def check_fault_script(path: Path, step_names: Collection[str]) -> None:

@@ -90,4 +90,4 @@ class PersonNotNamed(RefusedError, ValueError):
     """A fault was acknowledged or a hazard confirmed without a person's name."""
 
     code = "DEV-006"
-    action = "Give the name of the person who takes responsibility."
+    action = "Give the name of the person who takes responsibility; on a command line: --by NAME."

@@ -72,6 +72,7 @@ class Staff:
         self._guide = TrueGuide(world)
         self._board = FaultBoard(world, DEVICE)
         self._stop_mm: float | None = None
+        self._stop_for = ""  # the trajectory for which the depth stop was set
         self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
@@ -100,12 +101,17 @@ class Staff:
         again = self._done[f"{DEPTH_STOP} {trajectory}"]
         drawn = noise(scene.seed, f"{STOP} {trajectory}", again).normal(0.0, scene.mount.guide.depth_stop_mm)
         off_mm = sum(float(one.argument) for one in self._board.active(WRONG_STOP.name))
-        self._stop_mm = setting_mm + float(drawn) + off_mm
+        self._stop_mm, self._stop_for = setting_mm + float(drawn) + off_mm, trajectory
         return (_round_to_scale(self._stop_mm, SCALE_MM),)
 
     def _insert(self, trajectory: str) -> Readings:
         if self._stop_mm is None:
             raise ValueError("no depth stop was set")
+        if self._stop_for not in ("", trajectory):
+            raise TaskRefused(
+                f"the depth stop was set for {self._stop_for}; got an order to insert at {trajectory}",
+                f"Name the trajectory in the question, or set the depth stop for {trajectory} first.",
+            )
         again = self._done[f"{INSERT} {trajectory}"]
         sample = sample_instrument(self._world, self._guide, trajectory, self._stop_mm, again)
         if self._folder is not None:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from types import ModuleType
 
 from api_pages import devices, numerics
+from command_table import command_table
 from hazard_matrix import hazard_table
 from model_tables import model_tables
 from reference_tables import (
@@ -74,6 +75,7 @@ def tables() -> dict[str, str]:
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
+        "commands.md": command_table(),
         "error-codes.md": _tabulate_error_codes(),
         "export.md": _tabulate_exported_fields(),
         "faults.md": table(

@@ -218,7 +218,7 @@ def follow_case(
     request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
     """Run and show a case in a new folder in `out`. With `as_json`, always print exactly one object."""
-    check_case(request)
+    check_case(request, out)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.config is not None
         follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.cli.planning_inputs import STRATEGY_HELP
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
@@ -159,7 +160,7 @@ class CaseOptions(TheatreOptions):
         str,
         typer.Option(
             metavar="ocs|thesis-ocs|nos|jdms|improved|best",
-            help="How the tool is held while the spheres are localized.",
+            help=STRATEGY_HELP,
         ),
     ] = "ocs"
     localizer: Annotated[

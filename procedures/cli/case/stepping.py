@@ -33,7 +33,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
     """
-    check_case(request)
+    check_case(request, out)
     with (
         run_folder(request, out) as folder,
         hold_run(folder),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.guards.default_guards import DiskSpace
+from procedures.journal.free_space import describe_shortage
 from procedures.runs.reopening import resumable_run
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
 from procedures.runs.theatre_note import arm_not_home, find_instrument_inside
@@ -49,7 +49,7 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
     yield run_check("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
-    shortage = DiskSpace(folder).unmet()
+    shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
     yield Diagnostic("disk", shortage is None, found, "" if shortage is None else "Free some space.")
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 
+CT_FOLDER = "ct"  # of the folder of a case, beside its plan
 PREAMBLE_BYTES = 128  # DICOM part 10: 128 free bytes, then the letters DICM
 MAGIC = b"DICM"
 DICOM_SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".img"})
@@ -134,7 +135,11 @@ def read_images(
     """Read `tags` of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(iterate_images(directory, tags, progress))
     if not images:
-        raise SeriesEmpty(f"no DICOM image in {directory}")
+        inner = directory / CT_FOLDER
+        raise SeriesEmpty(
+            f"no DICOM image in {directory}",
+            action=f"Give the folder of the CT itself: {inner}." if inner.is_dir() else None,
+        )
     return images
 
 

@@ -118,11 +118,14 @@ def test_check_refuses_a_record_of_another_flange(theatre: Path) -> None:
     [
         (
             *("tools", "guide"),
-            ["tool record tool-guide-mini-3 expired", "ronna-tool renew; no motion until then"],
+            ["tool record tool-guide-mini-3 expired on 20", "ronna-tool renew; no motion until then"],
         ),
         (
             *("calibration", "tool_tip"),
-            ["calibration tool-tip-mini-3 expired", "Run ronna-procedure calibrate tool-tip --config {} "],
+            [
+                "calibration tool-tip-mini-3 expired on 20",
+                "Run ronna-procedure calibrate tool-tip --config {} ",
+            ],
         ),
     ],
 )

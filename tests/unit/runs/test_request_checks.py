@@ -1,13 +1,25 @@
-"""The command line checks the step names in a fault script; the theatre has no list of them."""
+"""What is checked before a run folder is made: fault script, the plan's patient, free space."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from painted_ct import SERIES_UID, write_series
+from pydicom.dataset import Dataset
 
-from procedures.runs.request_checks import check_fault_script, list_unreached_faults
-from ronna_hw.command_line.errors import UsageMistake
+from procedures.journal import free_space
+from procedures.planning.errors import WrongSeries
+from procedures.runs import request_checks
+from procedures.runs.request import SceneChoice
+from procedures.runs.request_checks import (
+    check_fault_script,
+    list_unreached_faults,
+    require_simulated_patient,
+    require_space,
+)
+from ronna_hw.command_line.errors import DiskFull, UsageMistake
 
 STEPS = ("registration", "at_target")
 
@@ -57,3 +69,45 @@ def test_a_fault_whose_step_or_time_the_case_did_not_reach_is_named_at_its_end(t
         "line 2 of faults.txt had no effect: the case ended after 60.0 s",
         "line 5 of faults.txt had no effect: the case did not run at_target:T9",
     ]
+
+
+def _plan_beside_a_scan_of(folder: Path, patient: str) -> Path:
+    def name(data: Dataset, _: int) -> None:
+        data.PatientID = patient
+
+    write_series(folder / "ct", np.zeros((1, 4, 4), np.int16), edit=name)
+    return folder / "plan.toml"
+
+
+@pytest.mark.parametrize(
+    ("choice", "added"),
+    [(SceneChoice("mini", seed=7), "--seed 4"), (SceneChoice("default", seed=4), "--scene mini --seed 4")],
+)
+def test_a_plan_of_another_simulated_patient_names_the_options_of_its_own(
+    tmp_path: Path, choice: SceneChoice, added: str
+) -> None:
+    plan = _plan_beside_a_scan_of(tmp_path, "mini-4")
+    with pytest.raises(WrongSeries) as caught:
+        require_simulated_patient(plan, SERIES_UID, choice)
+    assert caught.value.action == f"For its own patient add {added}."
+
+
+@pytest.mark.parametrize(
+    ("patient", "series"), [("mini-7", SERIES_UID), ("mini-4", "2.25.1"), ("A-4", SERIES_UID)]
+)
+def test_a_plan_of_this_patient_or_of_nobody_known_is_left_to_the_import(
+    tmp_path: Path, patient: str, series: str
+) -> None:
+    require_simulated_patient(_plan_beside_a_scan_of(tmp_path, patient), series, SceneChoice("mini", seed=7))
+
+
+def test_a_case_is_not_started_on_a_disk_without_room_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_space(tmp_path / "runs")
+    monkeypatch.setattr(
+        request_checks, "describe_shortage", lambda folder: free_space.describe_shortage(folder, 10**18)
+    )
+    with pytest.raises(DiskFull) as caught:
+        require_space(tmp_path / "runs" / "deep")
+    assert str(tmp_path) in caught.value.what

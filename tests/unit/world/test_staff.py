@@ -149,6 +149,14 @@ def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path
     assert [sample.target for sample in read_samples(tmp_path)] == ["T1"]
 
 
+def test_an_instrument_is_inserted_only_where_the_depth_stop_was_set_for(tmp_path: Path) -> None:
+    room = Room(a_world(), tmp_path)
+    assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
+    answer = room.answer({"do": "work", "task": INSERT, "trajectory": "T9"})
+    assert answer["reason"] == "the depth stop was set for T1; got an order to insert at T9"
+    assert read_samples(tmp_path) == []
+
+
 def shift_mm(world: World) -> tuple[float, float, float]:
     """Shift of the head relative to the robot."""
     return ShiftedRoom(world).now().head_mm
