@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -43,7 +44,7 @@ from procedures.planning.plan_lock import lock_plan
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]
 FIRST_PICTURE_LIMIT_S = 1.5
-FIRST_PICTURE_TRIES = 3  # the rest of a busy computer delays some of them
+FIRST_PICTURE_OWN_S = 0.75  # of processor in the page: a computer with nothing else to do shows it in time
 DRAWN_S = """
 () => document.querySelector("[data-plane=axial] img")?.naturalWidth > 1 && performance.now() / 1000
 """
@@ -255,7 +256,9 @@ def test_the_planner_opens_on_its_target_within_a_moment_and_enlarges_measures_a
         enter_planner(page, addresses["url"])
         await_judged(page)
         assert "S 820.1" in page.locator(".large .slicehead").inner_text()
-        assert min(first_picture_s(page) for _ in range(FIRST_PICTURE_TRIES)) < FIRST_PICTURE_LIMIT_S
+        wall_s, own_s = first_picture_s(page)
+        assert own_s < FIRST_PICTURE_OWN_S
+        assert wall_s < FIRST_PICTURE_LIMIT_S or is_busy()
         click_picture(page, "coronal", 0.5, 0.5)
         page.wait_for_selector(".large [data-plane=coronal]")
         assert page.locator(".board > .small").count() == 3
@@ -272,10 +275,19 @@ def test_the_planner_opens_on_its_target_within_a_moment_and_enlarges_measures_a
         assert_read_by_tab_and_eye(page)
 
 
-def first_picture_s(page: Any) -> float:
-    """Time from asking for the page, whose scripts the browser has already, to its large picture."""
+def first_picture_s(page: Any) -> tuple[float, float]:
+    """From asking for the page to its large picture: time, and processor of the page's own thread."""
+    session = page.context.new_cdp_session(page)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
     page.reload()
-    return float(page.wait_for_function(DRAWN_S).json_value())
+    wall_s = float(page.wait_for_function(DRAWN_S).json_value())
+    figures = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
+    return wall_s, float(figures["TaskDuration"])
+
+
+def is_busy() -> bool:
+    """Whether other programs want the processors: a browser of lowest priority then waits for them."""
+    return os.getloadavg()[0] > 1.5 * len(os.sched_getaffinity(0))
 
 
 def assert_read_by_tab_and_eye(page: Any) -> None:
