@@ -139,22 +139,20 @@ class PlannerPage:
         self._author = ui.input("Your name").classes("name")
         self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
-        self._help_button()
+        self._add_help()
         for item in (self._undo, self._redo, self._author, self._save):
             item.set_visibility(self._may_edit)
 
-    def _help_button(self) -> None:
-        button = self._button("Help", lambda: self._show_help(not shown.visible), "help")
-        self._help_opener = button.props("aria-expanded=false")
-        shown = (
-            ui.html(help_html(), sanitize=False).classes("card help").props('role=region aria-label="Help"')
-        )
-        shown.set_visibility(False)
-        self._help = shown
+    def _add_help(self) -> None:
+        """Add the help, hidden, and the button that opens and closes it."""
 
-    def _show_help(self, visible: bool) -> None:
-        self._help.set_visibility(visible)
-        self._help_opener.props(f"aria-expanded={'true' if visible else 'false'}")
+        def toggle() -> None:
+            shown.set_visibility(not shown.visible)
+            button.props(f"aria-expanded={'true' if shown.visible else 'false'}")
+
+        button = self._button("Help", toggle, "help").props("aria-expanded=false")
+        shown = ui.html(help_html(), sanitize=False).classes("card help")
+        shown.props('role=region aria-label="Help"').set_visibility(False)
 
     def _picture_bar(self) -> None:
         with ui.element("div").classes("orders bar").props('role=toolbar aria-label="Pictures"'):
