@@ -11,7 +11,7 @@ The class is called as `MyTracker(name, config, clock)`. Probes are described in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
 from ronna_hw.clock import Clock
@@ -28,9 +28,21 @@ from ronna_hw.devices.probing import (
     connect_and_identify,
     inspect_nothing,
 )
+from ronna_hw.host.own_packages import OWN_PACKAGES, require_own_packages
 
 GROUP = "ronna_hw.drivers"
 PROBE_GROUP = "ronna_hw.probes"
+
+
+def _load(point: EntryPoint) -> Any:
+    """Load an entry point. Raises CFG-003 if a program's own `drivers` hides ours."""
+    try:
+        return point.load()
+    except ImportError:
+        package = point.module.partition(".")[0]
+        if package in OWN_PACKAGES:
+            require_own_packages((package,))
+        raise
 
 
 class DriverFactory(Protocol):
@@ -48,7 +60,7 @@ def load_driver(name: str) -> Any:
     """Load a driver class by name; raises DEV-002 listing the known names."""
     for point in entry_points(group=GROUP):
         if point.name == name:
-            return point.load()
+            return _load(point)
     raise UnknownDriver(
         f"no driver {name!r} is installed", expected="one of " + ", ".join(list_driver_names())
     )
@@ -64,7 +76,7 @@ def load_probe(driver: str) -> Probe:
     """Load the probe of a driver, by default one that connects, identifies and closes."""
     for point in entry_points(group=PROBE_GROUP):
         if point.name == driver:
-            probe: Probe = point.load()
+            probe: Probe = _load(point)
             return probe
     return _probe_by_connecting
 
@@ -81,7 +93,7 @@ def load_finders() -> dict[str, Finder]:
 
 def _load_probes() -> list[tuple[str, Any]]:
     """Load every installed probe with the name of its driver."""
-    return sorted((point.name, point.load()) for point in entry_points(group=PROBE_GROUP))
+    return sorted((point.name, _load(point)) for point in entry_points(group=PROBE_GROUP))
 
 
 def _probe_by_connecting(

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
 
 from pydicom.dataset import Dataset
 
@@ -42,12 +43,120 @@ REGISTRATION_FIELDS = {
 DOCUMENT_FIELDS = {
     "series_instance_uid": "the CT series",
     "frame_of_reference_uid": "its coordinate system",
+    "study_instance_uid": "its study; empty if the CT or the record does not state it",
     "coordinate_system": "LPS",
+    "direction": "frame of the points, or the mapping from which they come: `ct <- robot`",
     "unit": "mm",
     "spheres": "one entry for each sphere",
     "registrations": "one entry for each target",
     "name": "of a sphere: M1, M2, ...",
 }
+INDEX_FIELDS = {
+    "ending": "how the run ended: done, in doubt, failed, interrupted, ...",
+    "code": "of the error that ended it",
+    "simulated": "whether the theatre was simulated",
+    "files": "what each file holds",
+    "absent": "what the run does not have, and why",
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of an exported table, as Slicer's schema of the table and the reference page describe it."""
+
+    name: str
+    meaning: str
+    kind: Literal["double", "int", "string"] = "double"
+    unit: str = ""
+
+
+def _in_mm(names: str, meaning: str) -> tuple[Column, ...]:
+    return tuple(Column(name, meaning, unit="mm") for name in names.split())
+
+
+_ORIGIN_COLUMNS = tuple(
+    Column(name, DOCUMENT_FIELDS[name], "string")
+    for name in (
+        *("coordinate_system", "direction", "unit"),
+        *("series_instance_uid", "frame_of_reference_uid", "study_instance_uid"),
+    )
+)
+_TRAJECTORY = Column("trajectory", REGISTRATION_FIELDS["trajectory"], "string")
+_PREDICTED = (
+    *_in_mm("predicted_tre_mm", REGISTRATION_FIELDS["predicted_tre_mm"]),
+    *_in_mm("predicted_tre_limit_mm", REGISTRATION_FIELDS["predicted_tre_limit_mm"]),
+    Column("confidence", REGISTRATION_FIELDS["confidence"]),
+)
+PLANNED, REACHED, FOUND = "planned", "reached", "found"
+TABLES: dict[str, tuple[Column, ...]] = {
+    "spheres.csv": (
+        Column("name", DOCUMENT_FIELDS["name"], "string"),
+        *_in_mm("L_mm P_mm S_mm", "centre"),
+        *_in_mm("uncertainty_mm", "of the centre, 3-D rms"),
+        *_ORIGIN_COLUMNS,
+    ),
+    "lines.csv": (
+        _TRAJECTORY,
+        Column("line", f"{PLANNED}, {REACHED} or {FOUND}", "string"),
+        *_in_mm(
+            "entry_L_mm entry_P_mm entry_S_mm", "entry; of other lines, the point nearest to the planned one"
+        ),
+        *_in_mm("end_L_mm end_P_mm end_S_mm", "planned target; of other lines, the tip"),
+        *_in_mm("length_mm", "from entry to end"),
+        *_ORIGIN_COLUMNS,
+    ),
+    "errors.csv": (
+        _TRAJECTORY,
+        Column("state", "reached, not reached or left out", "string"),
+        Column("in_doubt", "1 if the error may exceed the prediction: the report says why", "int"),
+        *_in_mm("depth_mm", "planned, from entry to target"),
+        *_in_mm("margin_mm", "largest error at the target that the plan accepts"),
+        *_PREDICTED,
+        *_in_mm(
+            "nominal_error_mm nominal_lateral_mm nominal_axial_mm",
+            "tip by joints and depth stop, minus target: without the errors of arm and registration",
+        ),
+        *_in_mm("stereo_error_mm", "measured by the stereo head in place of the guide, on a phantom"),
+        *_in_mm(
+            "found_error_mm found_lateral_mm found_axial_mm",
+            "tip in the CT after the operation, minus target",
+        ),
+        *_in_mm(
+            "simulated_error_mm simulated_lateral_mm simulated_axial_mm",
+            "true tip minus target, from the simulated theatre; never in a real one",
+        ),
+        *_ORIGIN_COLUMNS,
+    ),
+    "registrations.csv": (
+        _TRAJECTORY,
+        *(
+            Column(f"m{row}{column}", "pose robot <- CT, row by row", unit="mm" if column == 4 else "")
+            for row in range(1, 4)
+            for column in range(1, 5)
+        ),
+        Column("pairs", REGISTRATION_FIELDS["pairs"], "int"),
+        *_in_mm("fre_mm", REGISTRATION_FIELDS["fre_mm"]),
+        *_PREDICTED,
+        *_ORIGIN_COLUMNS,
+    ),
+}
+FILES = {
+    "export.json": "index: frame, unit, UIDs, the files and what is absent",
+    "planned.mrk.json": "planned trajectories as lines, entry to target, in the CT",
+    "reached.mrk.json": "reached trajectories as lines, entry to tip by joints and depth stop, ct <- robot",
+    "found.mrk.json": "trajectories found in the CT after the operation as lines, in the planning CT",
+    "spheres.mrk.json": "centres of the spheres as points, in the CT",
+    "lines.csv": "all lines",
+    "errors.csv": "errors at each target; axial ones along the planned line, positive is too deep",
+    "spheres.csv": "centres of the spheres",
+    "registrations.csv": "registration used at each target, robot <- ct",
+    "*.schema.csv": "types, units and meanings of the columns of the table of that name, read by Slicer",
+    "spheres.json": "spheres with covariances",
+    "registrations.json": "registrations",
+    "spheres.dcm": "DICOM Spatial Fiducials",
+    "registration-*.dcm": "DICOM Spatial Registration, one for each registration: robot <- ct",
+}
+
 # DICOM attributes, by the standard's keywords; those that must be present but empty come first.
 ALWAYS_EMPTY = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),

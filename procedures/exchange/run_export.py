@@ -1,26 +1,33 @@
-"""Export of a finished run to common formats: its spheres, and one registration per trajectory."""
+"""Export of a run to common formats: plan, spheres, registrations, reached lines and errors.
+
+A run that ended early is exported as far as it came; the index says what is absent and why.
+"""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import TypeVar
+
+from pydicom.dataset import Dataset
 
 from procedures.engine.case import Stored, ancestor_of_kind
-from procedures.engine.run_folder import RunFolder, run_of
+from procedures.engine.run_folder import run_of
 from procedures.exchange.allowed_fields import (
+    FILES,
+    FOUND,
+    PLANNED,
+    REACHED,
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
-    label_of,
     name_spheres,
     pick_allowed,
     require_allowed,
 )
+from procedures.exchange.case_results import CaseResults, FindTruth, read_results
 from procedures.exchange.dicom_objects import (
     Origin,
     fiducial_uid,
@@ -28,107 +35,94 @@ from procedures.exchange.dicom_objects import (
     sphere_fiducials,
     write,
 )
-from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.errors import NotWritable
+from procedures.exchange.export_tables import (
+    IN_CT,
+    ROBOT_FROM_CT,
+    CtIdentity,
+    format_schema,
+    format_table,
+    schema_name,
+)
 from procedures.exchange.sphere_files import document, slicer_markups, table
-from procedures.journal.results import StepResult
-from procedures.reporting.run_reading import UsedRegistration, find_used_registrations
+from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
+from procedures.reporting.run_reading import UsedRegistration
 from procedures.steps.clinical.cart_lock import LockedCart
-from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.records import Record, write_atomically
 
-R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that serves every trajectory
+INDEX = "export.json"
+Fits = Mapping[str, Stored[RegisteredRobot]]  # registrations by their exported label
 
 
-def export_run(run: Path, out: Path) -> list[Path]:
-    """Write the exportable results of a run to `out` and return the files.
+@dataclass(frozen=True)
+class Exported:
+    """Files of an export, and what the run does not have with the reason."""
 
-    Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written. EXC-002 also for a
-    folder with registrations of another run.
+    files: tuple[Path, ...]
+    absent: Mapping[str, str]
+
+
+def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) -> Exported:
+    """Write the exportable results of a run to `out`.
+
+    `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-002, EXC-003, EXC-004,
+    REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another export.
     """
-    folder = run_of(inspect_run(run).require_whole())
-    imported, found = _require_result(folder, ImportedCt), _require_result(folder, LocalizedFiducials)
-    spheres = found.result.markers
-    origin = Origin(
-        imported.result.series_instance_uid,
-        imported.result.frame_of_reference_uid,
-        datetime.fromisoformat(found.record.created),
-        found.record.sha256,
-    )
-    fits = _label_registrations(
-        find_used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded)
-    )
-    if not fits:
-        raise NothingToExport(f"{run.name} has no registration")
-    markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in spheres]
-    texts = {
-        "spheres.csv": table(spheres),
-        "spheres.json": document(markers, origin),
-        "spheres.mrk.json": slicer_markups(spheres),
-        "registrations.csv": _registration_table(fit.result for fit in fits.values()),
-        "registrations.json": _summary(fits),
-    }
-    own = {_file_of(trajectory) for trajectory in fits}
-    if others := sorted(file.name for file in out.glob(_file_of("*")) if file.name not in own):
-        raise NotWritable(
-            f"{out} holds registrations that are not of this run",
-            expected="a new folder, or an earlier export of this run",
-            got=", ".join(others),
-        )
+    results = read_results(run_of(inspect_run(run).require_whole()), find_truth)
+    fits = _label_registrations(results)
+    texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
+    objects = {name: require_allowed(made) for name, made in _dicom_objects(results, fits).items()}
+    absent = results.absent()
+    texts = {INDEX: _index(results, [*texts, *objects], absent), **texts}
+    _refuse_others(out, {*texts, *objects})
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             write_atomically(out / name, text.encode())
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
-    written = [out / name for name in texts]
-    written.append(write(require_allowed(sphere_fiducials(spheres, origin)), out / "spheres.dcm"))
-    for trajectory, fit in fits.items():
-        made = spatial_registration(
-            fit.result.robot_from_ct.transform,
-            replace(origin, made=datetime.fromisoformat(fit.record.created), key=fit.record.sha256),
-            spheres=origin,
-            placing=_placing(fit.record, folder),
-            description=f"trajectory {trajectory}",
-            fiducial_uids=[fiducial_uid(origin, name) for name in name_spheres(spheres)],
+    for name, made in objects.items():
+        write(made, out / name)
+    return Exported(tuple(out / name for name in (*texts, *objects)), absent)
+
+
+def _refuse_others(out: Path, own: set[str]) -> None:
+    """Raise EXC-002 if a folder holds files of another export, which would seem to belong to this one."""
+    names = {file.name for file in out.glob("*")} - own
+    others = sorted(name for name in names if any(fnmatch(name, known) for known in FILES))
+    if others:
+        raise NotWritable(
+            f"{out} holds files that are not of this export",
+            expected="a new folder, or an earlier export of this run",
+            got=", ".join(others),
         )
-        written.append(write(require_allowed(made), out / _file_of(trajectory)))
-    return written
 
 
-def _file_of(trajectory: str) -> str:
-    return f"registration-{trajectory}.dcm"
+def _case_texts(results: CaseResults) -> dict[str, str]:
+    """Format what is in the CT: lines, errors and spheres, as far as the run has them."""
+    ct, lines, tables = results.ct, results.lines, dict[str, str]()
+    texts = {
+        f"{kind}.mrk.json": format_lines(lines, ct, kind)
+        for kind in (PLANNED, REACHED, FOUND)
+        if any(one.kind == kind for one in lines)
+    }
+    if results.plan is not None:
+        tables = {"lines.csv": tabulate_lines(lines, ct), "errors.csv": results.tabulate_errors()}
+    if results.spheres is not None:
+        markers = results.spheres.result.markers
+        plain = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in markers]
+        texts |= {"spheres.mrk.json": slicer_markups(markers, ct), "spheres.json": document(plain, ct)}
+        tables["spheres.csv"] = table(markers, ct)
+    return texts | _with_schemas(tables)
 
 
-def _label_registrations(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
-    """Return the registrations by export label, with their targets relabelled too."""
-    names = dict.fromkeys(name for one in used for name in one.targets)
-    labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
-    is_single = [one.stored.record.trajectory for one in used].count(None) == 1
-    by_label = {}
-    for one in used:
-        predictions = tuple(
-            predicted.model_copy(update={"target": labels[predicted.target]}) for predicted in one.predictions
-        )
-        result = one.result.model_copy(update={"predictions": predictions})
-        for_all = is_single and one.stored.record.trajectory is None
-        label = ALL if for_all else "-".join(labels[name] for name in one.targets)
-        by_label[label] = Stored(one.stored.record, result)
-    return by_label
-
-
-def _placing(registration: Record, folder: RunFolder) -> str:
-    """Return the hash of the locked-cart record, which identifies the cart position; '' if never locked."""
-    by_name = {record.identifier: record for record in folder.records}
-    locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
-    return "" if locked is None else locked.sha256
-
-
-def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
-    document = [
+def _registration_texts(fits: Fits, ct: CtIdentity) -> dict[str, str]:
+    if not fits:
+        return {}
+    rows = [
         {
             "trajectory": predicted.target,
             **pick_allowed(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
@@ -140,26 +134,96 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
         for fit in fits.values()
         for predicted in fit.result.predictions
     ]
-    return json.dumps({"registrations": document}, indent=1, allow_nan=False) + "\n"
+    content = {**ct.describe(ROBOT_FROM_CT), "registrations": rows}
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    return {"registrations.json": text, **_with_schemas({"registrations.csv": _registration_table(fits, ct)})}
 
 
-def _registration_table(registrations: Iterable[RegisteredRobot]) -> str:
+def _registration_table(fits: Fits, ct: CtIdentity) -> str:
     """Format a CSV with one row per target: the matrix row by row, then the error."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
-    figures = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
-    writer.writerow(("trajectory", *elements, *figures))
-    for one in registrations:
-        matrix = one.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
-        for predicted in one.predictions:
-            error = (predicted.rms_mm, predicted.limit_mm, predicted.confidence)
-            writer.writerow((predicted.target, *matrix, one.pairs, one.fre_mm, *error))
-    return text.getvalue()
+    rows = []
+    for fit in fits.values():
+        matrix = fit.result.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
+        shared = {**dict(zip(elements, matrix, strict=True)), **ct.describe(ROBOT_FROM_CT)}
+        shared |= {"pairs": fit.result.pairs, "fre_mm": fit.result.fre_mm}
+        rows += [
+            {
+                "trajectory": one.target,
+                **shared,
+                "predicted_tre_mm": one.rms_mm,
+                "predicted_tre_limit_mm": one.limit_mm,
+                "confidence": one.confidence,
+            }
+            for one in fit.result.predictions
+        ]
+    return format_table("registrations.csv", rows)
 
 
-def _require_result(folder: RunFolder, model: type[R]) -> Stored[R]:
-    found = folder.standing(model)
-    if not found:
-        raise NothingToExport(f"{folder.path.name} has no record of {model.kind}")
-    return found[-1]
+def _with_schemas(tables: Mapping[str, str]) -> dict[str, str]:
+    return {**tables, **{schema_name(name): format_schema(name) for name in tables}}
+
+
+def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
+    """Build the spheres' object, and one for each registration, which names the spheres it used."""
+    if results.spheres is None:
+        return {}
+    spheres = results.spheres.result.markers
+    origin = _origin(results, results.spheres.record)
+    objects = {"spheres.dcm": sphere_fiducials(spheres, origin)}
+    for label, fit in fits.items():
+        objects[f"registration-{label}.dcm"] = spatial_registration(
+            fit.result.robot_from_ct.transform,
+            _origin(results, fit.record),
+            spheres=origin,
+            placing=_placing(fit.record, results),
+            description=f"trajectory {label}",
+            fiducial_uids=[fiducial_uid(origin, name) for name in name_spheres(spheres)],
+        )
+    return objects
+
+
+def _origin(results: CaseResults, record: Record) -> Origin:
+    ct, made = results.ct, datetime.fromisoformat(record.created)
+    return Origin(ct.series, ct.frame_of_reference, made, record.sha256)
+
+
+def _label_registrations(results: CaseResults) -> dict[str, Stored[RegisteredRobot]]:
+    """Return the registrations by export label, with their targets relabelled too."""
+    used, labels = results.registrations, results.labels
+    is_single = [one.stored.record.trajectory for one in used].count(None) == 1
+    by_label = {}
+    for one in used:
+        for_all = is_single and one.stored.record.trajectory is None
+        label = ALL if for_all else "-".join(labels[name] for name in one.targets)
+        by_label[label] = Stored(one.stored.record, _relabel(one, labels))
+    return by_label
+
+
+def _relabel(used: UsedRegistration, labels: Mapping[str, str]) -> RegisteredRobot:
+    predictions = tuple(one.model_copy(update={"target": labels[one.target]}) for one in used.predictions)
+    return used.result.model_copy(update={"predictions": predictions})
+
+
+def _placing(registration: Record, results: CaseResults) -> str:
+    """Return the hash of the locked-cart record, which identifies the cart position; '' if never locked."""
+    by_name = {record.identifier: record for record in results.run.records}
+    locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
+    return "" if locked is None else locked.sha256
+
+
+def _index(results: CaseResults, names: list[str], absent: Mapping[str, str]) -> str:
+    """Format the index: frame, unit and UIDs, what each file holds, and what is absent."""
+    ending = results.ending
+    meanings = {
+        name: next(meaning for known, meaning in FILES.items() if fnmatch(name, known)) for name in names
+    }
+    content = {
+        **results.ct.describe(IN_CT),
+        "simulated": results.simulated,
+        "ending": ending.word,
+        "code": ending.code,
+        "files": meanings,
+        "absent": dict(absent),
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -13,17 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from procedures.exchange.allowed_fields import name_spheres
 from procedures.exchange.errors import NotWritable, UnknownForm
+from procedures.exchange.export_tables import IN_CT, CtIdentity, format_table
+from procedures.exchange.slicer_markups import build_markup, format_markups
 from ronna_hw.records import canonical_json, write_atomically
 
 if TYPE_CHECKING:
-    from procedures.exchange.dicom_objects import Origin
     from procedures.imaging import Localization, Marker, PatientIdentity
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
-MARKUPS_SCHEMA = (
-    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
-    "markups-schema-v1.0.3.json#"
-)
 
 
 def check_names(paths: Sequence[Path]) -> None:
@@ -50,6 +45,7 @@ def write_spheres(
     origin = dicom_objects.Origin(
         spheres_found.series_instance_uid, spheres_found.frame_of_reference_uid, datetime.now(UTC), key
     )
+    ct = CtIdentity(spheres_found.series_instance_uid, spheres_found.frame_of_reference_uid)
     for path in paths:
         if path.name.endswith(DICOM):
             made = dicom_objects.sphere_fiducials(spheres_found.markers, origin)
@@ -60,52 +56,37 @@ def write_spheres(
             dicom_objects.write(made, path)
             continue
         if path.name.endswith(MARKUPS):
-            text = slicer_markups(spheres_found.markers)
+            text = slicer_markups(spheres_found.markers, ct)
         else:
-            text = document(markers, origin) if path.name.endswith(JSON) else table(spheres_found.markers)
+            text = document(markers, ct) if path.name.endswith(JSON) else table(spheres_found.markers, ct)
         try:
             write_atomically(path, text.encode())
         except OSError as error:
             raise NotWritable(f"cannot write {path}: {error.strerror}") from error
 
 
-def slicer_markups(markers: Sequence[Marker]) -> str:
+def slicer_markups(markers: Sequence[Marker], ct: CtIdentity) -> str:
     """Format a `.mrk.json` with one control point per sphere, LPS in mm."""
-    points = [
-        {
-            "id": str(number),
-            "label": name,
-            "description": f"uncertainty {marker.sigma_mm:.4f} mm rms",
-            "position": list(marker.centre_mm),
-            "selected": True,
-            "locked": True,
-            "visibility": True,
-            "positionStatus": "defined",
-        }
-        for number, (name, marker) in enumerate(name_spheres(markers).items(), 1)
-    ]
-    markups = [
-        {"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}
-    ]
-    return json.dumps({"@schema": MARKUPS_SCHEMA, "markups": markups}, indent=1, allow_nan=False) + "\n"
+    points = {
+        name: (marker.centre_mm, f"uncertainty {marker.sigma_mm:.4f} mm rms")
+        for name, marker in name_spheres(markers).items()
+    }
+    return format_markups([build_markup("Fiducial", "spheres", points)], ct, IN_CT)
 
 
-def table(markers: Sequence[Marker]) -> str:
+def table(markers: Sequence[Marker], ct: CtIdentity) -> str:
     """Format a CSV with name, L, P, S and uncertainty in mm."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
-    writer.writerows((name, *one.centre_mm, one.sigma_mm) for name, one in name_spheres(markers).items())
-    return text.getvalue()
+    rows = []
+    for name, one in name_spheres(markers).items():
+        centre = dict(zip(("L_mm", "P_mm", "S_mm"), one.centre_mm, strict=True))
+        rows.append({"name": name, **centre, "uncertainty_mm": one.sigma_mm, **ct.describe(IN_CT)})
+    return format_table("spheres.csv", rows)
 
 
-def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
+def document(markers: Sequence[Mapping[str, Any]], ct: CtIdentity) -> str:
     """Format the spheres and their series as JSON, in localization order and LPS mm."""
     content = {
-        "series_instance_uid": origin.series_instance_uid,
-        "frame_of_reference_uid": origin.frame_of_reference_uid,
-        "coordinate_system": "LPS",
-        "unit": "mm",
+        **ct.describe(IN_CT),
         "spheres": [{"name": name, **marker} for name, marker in name_spheres(markers).items()],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

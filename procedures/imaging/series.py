@@ -78,6 +78,7 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
         series_instance_uid=slices[0].series_instance_uid,
         frame_of_reference_uid=slices[0].frame_of_reference_uid,
         patient_position=slices[0].patient_position,
+        study_instance_uid=slices[0].study_instance_uid,
         kernel=", ".join(sorted({one.kernel for one in slices if one.kernel})),
         warnings=(
             *accuracy_warnings(slices, geometry),

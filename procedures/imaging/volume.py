@@ -85,8 +85,8 @@ class Volume:
 
     `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the scanner's code
     for the patient's position (`HFS` is head first, supine), `kernel` its name for the reconstruction kernel;
-    both are empty if not stated. `warnings` are sentences for the user on limits of the accuracy. Raises
-    CT-022 for other voxels.
+    both and the study's UID are empty if not stated. `warnings` are sentences for the user on limits of the
+    accuracy. Raises CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]
@@ -96,6 +96,7 @@ class Volume:
     patient_position: str = ""
     kernel: str = ""
     warnings: tuple[str, ...] = ()
+    study_instance_uid: str = ""
 
     def __post_init__(self) -> None:
         # integers: NaN cannot hide among the voxels

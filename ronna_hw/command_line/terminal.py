@@ -45,7 +45,8 @@ from ronna_hw.command_line.options import (
 )
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.files import restrict_new_files
-from ronna_hw.host.process import ENDING_SIGNALS, limit_to_one_thread, require_own_packages
+from ronna_hw.host.own_packages import require_own_packages
+from ronna_hw.host.process import ENDING_SIGNALS, limit_to_one_thread
 
 __all__ = [
     "JsonOption",

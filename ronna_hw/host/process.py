@@ -1,4 +1,4 @@
-"""The current process: start, parent, packages, threads, and termination signals.
+"""The current process: start, parent, threads, and termination signals.
 
 Import it before anything heavy: an import may outlast the parent, whose number is noted here.
 
@@ -17,12 +17,8 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
-from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
-
-from ronna_hw.errors import ConfigurationError
 
 
 def suspend_garbage_collection() -> None:
@@ -67,39 +63,6 @@ def note_parent() -> ParentProcess:
 
 
 PARENT = note_parent()
-OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
-
-
-class ForeignPackage(ConfigurationError):
-    """Another package with the same name on the path shadows one of ours."""
-
-    code = "CFG-003"
-    action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
-
-
-def require_own_packages() -> None:
-    """Raise CFG-003 if another project on the path shadows one of our packages.
-
-    `sim`, `drivers` and `procedures` are common names: half of the program would be foreign code.
-    """
-    foreign = find_foreign_packages()
-    if foreign:
-        raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
-
-
-def find_foreign_packages() -> tuple[str, ...]:
-    """List our package names that Python would not load from the folder of `ronna_hw`."""
-    home = Path(__file__).resolve().parents[2]
-    foreign = []
-    for name in OWN_PACKAGES:
-        spec = find_spec(name)
-        places = (
-            [] if spec is None else [Path(place).resolve() for place in spec.submodule_search_locations or ()]
-        )
-        if places != [home / name]:
-            foreign.append(name)
-    return tuple(foreign)
-
 
 # read by OpenBLAS, OpenMP and MKL when they are loaded
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

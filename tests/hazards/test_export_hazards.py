@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from localized_spheres import localized_marker
 from painted_ct import write_series
-from prepared_results import registered_robot
+from prepared_results import checked_plan, registered_robot
 from pydicom import dcmread
 from recording_cell import RecordingCell
 from spoiled_slices import every, setting
@@ -65,9 +65,14 @@ def run(tmp_path: Path) -> Path:
     )
     folder = tmp_path / "run"
     case, journal = Case(folder), Journal(folder)
+    checked = checked_plan()
+    (planned, *_) = checked.plan.trajectories
+    named = planned.model_copy(update={"id": NAMED_AFTER_THE_PATIENT})
+    plan = checked.plan.model_copy(update={"trajectories": (named,)})
     results: tuple[tuple[StepKey, StepResult], ...] = (
         (StepKey("ct_import"), imported),
         (StepKey("fiducial_localization"), spheres),
+        (StepKey("plan_check"), checked.model_copy(update={"plan": plan})),
         (StepKey("registration", NAMED_AFTER_THE_PATIENT), fit),
     )
     for key, result in results:
@@ -84,7 +89,7 @@ def run(tmp_path: Path) -> Path:
 
 @pytest.mark.hazard(35)
 def test_no_planted_name_appears_in_any_exported_file_or_its_name(run: Path, tmp_path: Path) -> None:
-    written = export_run(run, tmp_path / "export")
+    written = export_run(run, tmp_path / "export").files
     assert {path for path in (tmp_path / "export").rglob("*") if path.is_file()} == set(written)
     for path in written:
         content = path.read_bytes()
@@ -116,9 +121,9 @@ def test_every_exported_field_is_on_the_allow_list(run: Path, tmp_path: Path) ->
     }
     for name in ("spheres.json", "registrations.json"):
         assert set(keys_of(json.loads((out / name).read_text()))) <= listed
-    with (out / "registrations.csv").open() as file:
-        columns = {name for name in next(csv.reader(file)) if not name.startswith("m")}
-    assert columns <= listed
+    for name in ("lines.csv", "errors.csv", "spheres.csv", "registrations.csv"):
+        with (out / name).open() as file:
+            assert next(csv.reader(file)) == [one.name for one in allowed_fields.TABLES[name]]
     attributes = {*allowed_fields.EMPTY_ATTRIBUTES, *allowed_fields.FILLED_ATTRIBUTES}
     for path in out.glob("*.dcm"):
         elements = list(dcmread(path).iterall())

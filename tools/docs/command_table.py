@@ -1,25 +1,23 @@
-"""Table of every command, from the entry points and their help."""
+"""Table of every command, from their help."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
 import typer
-from reference_tables import ROOT, table
+from reference_tables import table
+
+from ronna_hw.command_line.launch import COMMANDS
 
 
 def command_table() -> str:
     """Tabulate all commands with the first sentence of their help."""
-    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
     rows = [
         row
-        for name, target in sorted(scripts.items())
-        for row in _list_commands(
-            typer.main.get_command(import_module(target.partition(":")[0]).app), str(name)
-        )
+        for name, module in sorted(COMMANDS.items())
+        for row in _list_commands(typer.main.get_command(import_module(module).app), name)
     ]
     return table(("command", "purpose"), rows)
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from types import ModuleType
 
-from api_pages import devices, numerics
+from api_pages import devices, numerics, runs
 from command_table import command_table
 from hazard_matrix import hazard_table
 from model_tables import model_tables
@@ -74,6 +74,7 @@ def tables() -> dict[str, str]:
         ),
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),
+        "api-runs.md": runs(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "commands.md": command_table(),
         "error-codes.md": _tabulate_error_codes(),
@@ -155,19 +156,34 @@ def _name_places(error: type[RonnaError], raised: Mapping[str, set[str]]) -> str
 
 
 def _tabulate_exported_fields() -> str:
-    """Tabulate the fields that may leave a run folder."""
+    """Tabulate the files of an export and the fields that may leave a run folder in them."""
+    files = table(("file", "holds"), [(f"`{name}`", what) for name, what in allowed_fields.FILES.items()])
+    columns = [
+        f"## Columns of `{name}`\n\n"
+        + table(("column", "type", ""), [(f"`{one.name}`", one.kind, one.meaning) for one in listed])
+        for name, listed in allowed_fields.TABLES.items()
+    ]
     rows = [
         (f"`{name}`", record_name, meaning)
         for record_name, fields in (
             ("spheres", allowed_fields.SPHERE_FIELDS),
             ("registrations", allowed_fields.REGISTRATION_FIELDS),
-            ("both", allowed_fields.DOCUMENT_FIELDS),
+            ("all", allowed_fields.DOCUMENT_FIELDS),
+            ("index", allowed_fields.INDEX_FIELDS),
         )
         for name, meaning in fields.items()
     ]
-    rows += [(f"`{name}`", "DICOM objects", "") for name in allowed_fields.FILLED_ATTRIBUTES]
-    rows += [(f"`{name}`", "DICOM objects", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
-    return table(("field", "in", ""), rows)
+    fields = table(("field", "in", ""), rows)
+    attributes = [(f"`{name}`", "") for name in allowed_fields.FILLED_ATTRIBUTES]
+    attributes += [(f"`{name}`", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
+    return "\n".join(
+        (
+            f"## Files\n\n{files}",
+            *columns,
+            f"## Fields of the JSON files and of the markups' heads\n\n{fields}",
+            f"## Attributes of the DICOM objects\n\n{table(('attribute', ''), attributes)}",
+        )
+    )
 
 
 def _tabulate_branches() -> str:

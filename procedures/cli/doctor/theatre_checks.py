@@ -110,17 +110,22 @@ def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
     """Yield diagnostics of this computer."""
-    from ronna_hw.host.process import find_foreign_packages
-
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
-    if foreign := find_foreign_packages():
-        advice = "Use an environment in which no other package has these names."
-        yield Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
-    else:
-        yield Diagnostic("packages", True, "none foreign")
+    yield _own_packages()
     yield _receive_buffer()
     yield _real_time()
     yield from _serial_ports()
+
+
+def _own_packages() -> Diagnostic:
+    """Check that no other distribution has replaced files of ours; foreign packages are refused before."""
+    from ronna_hw.host.own_packages import find_replaced_files
+
+    if replaced := find_replaced_files():
+        what = f"{len(replaced)} files replaced or missing, such as {replaced[0]}"
+        advice = "Install ronna-hw again, in a virtual environment of its own."
+        return Diagnostic("packages", False, what, advice)
+    return Diagnostic("packages", True, "none foreign")
 
 
 def _receive_buffer() -> Diagnostic:

@@ -156,12 +156,14 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
 
 
 def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON, without patient
-    identity.
+    """Write plan, spheres, registrations, reached lines and errors as Slicer markups, CSV, JSON and DICOM
+    objects, without patient identity.
 
-    Written to the run's folder `export` by default.
+    Written to the run's folder `export` by default. A run that ended early is exported as far as it came;
+    export.json says what is absent.
     """
     from procedures.exchange.run_export import export_run
+    from procedures.runs.simulated_theatre import find_truth
     from ronna_hw.command_line.options import require_output_folder
     from ronna_hw.command_line.terminal import print_json, tell
 
@@ -169,12 +171,15 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     if out is not None and out.resolve() != folder.resolve():
         require_output_folder(out)
         folder = out
-    written = export_run(run_folder, folder)
+    exported = export_run(run_folder, folder, find_truth)
     if as_json:
-        print_json({"files": [str(path) for path in written]})
+        files = [str(path) for path in exported.files]
+        print_json({"files": files, "absent": dict(exported.absent)})
         return
-    for path in written:
+    for path in exported.files:
         tell(str(path))
+    for what, why in exported.absent.items():
+        tell(f"not in this run: {what} ({why})")
 
 
 def watch_command(

@@ -68,6 +68,7 @@ _TAGS = (
     "LossyImageCompression",
     "ConvolutionKernel",
     "Modality",
+    "StudyInstanceUID",
     "SeriesInstanceUID",
     "FrameOfReferenceUID",
     "PatientPosition",
@@ -108,6 +109,7 @@ class SliceHeader:
     number: float | None  # counted from 1, as a rule
     stated_count: float | None  # of all images of the acquisition
     kernel: str = ""  # of the reconstruction, as the scanner names it
+    study_instance_uid: str = ""
     oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
 
 
@@ -274,6 +276,7 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
         number=read_optional_number(path, header, "InstanceNumber"),
         stated_count=read_optional_number(path, header, "ImagesInAcquisition"),
         kernel=read_attribute_text(path, header, "ConvolutionKernel"),
+        study_instance_uid=read_attribute_text(path, header, "StudyInstanceUID"),
         oddities=_list_oddities(path, header),
     )
 

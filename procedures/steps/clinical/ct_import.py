@@ -32,6 +32,9 @@ class ImportedCt(StepResult, kind="ct_import"):
     kernel: str = Field(default="", description="Reconstruction kernel, as the scanner names it.")
     voxels_sha256: str = Field(description="SHA-256 of the voxels in HU.")
     warnings: tuple[str, ...] = Field(description="Warnings of the import.")
+    study_instance_uid: str = Field(
+        default="", description="DICOM UID of the study; empty if not stated, or in a record without it."
+    )
 
     @classmethod
     def from_volume(cls, volume: Volume) -> ImportedCt:
@@ -49,6 +52,7 @@ class ImportedCt(StepResult, kind="ct_import"):
             kernel=volume.kernel,
             voxels_sha256=hashlib.sha256(volume.voxels.data).hexdigest(),
             warnings=tuple(volume.warnings),
+            study_instance_uid=volume.study_instance_uid,
         )
 
     def names_series(self) -> str:
@@ -56,11 +60,10 @@ class ImportedCt(StepResult, kind="ct_import"):
         return self.series_instance_uid
 
     def differences(self, volume: Volume) -> str:
-        """List the fields in which a series differs, such as `voxels_sha256`; empty if none."""
+        """List the recorded fields in which a series differs, such as `voxels_sha256`; empty if none."""
         now = ImportedCt.from_volume(volume)
-        return ", ".join(
-            name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)
-        )
+        recorded = (name for name in type(self).model_fields if name in self.model_fields_set)
+        return ", ".join(name for name in recorded if getattr(now, name) != getattr(self, name))
 
 
 def run(context: StepContext) -> Outcome[ImportedCt]:

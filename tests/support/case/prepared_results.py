@@ -77,6 +77,7 @@ def imported_ct() -> ImportedCt:
         axes=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
         voxels_sha256="",
         warnings=(),
+        study_instance_uid="1.2.4",
     )
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import typer
 from plan_toml import PLAN, VESSEL
 from recording_cell import ENDPOINTS
 
+from ronna_hw.command_line.launch import COMMANDS
 from ronna_hw.errors import EXIT_USAGE
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import draw_scene
@@ -51,8 +51,7 @@ class BadInput:
 @cache
 def app_of(name: str) -> typer.Typer:
     """The application of a console script."""
-    (script,) = entry_points(group="console_scripts", name=name)
-    app: typer.Typer = import_module(script.module).app
+    app: typer.Typer = import_module(COMMANDS[name]).app
     return app
 
 

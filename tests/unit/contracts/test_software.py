@@ -1,17 +1,11 @@
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from bad_inputs import app_of
 from user_commands import in_this_process
 
-from ronna_hw.software import LOCK, PACKAGE, Software, identify_software
-
-COMMANDS = sorted(
-    script.name
-    for script in entry_points(group="console_scripts")
-    if script.dist is not None and script.dist.name == PACKAGE
-)
+from ronna_hw.command_line.launch import COMMANDS
+from ronna_hw.software import LOCK, Software, identify_software
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 import api_pages
 import pytest
 import typer
 
+from ronna_hw.command_line.launch import COMMANDS
 from ronna_hw.command_line.options import with_common_options
-
-COMMANDS = sorted(one.name for one in entry_points(group="console_scripts") if one.name.startswith("ronna-"))
 
 
 def commands_below(command: Any, path: str) -> Iterator[tuple[str, Any]]:
@@ -24,8 +22,7 @@ def commands_below(command: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_and_option_has_a_help_text(name: str) -> None:
-    (script,) = entry_points(group="console_scripts", name=name)
-    application = import_module(script.module).app
+    application = import_module(COMMANDS[name]).app
     whole = with_common_options(typer.main.get_command(application))
     silent = [
         f"{path} {' '.join(one.opts) if one is not command else ''}"
@@ -38,8 +35,7 @@ def test_every_command_and_option_has_a_help_text(name: str) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_of_every_program_has_the_common_options(name: str) -> None:
-    (script,) = entry_points(group="console_scripts", name=name)
-    whole = with_common_options(typer.main.get_command(import_module(script.module).app))
+    whole = with_common_options(typer.main.get_command(import_module(COMMANDS[name]).app))
     for path, command in commands_below(whole, name):
         offered = {word for one in command.params for word in one.opts}
         is_group = bool(getattr(command, "commands", {}))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 import typer
 
 from procedures.journal.journal import JOURNAL_FILE
+from ronna_hw.command_line.launch import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "reference" / "thesis.md"
@@ -93,8 +93,7 @@ def test_each_command_of_a_row_exists_with_its_options(
 def parse(line: str) -> None:
     """Parse a command as its program does, without running it."""
     program, *words = line.split()
-    (script,) = entry_points(group="console_scripts", name=program)
-    found: Any = typer.main.get_command(import_module(script.module).app)
+    found: Any = typer.main.get_command(import_module(COMMANDS[program]).app)
     while getattr(found, "commands", None):
         found = found.commands[words.pop(0)]
     found.make_context(program, words)

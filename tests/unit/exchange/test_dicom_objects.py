@@ -28,6 +28,7 @@ from procedures.exchange.dicom_objects import (
     write,
 )
 from procedures.exchange.errors import NotWritable
+from procedures.exchange.export_tables import CtIdentity
 from procedures.exchange.sphere_files import slicer_markups, table
 from ronna_hw.frames import Frame, Transform
 
@@ -173,6 +174,8 @@ def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
 
 
 def test_plain_files_contain_names_centres_and_uncertainties() -> None:
-    assert table(SPHERES).splitlines()[1] == "M1,12.345678,-0.001,100.0,0.0123"
-    assert '"coordinateSystem": "LPS"' in slicer_markups(SPHERES)
-    assert "-80.0" in slicer_markups(SPHERES)
+    ct = CtIdentity("1.2.826.0.1.1", "1.2.826.0.1.2", "1.2.826.0.1.3")
+    row = "M1,12.345678,-0.001,100.0,0.0123,LPS,ct,mm,1.2.826.0.1.1,1.2.826.0.1.2,1.2.826.0.1.3"
+    assert table(SPHERES, ct).splitlines()[1] == row
+    assert '"coordinateSystem": "LPS"' in slicer_markups(SPHERES, ct)
+    assert "-80.0" in slicer_markups(SPHERES, ct)

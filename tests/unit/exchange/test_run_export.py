@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+import re
+from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from prepared_results import SERIES, imported_ct, localized_fiducials, registered_robot
+from clinical_case import FIRST, LAST, ROBOT_FROM_CT, ClinicalCell
+from prepared_results import (
+    SERIES,
+    checked_plan,
+    checked_set_up,
+    imported_ct,
+    localized_fiducials,
+    registered_robot,
+)
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
@@ -17,8 +29,16 @@ from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.journal.journal import Entry, Journal
-from procedures.journal.results import StepResult
+from procedures.journal.results import FramedPose, StepResult
+from procedures.planning.guide import depth_stop_mm, place_guide
+from procedures.planning.plan_model import PlannedTrajectory
+from procedures.postoperative.comparison import FoundKind, FoundTrajectory
+from procedures.postoperative.summary import PostoperativeCheck
+from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.work_progress import DepthStop
+from procedures.strategies.trajectory import target_pose
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
 from ronna_hw.frames import Frame, Transform
@@ -26,6 +46,9 @@ from ronna_hw.records import OtherVersion
 
 IMPORTED = imported_ct()
 SPHERES = localized_fiducials(np.array([[1.0, 2.0, 3.0]]))
+PLAN = checked_plan()
+TOO_DEEP_MM = 0.05
+TRUE = TargetTruth(id=FIRST, application_error_mm=0.5, lateral_mm=0.3, axial_mm=-0.4)
 
 
 def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
@@ -35,10 +58,12 @@ def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
     return done.model_copy(update={"predictions": (done.prediction(trajectory),)})
 
 
-def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
+def record(run: Path, *results: tuple[StepKey, StepResult], opened: dict[str, str] | None = None) -> Path:
     """A run folder with these results, in this order, each in place of a former one of its step."""
     run.mkdir(exist_ok=True)
     case, journal = Case(run), Journal(run)
+    if opened is not None:
+        journal.write(Entry.OPENED, 0.0, run=run.name, **opened)
     for key, result in results:
         stored = case.store(key, result, ())
         gone = [one.identifier for one in case.records_superseded_by(key)]
@@ -65,11 +90,11 @@ def finished(tmp_path: Path) -> Path:
 
 def test_an_export_has_the_spheres_and_the_last_registration_of_each_trajectory(finished: Path) -> None:
     out = finished / "export"
-    names = {path.name for path in export_run(finished, out)}
+    names = {path.name for path in export_run(finished, out).files}
     assert names == {
-        *("spheres.csv", "spheres.json", "spheres.mrk.json", "spheres.dcm"),
-        *("registrations.csv", "registrations.json"),
-        *("registration-T1.dcm", "registration-T2.dcm"),
+        *("export.json", "spheres.csv", "spheres.schema.csv", "spheres.json", "spheres.mrk.json"),
+        *("registrations.csv", "registrations.schema.csv", "registrations.json"),
+        *("spheres.dcm", "registration-T1.dcm", "registration-T2.dcm"),
     }
     assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.01")
     said = json.loads((out / "registrations.json").read_text())["registrations"]
@@ -109,10 +134,190 @@ def test_the_registrations_reference_the_exported_spheres(finished: Path) -> Non
     assert first.SOPInstanceUID != second.SOPInstanceUID
 
 
-def test_a_run_without_a_registration_is_refused(tmp_path: Path) -> None:
-    run = record(tmp_path / "run", *IN_CT)
+def test_a_run_without_a_ct_is_refused(tmp_path: Path) -> None:
+    run = record(tmp_path / "run", (StepKey("registration", "T1"), fit("T1", 1.0)))
     with pytest.raises(NothingToExport, match="EXC-003"):
         export_run(run, tmp_path / "export")
+
+
+def test_a_run_that_ended_early_is_exported_as_far_as_it_came(tmp_path: Path) -> None:
+    run = record(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
+    exported = export_run(run, tmp_path / "export")
+    index = json.loads((tmp_path / "export" / "export.json").read_text())
+    assert {path.name for path in exported.files} == set(index["files"]) | {"export.json"}
+    assert {"planned.mrk.json", "lines.csv", "errors.csv", "spheres.mrk.json"} < set(index["files"])
+    assert index["absent"] == exported.absent
+    assert {f"registration of {FIRST}", f"reached line of {LAST}", "found lines"} < set(exported.absent)
+    assert {row["state"] for row in rows_of(tmp_path / "export" / "errors.csv")} == {"not reached"}
+
+
+def whole_run(folder: Path) -> Path:
+    """A run with all that an export can hold: reached, in a simulated theatre, and found in a later CT."""
+    cell = ClinicalCell(folder.parent / "cell")
+    bore, planned = cell.theatre.tools["guide"].bore, PLAN.plan.trajectories[0]
+    assert bore is not None
+    computed_mm = depth_stop_mm(PLAN.plan, planned, bore)
+    reached = ReachedTarget(
+        tool_pose=FramedPose.of(target_pose(place_guide(PLAN.plan, planned, bore), ROBOT_FROM_CT)),
+        nominal_error_mm=TOO_DEEP_MM,
+        too_deep_mm=TOO_DEEP_MM,
+        depth_stop=DepthStop(
+            bore_mm=bore.length_mm,
+            standoff_mm=PLAN.plan.standoff_mm,
+            depth_mm=planned.depth_mm,
+            computed_mm=computed_mm,
+            read_mm=computed_mm + TOO_DEEP_MM,
+        ),
+        pushed_mm=0.0,
+    )
+    (folder / "report").mkdir(parents=True)
+    (folder / "report" / "truth.json").write_text(Truth(targets=(TRUE,)).model_dump_json())
+    (folder / "report" / "postoperative.json").write_text(
+        PostoperativeCheck(
+            schema=1,
+            pre_series_instance_uid=SERIES,
+            post_series_instance_uid="1.2.9",
+            post_from_pre=tuple(map(tuple, np.eye(4).tolist())),
+            bone_agreement=1.0,
+            bone_overlap=1.0,
+            trajectories=(found_in_later_ct(planned),),
+        ).model_dump_json(by_alias=True)
+    )
+    return record(
+        folder,
+        *(*IN_CT, (StepKey("plan_check"), PLAN), (StepKey("set_up"), checked_set_up(cell))),
+        (StepKey("registration"), registered_robot()),
+        (StepKey("at_target", FIRST), reached),
+        opened={"banner": "SIMULATED THEATRE"},
+    )
+
+
+def found_in_later_ct(planned: PlannedTrajectory) -> FoundTrajectory:
+    (x, y, z) = planned.target_mm
+    return FoundTrajectory(
+        id=planned.id,
+        kind=FoundKind.INSTRUMENT,
+        planned_entry_mm=planned.entry_mm,
+        planned_target_mm=planned.target_mm,
+        entry_mm=planned.entry_mm,
+        axis_at_target_mm=(x + 1.0, y, z),
+        tip_mm=(x + 1.0, y, z),
+        entry_error_mm=0.0,
+        target_error_mm=1.0,
+        lateral_mm=0.8,
+        depth_error_mm=0.6,
+        angle_deg=1.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The export of a run that has everything."""
+    folder = tmp_path_factory.mktemp("whole")
+    export_run(whole_run(folder / "run"), folder / "export")
+    return folder / "export"
+
+
+def rows_of(table: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(table.read_text().splitlines()))
+
+
+def test_what_is_written_is_what_the_reference_page_says(exported: Path) -> None:
+    page = Path("docs/reference/export.md").read_text()
+    heads = dict(re.findall(r"## Columns of `(.+?)`\n\n(.+?)(?=\n## |\Z)", page, re.S))
+    columns = {name: re.findall(r"^\| `(\w+)` \|", rows, re.M) for name, rows in heads.items()}
+    tables = [path for path in exported.glob("*.csv") if not path.match("*.schema.csv")]
+    assert columns == {path.name: list(rows_of(path)[0]) for path in tables}
+    for path in tables:
+        schema = rows_of(exported / f"{path.stem}.schema.csv")
+        assert [row["columnName"] for row in schema] == columns[path.name]
+        for row in rows_of(path):
+            numbers = [row[one["columnName"]] for one in schema if one["type"] != "string"]
+            assert all(math.isfinite(float(value)) for value in numbers if value)
+    (listed,) = re.findall(r"## Files\n\n(.+?)\n## ", page, re.S)
+    patterns = re.findall(r"^\| `(.+?)` \|", listed, re.M)
+    names = [path.name for path in exported.iterdir()]
+    assert {next((one for one in patterns if fnmatch(name, one)), None) for name in names} == set(patterns)
+    for path in exported.glob("*.json"):
+        fields = set(json.loads(path.read_text())) - {"@schema", "markups"}
+        assert all(f"| `{name}` |" in page for name in fields), path.name
+
+
+def test_every_file_says_frame_direction_unit_and_uids(exported: Path) -> None:
+    ct = {
+        "series_instance_uid": SERIES,
+        "frame_of_reference_uid": "1.2.3",
+        "study_instance_uid": "1.2.4",
+        "coordinate_system": "LPS",
+        "unit": "mm",
+    }
+    directions = {
+        "lines.csv": {"ct", "ct <- robot", "ct <- later ct"},
+        "errors.csv": {"ct <- robot"},
+        "spheres.csv": {"ct"},
+        "registrations.csv": {"robot <- ct"},
+    }
+    for name, expected in directions.items():
+        rows = rows_of(exported / name)
+        assert all(row.items() >= ct.items() for row in rows)
+        assert {row["direction"] for row in rows} == expected
+    for path in exported.glob("*.json"):
+        assert json.loads(path.read_text()).items() >= ct.items(), path.name
+
+
+def test_the_lines_are_slicer_markups_from_entry_to_target_or_tip(exported: Path) -> None:
+    planned = PLAN.plan.trajectories[0]
+    axis = planned.trajectory.axis_ct
+    ends = {
+        "planned": [[*one.entry_mm, *one.target_mm] for one in PLAN.plan.trajectories],
+        "reached": [[*planned.entry_mm, *(np.array(planned.target_mm) + TOO_DEEP_MM * axis)]],
+        "found": [[*planned.entry_mm, *np.add(planned.target_mm, (1.0, 0.0, 0.0))]],
+    }
+    for kind, expected in ends.items():
+        content = json.loads((exported / f"{kind}.mrk.json").read_text())
+        assert content["@schema"].endswith("/markups-schema-v1.0.3.json#")
+        lines = [as_slicer_line(one) for one in content["markups"]]
+        np.testing.assert_allclose(lines, expected, atol=1e-6)
+
+
+def as_slicer_line(markup: dict[str, Any]) -> list[float]:
+    """Both ends, as Slicer's schema of markups 1.0.3 has a line."""
+    assert (markup["type"], markup["coordinateSystem"], markup["coordinateUnits"]) == ("Line", "LPS", "mm")
+    for colour in ("color", "selectedColor"):
+        assert len(markup["display"][colour]) == 3
+        assert all(0.0 <= one <= 1.0 for one in markup["display"][colour])
+    for point in markup["controlPoints"]:
+        assert isinstance(point["id"], str)
+        assert point["positionStatus"] == "defined"
+        assert len(point["position"]) == 3
+    first, second = (point["position"] for point in markup["controlPoints"])
+    (length,) = markup["measurements"]
+    assert (length["name"], length["units"]) == ("length", "mm")
+    assert length["value"] == pytest.approx(math.dist(first, second))
+    return [*first, *second]
+
+
+def test_the_errors_are_kept_apart_by_where_they_come_from(exported: Path) -> None:
+    first, last = rows_of(exported / "errors.csv")
+    figures = ("error", "lateral", "axial")
+    said = {
+        source: [float(first[f"{source}_{one}_mm"]) for one in figures]
+        for source in ("nominal", "found", "simulated")
+    }
+    assert said["nominal"] == pytest.approx([TOO_DEEP_MM, 0.0, TOO_DEEP_MM], abs=1e-6)
+    assert said["found"] == [1.0, 0.8, 0.6]
+    assert said["simulated"] == [0.5, 0.3, -0.4]
+    assert float(first["predicted_tre_mm"]) == 0.2
+    assert (first["state"], last["state"]) == ("reached", "not reached")
+    assert last["nominal_error_mm"] == last["simulated_error_mm"] == ""
+
+
+def test_a_real_theatre_has_no_true_error_even_if_its_folder_names_one(tmp_path: Path) -> None:
+    (tmp_path / "run" / "report").mkdir(parents=True)
+    (tmp_path / "run" / "report" / "truth.json").write_text(Truth(targets=(TRUE,)).model_dump_json())
+    run = record(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
+    assert "true errors" in export_run(run, tmp_path / "out").absent
+    assert {row["simulated_error_mm"] for row in rows_of(tmp_path / "out" / "errors.csv")} == {""}
 
 
 def test_a_changed_record_is_not_exported(finished: Path) -> None:
@@ -152,7 +357,7 @@ def test_a_registration_of_another_run_does_not_stay_among_the_exported_ones(fin
 
 def test_an_export_replaces_links_instead_of_writing_through_them(finished: Path) -> None:
     out, precious = finished.parent / "exported", finished.parent / "precious"
-    names = [path.name for path in export_run(finished, out)]
+    names = [path.name for path in export_run(finished, out).files]
     precious.write_text("precious")
     for name in names:
         (out / name).unlink()
@@ -175,7 +380,7 @@ def test_pictures_kept_in_a_run_are_not_exported(finished: Path, tmp_path: Path)
     (finished / "readings").mkdir(exist_ok=True)
     closed = json.loads((finished / "journal.jsonl").read_text().splitlines()[-1])["files"]
     seal(finished, closed)
-    written = export_run(finished, tmp_path / "export")
+    written = export_run(finished, tmp_path / "export").files
     assert {path.suffix for path in written} == {".csv", ".json", ".dcm"}
     assert sorted(written) == sorted(path for path in (tmp_path / "export").rglob("*") if path.is_file())
     assert not any(b"a picture" in path.read_bytes() for path in written)

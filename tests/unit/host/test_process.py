@@ -1,4 +1,4 @@
-"""A command runs linear algebra on one thread, collects no garbage at its start, refuses foreign packages."""
+"""A command runs linear algebra on one thread and collects no garbage at its start."""
 
 from __future__ import annotations
 
@@ -6,14 +6,10 @@ import gc
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from ronna_hw.host.process import (
-    OWN_PACKAGES,
-    find_foreign_packages,
-    require_own_packages,
     resume_garbage_collection,
     suspend_garbage_collection,
 )
@@ -39,35 +35,6 @@ def test_linear_algebra_of_a_command_uses_one_thread_on_any_number_of_processors
         command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "2"}
     )
     assert done.stdout == "1\n", done.stderr
-
-
-PROGRAM = """
-from ronna_hw.host.process import ForeignPackage, require_own_packages
-try:
-    require_own_packages()
-except ForeignPackage as error:
-    print(error)
-"""
-
-
-def test_our_own_packages_are_accepted() -> None:
-    require_own_packages()
-    assert find_foreign_packages() == ()
-
-
-def test_foreign_packages_ahead_on_the_path_are_refused_by_name(tmp_path: Path) -> None:
-    for name in OWN_PACKAGES:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").touch()
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM],
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.startswith("CFG-003: ")
-    assert " and ".join(OWN_PACKAGES) in done.stdout
 
 
 def test_objects_are_exempted_from_collection_only_after_a_suspension() -> None:

@@ -164,7 +164,7 @@ def test_a_changed_figure_of_one_registration_does_not_prevent_the_report(
 def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
     registered_twice(ClinicalCell(tmp_path / "run"))
     seal(tmp_path / "run", Manifest(read_chain(tmp_path / "run" / JOURNAL_FILE).lines).files)
-    names = {path.name for path in export_run(tmp_path / "run", tmp_path / "out")}
+    names = {path.name for path in export_run(tmp_path / "run", tmp_path / "out").files}
     assert {f"registration-{name}.dcm" for name in TRAJECTORIES} < names
     table = (tmp_path / "out" / "registrations.csv").read_text().splitlines()
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
@@ -173,7 +173,7 @@ def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
 def test_the_robot_gets_another_frame_of_reference_after_the_move(tmp_path: Path) -> None:
     registered_twice(ClinicalCell(tmp_path / "run"))
     seal(tmp_path / "run", Manifest(read_chain(tmp_path / "run" / JOURNAL_FILE).lines).files)
-    first, again = (frames_of(export_run(tmp_path / "run", tmp_path / name)) for name in ("one", "two"))
+    first, again = (frames_of(export_run(tmp_path / "run", tmp_path / name).files) for name in ("one", "two"))
     assert len(set(first)) == len(TRAJECTORIES)
     assert first == again
 

@@ -1,0 +1,245 @@
+"""What a run has for an export: its CT, and whatever else it reached, under exported labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from procedures.engine.case import Stored
+from procedures.engine.run_folder import RunFolder, targets_in_doubt
+from procedures.exchange.allowed_fields import label_of
+from procedures.exchange.errors import NothingToExport
+from procedures.exchange.export_tables import CT_FROM_ROBOT, CtIdentity, format_table
+from procedures.exchange.trajectory_lines import (
+    Deviation,
+    TrajectoryLine,
+    deviation,
+    found_line,
+    planned_line,
+    reached_line,
+)
+from procedures.journal.results import StepResult
+from procedures.postoperative.comparison import FoundTrajectory
+from procedures.reporting.ending import Ending, run_ending
+from procedures.reporting.files import load_check, load_truth
+from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.run_reading import RunReading, UsedRegistration, find_used_registrations
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import Prediction, RegisteredRobot, Relocalization
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.target_measurement import MeasuredTarget
+
+R = TypeVar("R", bound=StepResult)
+FindTruth = Callable[[Path], Truth | None]
+UNKNOWN = Deviation(None, None, None)
+LEAVE_OUT: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
+
+
+@dataclass(frozen=True)
+class CaseResults:
+    """Results of a case, finished or not; trajectories are keyed by their name in the plan."""
+
+    run: RunFolder
+    ct: CtIdentity
+    spheres: Stored[LocalizedFiducials] | None
+    plan: CheckedPlan | None
+    registrations: tuple[UsedRegistration, ...]
+    reached: Mapping[str, TrajectoryLine | None]  # None: the work was finished on an earlier visit
+    found: Mapping[str, FoundTrajectory]
+    truth: Mapping[str, TargetTruth]
+    labels: Mapping[str, str]
+    unreadable: str = ""  # why the check after the operation is missing
+
+    @property
+    def lines(self) -> list[TrajectoryLine]:
+        """All lines, trajectory by trajectory."""
+        if self.plan is None:
+            return []
+        return [
+            line
+            for one in self.plan.plan.trajectories
+            for line in (
+                planned_line(self.labels[one.id], one),
+                self.reached.get(one.id),
+                found_line(self.labels[one.id], self.found[one.id]) if one.id in self.found else None,
+            )
+            if line is not None
+        ]
+
+    @property
+    def ending(self) -> Ending:
+        """How the run ended, by its journal."""
+        return run_ending(self.run.journal)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the theatre was simulated: only there is the true error known."""
+        return bool(self.run.opened.get("banner"))
+
+    def absent(self) -> dict[str, str]:
+        """Say what the run does not have, and why."""
+        ended = f"the run ended before: {self.ending.word}"
+        missing: dict[str, str] = {}
+        if self.spheres is None:
+            missing["spheres"] = ended
+        if self.plan is None:
+            return missing | {"plan, trajectories and errors": ended}
+        names = [one.id for one in self.plan.plan.trajectories]
+        registered = {name for one in self.registrations for name in one.targets}
+        left_out = self._left_out()
+        for what, present in (("registration", registered), ("reached line", self.reached)):
+            for name in names:
+                if name not in present:
+                    missing[f"{what} of {self.labels[name]}"] = "left out" if name in left_out else ended
+        for name, line in self.reached.items():
+            if line is None:
+                missing[f"reached line of {self.labels[name]}"] = "the pose of the guide is not in its record"
+        if not self.found:
+            missing["found lines"] = self.unreadable or (
+                "no CT after the operation was compared: "
+                "ronna-ct postoperative PRE POST --plan PLAN --run RUN"
+            )
+        if not self.simulated:
+            missing["true errors"] = "known only in a simulated theatre"
+        elif unknown := [self.labels[name] for name in names if name not in self.truth]:
+            missing[f"true error of {', '.join(unknown)}"] = (
+                "no tip was sampled there in the simulated theatre"
+            )
+        return missing
+
+    def tabulate_errors(self) -> str:
+        """Format the table of errors, with a row for each planned trajectory."""
+        if self.plan is None:
+            return format_table("errors.csv", ())
+        doubts, left_out = targets_in_doubt(self.run.journal), self._left_out()
+        predictions = {one.target: one for used in self.registrations for one in used.predictions}
+        stereo_mm = {one.record.trajectory: one.result.error_mm for one in self.run.standing(MeasuredTarget)}
+        rows = []
+        for one in self.plan.plan.trajectories:
+            line, found, truth = self.reached.get(one.id), self.found.get(one.id), self.truth.get(one.id)
+            state = "reached" if one.id in self.reached else "not reached"
+            rows.append(
+                {
+                    "trajectory": self.labels[one.id],
+                    "state": "left out" if one.id in left_out and one.id not in self.reached else state,
+                    "in_doubt": int(one.id in doubts),
+                    "depth_mm": one.depth_mm,
+                    "margin_mm": one.margin_mm,
+                    **_predicted(predictions.get(one.id)),
+                    **_columns("nominal", UNKNOWN if line is None else deviation(line, one)),
+                    "stereo_error_mm": stereo_mm.get(one.id),
+                    **_columns("found", _of_found(found)),
+                    **_columns("simulated", _of_truth(truth)),
+                    **self.ct.describe(CT_FROM_ROBOT),
+                }
+            )
+        return format_table("errors.csv", rows)
+
+    def _left_out(self) -> set[str]:
+        return {
+            name
+            for model in LEAVE_OUT
+            for one in self.run.standing(model)
+            for name in one.result.leaves_out()
+        }
+
+
+def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
+    """Read what a run has for an export.
+
+    `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-003 for a run without
+    a CT, REC-001, REC-003.
+    """
+    imported = run.standing(ImportedCt)
+    if not imported:
+        raise NothingToExport(
+            f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
+            expected="a case that imported its CT",
+            got=f"a run without, {run_ending(run.journal).word}",
+        )
+    ct = imported[-1].result
+    plan = _last(run, CheckedPlan)
+    registrations = find_used_registrations(run.made(RegisteredRobot), run.records, run.superseded)
+    planned = [] if plan is None else [one.id for one in plan.plan.trajectories]
+    names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
+    labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
+    spheres = run.standing(LocalizedFiducials)
+    after = load_check(reading := RunReading(run, ()))
+    truth = (load_truth(run.path) or find_truth(run.path)) if run.opened.get("banner") else None
+    return CaseResults(
+        run=run,
+        ct=CtIdentity(ct.series_instance_uid, ct.frame_of_reference_uid, ct.study_instance_uid),
+        spheres=spheres[-1] if spheres else None,
+        plan=plan,
+        registrations=registrations,
+        reached=reached_lines(run, plan, registrations, labels),
+        found={} if after is None else {one.id: one for one in after.found.trajectories},
+        truth={} if truth is None else {one.id: one for one in truth.targets},
+        labels=labels,
+        unreadable="; ".join(reading.problems),
+    )
+
+
+def reached_lines(
+    run: RunFolder,
+    plan: CheckedPlan | None,
+    registrations: Sequence[UsedRegistration],
+    labels: Mapping[str, str],
+) -> dict[str, TrajectoryLine | None]:
+    """Return the line of each reached trajectory; None where the work was finished on an earlier visit."""
+    set_up = _last(run, CheckedSetUp)
+    tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
+    poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}
+    lines: dict[str, TrajectoryLine | None] = {}
+    for one in run.standing(ReachedTarget):
+        name, pose, stop = one.record.trajectory, one.result.tool_pose, one.result.depth_stop
+        if plan is None or name is None or name not in labels:
+            continue
+        lines[name] = None
+        if pose is not None and tool is not None and tool.bore is not None and name in poses:
+            lines[name] = reached_line(
+                labels[name], plan.trajectory(name), pose.transform, poses[name], stop, tool.bore
+            )
+    return lines
+
+
+def _last(run: RunFolder, model: type[R]) -> R | None:
+    found = run.standing(model)
+    return found[-1].result if found else None
+
+
+def _predicted(prediction: Prediction | None) -> dict[str, float | None]:
+    if prediction is None:
+        return {}
+    return {
+        "predicted_tre_mm": prediction.rms_mm,
+        "predicted_tre_limit_mm": prediction.limit_mm,
+        "confidence": prediction.confidence,
+    }
+
+
+def _columns(source: str, error: Deviation) -> dict[str, float | None]:
+    return {
+        f"{source}_error_mm": error.error_mm,
+        f"{source}_lateral_mm": error.lateral_mm,
+        f"{source}_axial_mm": error.axial_mm,
+    }
+
+
+def _of_found(found: FoundTrajectory | None) -> Deviation:
+    if found is None:
+        return UNKNOWN
+    return Deviation(found.target_error_mm, found.lateral_mm, found.depth_error_mm)
+
+
+def _of_truth(truth: TargetTruth | None) -> Deviation:
+    if truth is None:
+        return UNKNOWN
+    return Deviation(truth.application_error_mm, truth.lateral_mm, truth.axial_mm)
