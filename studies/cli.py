@@ -516,6 +516,24 @@ def times(
         _show(table)
 
 
+@app.command()
+def notebook(
+    notebooks: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Notebooks to execute.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder in which they run, and to which they are written executed."
+        ),
+    ] = Path("notebooks"),
+) -> None:
+    """Execute notebooks, such as those in examples/notebooks, without Jupyter; needs the extra notebooks."""
+    from studies.notebooks import execute_notebook
+
+    require_output_folder(out)
+    for path in notebooks:
+        terminal.tell(str(execute_notebook(path, out)))
+
+
 def _show(table: Table) -> None:
     from studies.campaign.study import format_cell
 

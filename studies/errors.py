@@ -110,3 +110,24 @@ class WorldNotRun(DataError):
 
     code = "STU-015"
     action = "Repeat this world with --only to see the reason."
+
+
+class NotebooksNotInstalled(ConfigurationError):
+    """The packages that execute notebooks are not installed."""
+
+    code = "STU-016"
+    action = "Run make setup in the clone, or python -m pip install 'ronna-hw[notebooks]'."
+
+
+class NotebookFailed(DataError):
+    """A cell of a notebook raised an error, took too long, or ended its kernel."""
+
+    code = "STU-017"
+    action = "Correct the cell, or take the example from examples/notebooks again."
+
+
+class NotANotebook(DataError):
+    """A file given as a notebook is not one."""
+
+    code = "STU-018"
+    action = "Give one of examples/notebooks, or a notebook that Jupyter has written."

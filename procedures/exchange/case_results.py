@@ -179,7 +179,7 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
         spheres=spheres[-1] if spheres else None,
         plan=plan,
         registrations=registrations,
-        reached=_reached_lines(run, plan, registrations, labels),
+        reached=reached_lines(run, plan, registrations, labels),
         found={} if after is None else {one.id: one for one in after.found.trajectories},
         truth={} if truth is None else {one.id: one for one in truth.targets},
         labels=labels,
@@ -187,12 +187,13 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
     )
 
 
-def _reached_lines(
+def reached_lines(
     run: RunFolder,
     plan: CheckedPlan | None,
     registrations: Sequence[UsedRegistration],
     labels: Mapping[str, str],
 ) -> dict[str, TrajectoryLine | None]:
+    """Return the line of each reached trajectory; None where the work was finished on an earlier visit."""
     set_up = _last(run, CheckedSetUp)
     tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
     poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}

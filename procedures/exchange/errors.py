@@ -1,4 +1,4 @@
-"""Export errors, EXC-001 to EXC-004."""
+"""Export errors, EXC-001 to EXC-005."""
 
 from __future__ import annotations
 
@@ -31,3 +31,10 @@ class FieldNotAllowed(DataError):
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."
+
+
+class NoRegistration(DataError):
+    """The run has no registration for the requested target."""
+
+    code = "EXC-005"
+    action = "Give a trajectory whose predicted_mm in run.targets is a number."

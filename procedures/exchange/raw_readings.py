@@ -16,7 +16,7 @@ from typing import Literal, TextIO
 from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.errors import NotRecorded
-from procedures.engine.replay.recorded_answers import BEGINS, read_in_order
+from procedures.engine.replay.recorded_answers import BEGINS, RecordedReading, iterate_readings
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.bounded_input import read_json_bytes
@@ -61,7 +61,14 @@ class RawReading:
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
     """Yield the readings in a run folder, in order, up to the first damaged one. Raises PRO-024."""
-    run = Path(run)
+    for step, one in iterate_steps(Path(run)):
+        value = one.load()
+        if isinstance(value, StereoReading | TrackerFrame | ArmReading):
+            yield RawReading(step, one.device, one.call, one.theatre_time_s, value)
+
+
+def iterate_steps(run: Path) -> Iterator[tuple[str, RecordedReading]]:
+    """Yield each answer on a run's tape with its step, without loading pixels. Raises PRO-024."""
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(
             f"{run} is not a run with readings",
@@ -72,11 +79,8 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
     steps = {
         line["sequence"]: str(line.get("step", "home")) for line in chain.lines if line["entry"] in BEGINS
     }
-    for section, device, call, call_record in read_in_order(run):
-        if isinstance(call_record.value, StereoReading | TrackerFrame | ArmReading):
-            yield RawReading(
-                steps.get(section, ""), device, call, call_record.theatre_time_s, call_record.value
-            )
+    for one in iterate_readings(run):
+        yield steps.get(one.section, ""), one
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:

@@ -52,3 +52,7 @@ def __getattr__(name: str) -> Any:
             globals()[name] = getattr(home, name)
             return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
@@ -12,6 +12,30 @@ from procedures.reporting.outcome import RunError
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
+GO_ON = (
+    "Put right what is named, then ronna-procedure resume RUN goes on from there; ronna-procedure home RUN "
+    "only brings the arm home."
+)
+ADVICE = {  # by the word of an ending, for a case
+    "missed": (
+        "Do not work at a target that is beyond. Look below at what the prediction is made of and at what "
+        "stayed as it was, then register anew in a new run."
+    ),
+    "in doubt": (
+        "Do not rely on these targets until an image confirms them: ronna-ct postoperative compares one "
+        "taken after the operation with the plan."
+    ),
+    "killed": (
+        "ronna-procedure list says whether a program still holds the run. If none does: ronna-procedure "
+        "resume RUN goes on, ronna-procedure home RUN only brings the arm home."
+    ),
+    "not begun": "Nothing has moved. Put right what is named, then start again.",
+    **dict.fromkeys(("failed", "refused", "aborted"), GO_ON),
+    **dict.fromkeys(
+        ("interrupted", "left"),
+        "ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only brings the arm home.",
+    ),
+}
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 
@@ -43,6 +67,26 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
+
+
+def judge(ending: Ending, verdicts: Sequence[str]) -> Ending:
+    """Return the ending of a report: missed if every step was done, but an error is beyond its margin."""
+    beyond = verdicts.count("beyond")
+    if not beyond or ending.word not in ("done", "in doubt"):
+        return ending
+    return replace(
+        ending,
+        word="missed",
+        sentence=f"{format_count(beyond, 'target')} beyond the margin of the plan. {ending.sentence}",
+    )
+
+
+def advise(ending: Ending, *, is_case: bool) -> str:
+    """Say what to do after an ending; empty after one that needs nothing."""
+    if is_case or ending.word in ("not begun", "done"):
+        return ADVICE.get(ending.word, "")
+    code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
+    return f"{code}Put right what is named, then start the command again."
 
 
 def _describe_place(journal: Sequence[Line]) -> str:

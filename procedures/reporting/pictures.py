@@ -33,27 +33,30 @@ PUBLISHED_MM = (
     ("RONNA G3, targets < 50 mm deep", 0.43, 0.532),
     ("RONNA G3, targets 50-120 mm deep", 0.88, 0.753),
 )
-GRID = "#dfe5e8"
+# One palette for all drawings: each hue stands apart from white and from the page's dark ground by 3 : 1 or
+# more; text and grid take the ink of the page around them.
+BLUE, GREY, GREEN, AMBER, RED = "#2b7fa3", "#7d8a91", "#4d9070", "#c27a0c", "#d0453b"
+GRID = 'stroke="currentColor" stroke-opacity="0.2"'
 VALUE_ROOM = 70.0  # for the number after a bar
 LEFT, TOP = 44.0, 20.0  # of the plots with axes
 # Errors at the targets: colours, heights of a row and of its bar
-OURS, PREDICTED, PUBLISHED, CAMPAIGN = "#1f6f8b", "#9cc5d3", "#b9b9b9", "#5f8f7a"
+OURS, PREDICTED, PUBLISHED, CAMPAIGN = BLUE, GREY, GREY, GREEN
 TARGET_ROW, TARGET_BAR, HEADING_ROW = 31.0, 12.0, 24.0
 # Clearance of the motions
-HEAD, OTHER = "#1f6f8b", "#9cc5d3"
+HEAD, OTHER = BLUE, GREEN
 MOTION_ROW, MOTION_BAR = 40.0, 10.0
 LONGEST_MM = 200.0  # a longer bar carries no information
 # Timeline
-STEP, MOTION, REST, BROKEN = "#d3e3e9", "#1f6f8b", "#e0a030", "#b3261e"
+STEP, MOTION, REST, BROKEN = GREY, BLUE, AMBER, RED
 SPAN_ROW, SPAN_BAR, AXIS, MARGIN = 30.0, 11.0, 20.0, 12.0
 LEAST_WIDTH = 1.5  # so that what took no theatre time is still visible
 MOST_TICKS = 6
 # Histograms of the robot link
-TURNAROUND, JITTER = "#1f6f8b", "#b3541e"
+TURNAROUND, JITTER = BLUE, AMBER
 LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have
 HISTOGRAM_HEIGHT = 150.0
 # Residuals of a calibration's views
-USED, LEFT_OUT = "#1f6f8b", "#b3261e"
+USED, LEFT_OUT = BLUE, RED
 LOOKS_HEIGHT = 120.0
 GAP = 0.2  # of a bar's width
 # Proposed markers
@@ -84,9 +87,8 @@ class Canvas:
         )
 
     def line(self, x1: float, y1: float, x2: float, y2: float, stroke: str) -> None:
-        self._shapes.append(
-            f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" stroke="{stroke}"/>'
-        )
+        """Add a line with `stroke`, its attributes of colour."""
+        self._shapes.append(f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" {stroke}/>')
 
     def text(
         self, x: float, y: float, words: str, *, anchor: Literal["start", "middle", "end"] = "start"
@@ -99,7 +101,7 @@ class Canvas:
         """Finished drawing, to be stored as a file or embedded in a page."""
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {self._height:g}" role="img" '
-            f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}">'
+            f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}" fill="currentColor">'
             f"<title>{escape(self._title)}</title>{''.join(self._shapes)}</svg>"
         )
 
@@ -124,7 +126,7 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
     scale = (WIDTH - VALUE_ROOM) / max(value for _, value, _ in bars)
     top = 0.0
     for heading, group in groups.items():
-        canvas.text(WIDTH, top + 15, heading, anchor="end")
+        canvas.text(0, top + 15, heading)
         canvas.line(0, top + 20, WIDTH, top + 20, GRID)
         top += HEADING_ROW
         for label, value, colour in group:
@@ -166,7 +168,7 @@ def _place_name(name: str) -> str:
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
-    """Draw the timeline: steps light, motions dark, pauses amber, abnormal ends red."""
+    """Draw the timeline: steps grey, motions blue, pauses amber, abnormal ends red."""
     rows = list(dict.fromkeys(span.row for span in spans))
     begin_s = min(span.begin_s for span in spans)
     length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
@@ -250,10 +252,10 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
         canvas.rectangle(
             x(begin), y(turnaround), x(end) - x(begin), TOP + HISTOGRAM_HEIGHT - y(turnaround), TURNAROUND
         )
-    before = TOP + HISTOGRAM_HEIGHT
+    before, stroke = TOP + HISTOGRAM_HEIGHT, f'stroke="{JITTER}"'
     for begin, end, _, jitter in bins:
-        canvas.line(x(begin), before, x(begin), y(jitter), JITTER)
-        canvas.line(x(begin), y(jitter), x(end), y(jitter), JITTER)
+        canvas.line(x(begin), before, x(begin), y(jitter), stroke)
+        canvas.line(x(begin), y(jitter), x(end), y(jitter), stroke)
         before = y(jitter)
     return canvas.svg
 
@@ -297,14 +299,14 @@ def marker_picture(
     ):
         middle = head.centre_mm[across], head.centre_mm[up]
         size = 2.0 * head.semi_axes_mm[across], 2.0 * head.semi_axes_mm[up]
-        axes.add_patch(Ellipse(middle, *size, fill=False, color="grey"))
+        axes.add_patch(Ellipse(middle, *size, fill=False, color=GREY))
         for one in trajectories:
             ends = one.entry_mm, one.target_mm
-            axes.plot([end[across] for end in ends], [end[up] for end in ends], "-", color="C0")
-            axes.annotate(one.identifier, (one.target_mm[across], one.target_mm[up]), color="C0")
+            axes.plot([end[across] for end in ends], [end[up] for end in ends], "-", color=BLUE)
+            axes.annotate(one.identifier, (one.target_mm[across], one.target_mm[up]), color=BLUE)
         for number, centre in enumerate(proposed.centres_mm, start=1):
-            axes.plot(centre[across], centre[up], "o", color="C3")
-            axes.annotate(str(number), (centre[across], centre[up]), color="C3")
+            axes.plot(centre[across], centre[up], "o", color=RED)
+            axes.annotate(str(number), (centre[across], centre[up]), color=RED)
         axes.set_title(title)
         axes.set_aspect("equal")
         if leftwards:

@@ -18,7 +18,7 @@ from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
-from procedures.reporting.ending import run_ending
+from procedures.reporting.ending import advise, judge, run_ending
 from procedures.reporting.files import (
     REPORT_FOLDER,
     TRUTH_FILE,
@@ -40,7 +40,7 @@ from procedures.reporting.pictures import (
     target_figure,
     timeline_figure,
 )
-from procedures.reporting.run_events import advisories, notable_events, questions
+from procedures.reporting.run_events import advisories, moves, notable_events, questions
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import (
     ALGORITHM_PROCESSOR,
@@ -52,6 +52,7 @@ from procedures.reporting.run_statistics import (
     times_taken,
 )
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
+from procedures.reporting.stacked_tables import label_cells
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -113,7 +114,10 @@ def write_report(
         "opened": reading.run.opened,
         "began": _host_time(reading, 0),
         "ended": _host_time(reading, -1),
-        "ending": run_ending(reading.run.journal, error),
+        "ending": (ending := judge(run_ending(reading.run.journal, error), [row.verdict for row in rows])),
+        "advice": advise(ending, is_case=not reading.run.opened.get("procedure")),
+        "moves": moves(reading.run.journal),
+        "unprinted": [],  # titles, as the page collects them
         "software": list(
             dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
         ),
@@ -171,7 +175,7 @@ def write_report(
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
-    write_atomically(path, _template().render(page).encode())
+    write_atomically(path, label_cells(_template().render(page)).encode())
     return path
 
 

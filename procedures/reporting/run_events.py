@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
+from ronna_hw.text import format_count
 
+ADVICE = re.compile(r"\. (?=[A-Z])")  # follows the first sentence of an error
+MOVES = (BaseShifted.code, PatientMoved.code, FrameSlipped.code)
 _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
     Entry.SEAT: (
@@ -65,6 +70,22 @@ def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     first: dict[str, RunEvent] = {}
     for number, one in enumerate(_events_of_kinds(journal, _SENTENCES)):
         first.setdefault(one.text if one.text in found else str(number), one)
+    return tuple(first.values())
+
+
+def moves(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
+    """Return each move of cart, tracker, head or patient's frame that was found, with what it voided."""
+    first: dict[str, RunEvent] = {}
+    for line in journal:
+        if line["entry"] in (Entry.VOIDED, Entry.FAILED) and line.get("code") in MOVES:
+            _code, _, words = str(line.get("what", "")).partition(": ")
+            what, gone = ADVICE.split(words)[0], line.get("supersedes")
+            count = len(gone) if isinstance(gone, list) else 0
+            voided = f"; {format_count(count, 'result')} no longer valid" if count else ""
+            event = RunEvent(
+                clock_time(line), theatre_time_s(line), "move", str(line.get("step", "")), what + voided
+            )
+            first.setdefault(what, event)
     return tuple(first.values())
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.planning.motions import BACK
-from procedures.reporting.numbers import millimetres, tenths
+from procedures.reporting.numbers import NOT_KNOWN, millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
@@ -27,6 +27,19 @@ class TargetRow:
     lateral_mm: float | None
     axial_mm: float | None
     measured_mm: float | None = None  # by the stereo head in place of the guide, on a phantom
+    margin_mm: float | None = None  # accepted by the plan
+
+    @property
+    def verdict(self) -> str:
+        """The error against the margin, or where no error is known what was predicted of it."""
+        if self.margin_mm is None:
+            return NOT_KNOWN
+        known_mm = [one for one in (self.error_mm, self.measured_mm) if one is not None]
+        if known_mm:
+            return "within" if max(known_mm) <= self.margin_mm else "beyond"
+        if self.predicted.rms_mm > self.margin_mm:
+            return "predicted beyond"
+        return "predicted within" if self.predicted.limit_mm <= self.margin_mm else "rms within, limit beyond"
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -47,6 +60,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     """Return a row for each registered target, with the prediction of its registration."""
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
+    margin_mm = {} if plan is None else {one.id: one.margin_mm for one in plan.plan.trajectories}
     truths = {one.id: one for one in truth.targets}
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
     rows = []
@@ -62,6 +76,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
                     None if target_truth is None else target_truth.lateral_mm,
                     None if target_truth is None else target_truth.axial_mm,
                     measured_mm.get(predicted.target),
+                    margin_mm.get(predicted.target),
                 )
             )
     return tuple(rows)

@@ -86,7 +86,7 @@ def group_strays(
         raise BadStrays("the radius must be positive and the share between 0 and 1")
     groups: list[_GroupBuilder] = []
     for frame in frames:
-        readings = _require_positions(frame)
+        readings = require_positions(frame)
         for index in _assign(groups, readings, radius_mm):
             groups.append(_GroupBuilder())
             groups[-1].add(readings[index])
@@ -99,7 +99,8 @@ def group_strays(
     )
 
 
-def _require_positions(frame: Sequence[Vector3]) -> Array:
+def require_positions(frame: Sequence[Vector3]) -> Array:
+    """Return the positions of one frame as an array (n, 3). Raises DEV-005."""
     readings = np.asarray(frame, dtype=float)
     if readings.size == 0:
         return np.zeros((0, 3))

@@ -10,8 +10,10 @@ from typing import Any
 from case_results import measured, targets
 from console_clicks import answer, answer_until, await_next, run_by_clicks, run_to, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
+from report_layout import misfits
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+from ronna_hw.evidence.manifest import REPORT_FILE
 
 DEFAULT = ("--scene", "default", "--seed", "7")
 NO_TOOL, STEREO_HEAD = "0", "1"
@@ -55,3 +57,4 @@ def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_o
     assert measured(case.run) == measured(alone.run)
     assert len(targets(case.run)) == 3
     assert targets(case.run) == targets(alone.run)
+    assert misfits(page, alone.run / REPORT_FILE) == []

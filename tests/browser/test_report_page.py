@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
+from report_layout import PHONE_PX, hidden_by_width, misfits
 
 from procedures.journal.journal import Entry
 from procedures.reporting.outcome import TargetTruth, Truth
@@ -16,21 +17,14 @@ from procedures.steps.clinical import registration
 from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
 from procedures.workcell import MountedTool
 
-PHONE_PX = 390
 A4_PX = 688  # 210 mm without the page's margins of 14 mm, at 96 pixels per inch
-# The beginnings of what reaches beyond the page; on a screen it scrolls inside its frame.
-BEYOND = (
-    "[...document.querySelectorAll('table, svg, img')]"
-    ".filter(one => one.getBoundingClientRect().right > innerWidth + 1)"
-    ".map(one => one.textContent.slice(0, 60))"
-)
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
 
-@pytest.fixture
-def report(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a case that goes as far as the registration, with a budget and the clearance of its motions."""
-    cell = ClinicalCell(tmp_path / "20261121T000000-s3-abcd")
+    cell = ClinicalCell(tmp_path_factory.mktemp("runs") / "20261121T000000-s3-abcd")
     cell.journal.write(Entry.OPENED, 0.0, theatre="mini scene, seed 3", banner="SIMULATED THEATRE")
     cell.carrying(MountedTool.STEREO_HEAD)
     closest = ClosestApproach(first="tube of the guide", second="stereo head", distance_mm=16.2, at=1.0)
@@ -56,18 +50,23 @@ def report(tmp_path: Path) -> Path:
     return write_report(cell.folder, truth=TRUTH)
 
 
-def test_the_page_fits_the_width_of_a_phone(page: Any, report: Path) -> None:
-    page.set_viewport_size({"width": PHONE_PX, "height": 800})
-    page.goto(report.as_uri())
-    assert page.evaluate("document.documentElement.scrollWidth") == PHONE_PX
-    framed = "[...document.querySelectorAll('table')].every(one => one.closest('.wide'))"
-    assert page.evaluate(framed)
+def test_nothing_is_hidden_on_a_phone_and_all_of_it_can_be_read(page: Any, report: Path) -> None:
+    assert misfits(page, report) == []
     assert page.requested == [report.as_uri()]
 
 
-def test_no_table_or_picture_is_cut_off_on_a4_paper(page: Any, report: Path) -> None:
+def test_the_verdict_is_on_the_first_screen_of_a_phone(page: Any, report: Path) -> None:
+    page.set_viewport_size(PHONE_PX)
+    page.goto(report.as_uri())
+    verdict = page.locator("td.within").first.bounding_box()
+    assert verdict["y"] + verdict["height"] < PHONE_PX["height"]
+
+
+def test_folded_parts_meant_for_paper_are_printed_and_nothing_is_cut_off(page: Any, report: Path) -> None:
     page.set_viewport_size({"width": A4_PX, "height": 1000})
     page.emulate_media(media="print")
     page.goto(report.as_uri())
-    assert page.evaluate(BEYOND) == []
-    assert page.evaluate("document.documentElement.scrollWidth") == A4_PX
+    assert hidden_by_width(page) == []
+    assert page.locator("details.paper table").first.bounding_box()["height"] > 0
+    assert page.locator("details:not(.paper)").first.bounding_box() is None
+    assert page.locator(".unprinted").is_visible()

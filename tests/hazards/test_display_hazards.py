@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from prepared_results import registered_robot
+from report_text import report_text
 
 from procedures.cli.case.display import show_outcome
 from procedures.engine.case import Case, StepKey
@@ -71,7 +72,7 @@ def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
     journal.write(Entry.RESULT, 0.0, step="registration", **names)
     journal.close()
     errors = tuple(TargetTruth(id=f"T{k}", application_error_mm=value) for k, value in enumerate(EXTREMES_MM))
-    text = write_report(tmp_path, truth=Truth(targets=errors)).read_text(encoding="utf-8")
+    text = report_text(write_report(tmp_path, truth=Truth(targets=errors)))
     for k, shown in enumerate(SHOWN):
         assert f"<tr><td>T{k}</td><td>{shown}</td><td>–</td><td>{shown}</td><td>{shown}</td>" in text
         assert re.search(rf"T{k} +– +{shown} +{shown} +{shown}\n", text)

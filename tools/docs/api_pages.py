@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any
 
 from pydantic import BaseModel
+from reference_tables import table
 
 import procedures.imaging
 import procedures.registration
@@ -19,10 +20,19 @@ import procedures.relocalization
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
-from procedures.exchange import raw_readings
+from procedures.exchange import raw_readings, recorded_tables, run_tables
 from procedures.strategies import strategy, trajectory
-from ronna_hw import frames, theatre
-from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings, robot
+from ronna_hw import frames, loaded_run, theatre
+from ronna_hw.devices import (
+    ConfirmedStart,
+    OpticalTracker,
+    RobotArm,
+    StereoPair,
+    lifecycle,
+    readings,
+    robot,
+    stray_tracks,
+)
 from ronna_hw.devices.capabilities import RecordsBytes
 from studies.plugins import contracts
 
@@ -60,6 +70,31 @@ def numerics() -> str:
     )
 
 
+def runs() -> str:
+    """Compose the page on a run as arrays: how it is loaded, and the columns of each table."""
+    tables = {
+        "targets": run_tables.TARGETS,
+        "spheres": run_tables.SPHERES,
+        "localized": run_tables.LOCALIZED,
+        "registrations": run_tables.REGISTRATIONS,
+        "strays": recorded_tables.STRAYS,
+        "looks": recorded_tables.LOOKS,
+        "motions": run_tables.MOTIONS,
+        "events": run_tables.EVENTS,
+    }
+    page = _page([_all_of(loaded_run, "load_run", "LoadedRun", "RunTable", "StereoPictures")])
+    for name, columns in tables.items():
+        rows = ((f"`{one.name}`", _format_column_type(one), one.description) for one in columns)
+        page += f"\n## `run.{name}`\n\n{table(('column', 'type', 'meaning'), rows)}"
+    return page
+
+
+def _format_column_type(column: loaded_run.Column) -> str:
+    kind = column.kind if isinstance(column.kind, str) else column.kind.__name__
+    size = " x ".join(map(str, column.size))
+    return f"{size} {kind}" if size else kind
+
+
 def devices() -> str:
     """Compose the page on opening a theatre, device interfaces, readings and drivers."""
     interfaces = Part(
@@ -73,6 +108,7 @@ def devices() -> str:
         [
             _all_of(theatre, "open_theatre", "Theatre"),
             _all_of(theatre, "simulated_theatre"),
+            _all_of(stray_tracks, "track_strays", "StrayTrack"),
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from types import ModuleType
 
-from api_pages import devices, numerics
+from api_pages import devices, numerics, runs
 from command_table import command_table
 from hazard_matrix import hazard_table
 from model_tables import model_tables
@@ -74,6 +74,7 @@ def tables() -> dict[str, str]:
         ),
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),
+        "api-runs.md": runs(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "commands.md": command_table(),
         "error-codes.md": _tabulate_error_codes(),

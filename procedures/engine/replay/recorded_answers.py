@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -212,14 +213,32 @@ class TimedValue(NamedTuple):
     value: object
 
 
-def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
-    """Yield section, device, call and value of all successful answers in order. Raises PRO-024."""
+class RecordedReading(NamedTuple):
+    """Successful answer on the tape. `load` parses its value and raises PRO-024 if it is damaged."""
+
+    section: int
+    device: str
+    call: str
+    theatre_time_s: float
+    kind: object  # type of the value
+    load: Callable[[], object]
+
+
+def iterate_readings(run: Path) -> Iterator[RecordedReading]:
+    """Yield all successful answers in order, without loading their pixels. Raises PRO-024."""
     answers = read_answers(run)
     for line in _read_lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
             continue
-        value = answers.value_of(line.device, line.call, line.answer, ANSWERS[line.call])
-        yield line.section, line.device, line.call, TimedValue(line.theatre_time_s, value)
+        kind = ANSWERS[line.call]
+        load = partial(answers.value_of, line.device, line.call, line.answer, kind)
+        yield RecordedReading(line.section, line.device, line.call, line.theatre_time_s, kind, load)
+
+
+def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
+    """Yield section, device, call and value of all successful answers in order. Raises PRO-024."""
+    for one in iterate_readings(run):
+        yield one.section, one.device, one.call, TimedValue(one.theatre_time_s, one.load())
 
 
 def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import json
 import os
 import re
 import subprocess
@@ -12,7 +13,10 @@ from typing import Any
 
 from user_commands import Commands
 
+from ronna_hw.host.child_process import command
+
 ROOT = Path(__file__).resolve().parents[3]
+NOTEBOOKS = ROOT / "examples" / "notebooks"
 FILE = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHOWN = re.compile(r"```console\n(.*?)```", re.DOTALL)
 EXERCISE = re.compile(r"```(console|python)\n(.*?)```", re.DOTALL)
@@ -39,6 +43,11 @@ def write_files(page: str, folder: Path) -> None:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content, encoding="utf-8")
+
+
+def python_of(page: str) -> str:
+    """All Python blocks of a page that are not files, as one program."""
+    return "\n".join(block for language, block in EXERCISE.findall(_text(page)) if language == "python")
 
 
 def run_exercises(page: str, commands: Commands, folder: Path) -> int:
@@ -83,3 +92,22 @@ def run_all(
         assert done.returncode == 0, f"{line}: {done.stderr}"
         ended.append(done)
     return ended
+
+
+def execute_notebook(name: str, out: Path) -> list[dict[str, Any]]:
+    """Execute a notebook in a process of its own and return its cells."""
+    line = command("studies.cli", "notebook", str(NOTEBOOKS / name), "--out", str(out))
+    done = subprocess.run(line, capture_output=True, text=True, timeout=150.0, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.split() == [str(out / name)]  # nothing left behind, nothing deprecated
+    cells: list[dict[str, Any]] = json.loads((out / name).read_text())["cells"]
+    return cells
+
+
+def final_sentence(cells: list[dict[str, Any]]) -> str:
+    """The sentence with which a notebook ends, after its last figure."""
+    figure, sentence = cells[-1]["outputs"]
+    assert "image/png" in figure["data"]
+    text = "".join(sentence["text"]).strip()
+    assert text.endswith(".")
+    return text

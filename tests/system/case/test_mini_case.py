@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from signal import SIGHUP, SIGINT, SIGTERM
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pydicom
 import pytest
+from documented import execute_notebook, final_sentence, python_of
 from pseudo_terminal import Terminal
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
@@ -24,6 +27,7 @@ from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import FramedPose
 from procedures.workcell.tracker_look import FRAMES
+from ronna_hw import load_run
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, list_links, read_link
@@ -35,6 +39,7 @@ from studies.accuracy.postures import ARM, TOOL_MM
 from studies.accuracy.random_arms import PlannedPoses, RandomArms, centre_on_spheres
 
 LARGEST_ERROR_MM = 1.5
+TRACKER_NOISE_MM = 0.3  # of one reading, along the line of sight
 TRACKER_MM = 0.2  # of 1,500 drawn scenes the largest is 0.12 mm: the smooth error of both frames is the same
 WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis
 DATED = {"set_up", "tool_change"}  # equal only if both runs began in the same second
@@ -69,6 +74,47 @@ def finished(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory
         return done.stdout
 
     return MiniRun(*made_once(tmp_path_factory, "finished", run))
+
+
+def test_the_run_loads_as_arrays_that_agree_with_its_outcome_and_its_records(finished: MiniRun) -> None:
+    run = load_run(finished.folder)
+    assert (run.outcome, run.notes) == ("done", ())
+    (target,) = run.targets
+    (expected,) = finished.outcome["targets"]
+    assert (target.name, target.error_mm) == (expected["id"], expected["application_error_mm"])
+    assert (target.predicted_mm, target.depth_mm) == (expected["predicted_tre_mm"], expected["depth_mm"])
+    (reached,) = (one for one in records_of(finished.folder) if one.kind == "at_target")
+    assert np.linalg.norm(target.reached_robot_mm - target.target_robot_mm) == pytest.approx(
+        reached.payload["nominal_error_mm"], abs=0.001
+    )
+    assert run.spheres.name.tolist() == ["M1", "M2", "M3"]
+    strays = run.strays
+    for sphere in range(3):  # of the mini scene, each the same in every look of the tracker
+        place_mm = strays.position_tracker_mm[strays.identity == sphere]
+        assert len(place_mm) > 500
+        assert place_mm.std(axis=0).max() < TRACKER_NOISE_MM
+    assert len(run.looks) == len(run.pictures) == run.localized.looks.sum()
+    assert np.isfinite(run.motions.end_s).all()
+    assert (run.events.number[1:] >= run.events.number[:-1]).all()
+
+
+@pytest.mark.slow
+def test_the_notebook_on_one_case_reads_it_from_the_ct_to_the_error(
+    finished: MiniRun, tmp_path: Path
+) -> None:
+    (tmp_path / "runs").symlink_to(finished.out)
+    cells = execute_notebook("one-case.ipynb", tmp_path)
+    assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
+
+
+@pytest.mark.slow
+def test_the_page_on_runs_in_python_works_as_written(finished: MiniRun, tmp_path: Path) -> None:
+    (tmp_path / "runs").symlink_to(finished.out)
+    program = python_of("docs/how-to/research/read-a-run-in-python.md")
+    line = [sys.executable, "-W", "error", "-c", program]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=100.0, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "sphere 2: " in done.stdout
 
 
 def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None:

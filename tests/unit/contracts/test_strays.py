@@ -1,12 +1,15 @@
-"""Unidentified stray markers are grouped over the frames and averaged."""
+"""Unidentified stray markers are grouped over the frames and averaged, or followed from frame to frame."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ronna_hw.devices.errors import BadStrays
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
+from ronna_hw.devices.stray_tracks import GATE_MM, UNKNOWN, identify_strays, track_strays
 from ronna_hw.devices.strays import average_strays, group_strays
 
 NOISE_MM = np.array([0.04, 0.04, 0.14])
@@ -102,3 +105,142 @@ def test_only_strays_inside_the_volume_and_new_measurements_are_averaged():
 def test_invalid_positions_and_impossible_parameters_are_refused(frames, wish):
     with pytest.raises(BadStrays, match="DEV-005"):
         group_strays(frames, **wish)
+
+
+def tracks_of(frames, **options):
+    """The positions (n, 3) of each identity."""
+    by_identity = {}
+    for frame, identities in zip(frames, identify_strays(frames, **options), strict=True):
+        for identity, position in zip(identities.tolist(), frame, strict=True):
+            by_identity.setdefault(identity, []).append(position)
+    return {identity: np.array(positions) for identity, positions in by_identity.items()}
+
+
+def test_a_sphere_keeps_its_identity_in_frames_of_any_order(spheres, random):
+    frames = noisy_frames(spheres, random)
+    by_place = np.array(frames).std(axis=0)
+    tracks = tracks_of(frames)
+    assert by_place.min() > 10.0  # what a student got who took the place in the list for the sphere
+    assert sorted(tracks) == [0, 1, 2, 3, 4]
+    for positions in tracks.values():
+        assert len(positions) == 60
+        assert positions.std(axis=0) == pytest.approx(NOISE_MM, rel=0.4)
+
+
+def test_a_sphere_that_was_hidden_keeps_its_identity_and_a_new_one_gets_a_new_one(spheres, random):
+    frames = [
+        frame[np.linalg.norm(frame - spheres[0], axis=1) > 5.0] if 20 <= number < 45 else frame
+        for number, frame in enumerate(noisy_frames(spheres, random))
+    ]
+    frames = [np.vstack([frame, [[500.0, 0, 0]]]) if n >= 30 else frame for n, frame in enumerate(frames)]
+    counts = {identity: len(positions) for identity, positions in tracks_of(frames).items()}
+    assert counts.pop(5) == 30
+    assert sorted(counts.values()) == [35, 60, 60, 60, 60]
+
+
+def test_spheres_that_meet_are_not_told_apart_by_a_guess(random):
+    way = np.linspace(-40.0, 40.0, 60)
+    frames = [
+        random.permutation([[x, 0.5, -1500], [-x, -0.5, -1500]] + random.normal(size=(2, 3)) * 0.05)
+        for x in way
+    ]
+    tracks = tracks_of(frames)
+    unknown = tracks.pop(UNKNOWN)
+    assert np.abs(unknown[:, 0]).max() < GATE_MM
+    assert len(tracks) == 4  # two before they meet, two afterwards
+    for positions in tracks.values():
+        assert np.ptp(np.sign(positions[:, 0])) == 0.0
+
+
+def test_a_tracker_that_moves_slowly_keeps_the_identities_and_a_jump_ends_all_of_them(spheres, random):
+    slowly = [frame + np.array([0.0, 2.0 * n, 0.0]) for n, frame in enumerate(noisy_frames(spheres, random))]
+    assert [len(one) for one in tracks_of(slowly).values()] == [60] * 5
+    apart = np.array([[0.0, 0, 0], [30, 0, 0], [0, 70, 0]])
+    before, after = noisy_frames(apart, random, 10), noisy_frames(apart + np.array([30.0, 0, 0]), random, 10)
+    tracks = tracks_of(before + after)  # the first sphere is now where the second was
+    assert [len(one) for one in tracks.values()] == [10] * 6
+
+
+def test_a_sphere_hidden_while_the_others_move_gets_a_new_identity(spheres, random):
+    frames = []
+    for number, frame in enumerate(noisy_frames(spheres, random)):
+        hidden = 20 <= number < 40
+        seen = frame[np.linalg.norm(frame - spheres[0], axis=1) > 5.0] if hidden else frame
+        frames.append(seen + np.array([0.0, 1.0 * number, 0.0]))
+    assert sorted(len(one) for one in tracks_of(frames).values()) == [20, 20, 60, 60, 60, 60]
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_no_identity_ever_stands_for_two_spheres_that_move_within_the_gate(data):
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    count = data.draw(st.integers(1, 6))
+    places = random.uniform(-12.0, 12.0, size=(count, 3))
+    steps = random.normal(size=(count, 3)) * data.draw(st.floats(0.0, 2.0))
+    frames, truth = [], []
+    for _ in range(30):
+        places = places + np.clip(steps, -GATE_MM / 2, GATE_MM / 2)
+        order = random.permutation(count)
+        frames.append(places[order])
+        truth.append(order)
+    owners = {}
+    for identities, order in zip(identify_strays(frames), truth, strict=True):
+        for identity, sphere in zip(identities.tolist(), order.tolist(), strict=True):
+            owners.setdefault(identity, set()).add(sphere)
+    owners.pop(UNKNOWN, None)
+    assert all(len(spheres) == 1 for spheres in owners.values())
+
+
+def test_tracks_have_the_trackers_own_clock_and_leave_out_repeated_and_doubtful_readings():
+    def frame(number, validity, *strays):
+        return TrackerFrame(Stamp(number, 100 + number, 0.0), validity, (), strays)
+
+    near = StrayReading((0.0, 0.0, -1500.0), Validity.OK)
+    outside = StrayReading((0.0, 0.0, -4000.0), Validity.OUT_OF_VOLUME)
+    frames = [
+        frame(0, Validity.OK, outside, near),
+        frame(1, Validity.STALE, near),
+        frame(2, Validity.OK, near),
+    ]
+    (track,) = track_strays(frames)
+    assert (track.identity, track.device_clock.tolist()) == (0, [100, 102])
+    assert track.positions_mm.tolist() == [[0.0, 0.0, -1500.0]] * 2
+    assert track_strays([]) == ()
+
+
+@pytest.mark.parametrize("gate_mm", [0.0, -1.0, np.inf, np.nan])
+def test_a_gate_that_is_no_distance_is_refused(gate_mm):
+    with pytest.raises(BadStrays):
+        identify_strays([], gate_mm=gate_mm)
+
+
+def test_spheres_hidden_one_after_another_amid_reflections_keep_their_identity(spheres, random):
+    frames = []
+    for number, frame in enumerate(noisy_frames(spheres, random, 200)):
+        hidden = max(0, min(4, number // 10 - 5, 18 - number // 10))  # from one to four, and back
+        seen = frame[np.linalg.norm(frame[:, None] - spheres[hidden:], axis=-1).min(axis=1) < 5.0]
+        glints = [[-45.0, 135, -1375], [-87, 178, -1990]] + random.normal(size=(2, 3)) * 4.0
+        frames.append(np.vstack([seen, glints[random.random(2) < 0.4]]))
+    tracks = sorted((positions for positions in tracks_of(frames).values()), key=len)[-5:]
+    for track in tracks:
+        assert np.linalg.norm(track - track[0], axis=1).max() < 2.0
+    assert sum(len(track) for track in tracks) == sum(
+        np.linalg.norm(frame[:, None] - spheres, axis=-1).min(axis=1).__lt__(5.0).sum() for frame in frames
+    )
+
+
+def test_what_is_seen_in_few_frames_is_left_out_unless_it_is_asked_for(spheres, random):
+    frames = [
+        TrackerFrame(
+            Stamp(number, number, 0.0),
+            Validity.OK,
+            (),
+            tuple(StrayReading(tuple(one), Validity.OK) for one in positions[: 5 if number % 4 else 4]),
+        )
+        for number, positions in enumerate([spheres] * 20)
+    ]
+    rarely = [one for number, one in enumerate(frames) if number > 15 or number % 4 == 0]
+    assert [len(one.positions_mm) for one in track_strays(rarely)] == [8, 8, 8, 8]
+    assert len(track_strays(rarely, least_share=0.0)) == 5
+    with pytest.raises(BadStrays):
+        track_strays(frames, least_share=1.5)

@@ -33,6 +33,7 @@ from prepared_results import (
 from pydantic import TypeAdapter
 from pydicom import dcmread
 from recording_cell import mini_theatre_file
+from report_text import report_text
 
 from procedures.exchange.dicom_objects import Origin, sphere_fiducials, write
 from procedures.imaging import localize, read_series
@@ -237,7 +238,7 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
         driver.configure()
         engine.run_to(engine.order.find(f"registration:{FIRST}"))
         engine.close("left")
-        report = write_report(tmp_path).read_text(encoding="utf-8")
+        report = report_text(write_report(tmp_path))
     tape.close()
     assert links() - NOT_RUN <= run
     assert unit.asked_by == {(*layers_of("A pose"), "procedures/engine")}

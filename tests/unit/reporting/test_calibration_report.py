@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from clinical_case import ClinicalCell
 from prepared_results import imported_ct
+from report_text import report_text
 
 from procedures.reporting.calibration_figures import KINDS, RESULT_FILE, HeadFigures
 from procedures.reporting.outcome import RunError
@@ -70,7 +71,7 @@ LOOK: dict[str, Any] = {
 def page(cell: ClinicalCell, content: str, error: RunError | None = None) -> str:
     cell.begin(imported_ct()).close("done")
     (cell.folder / RESULT_FILE).write_text(content)
-    return write_report(cell.folder, error=error).read_text()
+    return report_text(write_report(cell.folder, error=error))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.reporting.ending import resumes, run_ending
+from procedures.reporting.ending import Ending, advise, resumes, run_ending
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -178,3 +178,13 @@ def test_a_changed_record_is_named(registered: Path) -> None:
     text = write_report(registered).read_text()
     assert "This folder is not as the run left it" in text
     assert f"<li>records/{changed.name}: " in text
+
+
+@pytest.mark.parametrize("is_case", [True, False])
+@pytest.mark.parametrize(
+    "word",
+    ["not begun", "failed", "refused", "aborted", "interrupted", "left", "killed", "in doubt", "missed"],
+)
+def test_every_ending_but_the_good_one_says_what_to_do(word: str, is_case: bool) -> None:
+    assert advise(Ending(word, ""), is_case=is_case)
+    assert advise(Ending("done", ""), is_case=is_case) == ""

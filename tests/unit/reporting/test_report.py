@@ -21,12 +21,13 @@ from prepared_results import (
     registered_robot,
     up_to_correspondence,
 )
+from report_text import report_text
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.methods import CaseMethods, Localizer
 from procedures.engine.order import Scope
-from procedures.guards.errors import PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting import tables
@@ -56,8 +57,6 @@ class Page(HTMLParser):
         self.fetched: list[str] = []
         self.elements: set[str] = set()
         self.drawings: list[dict[str, str | None]] = []
-        self.tables_in: list[str | None] = []
-        self._around: str | None = None
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -68,10 +67,6 @@ class Page(HTMLParser):
         self.fetched += [one for one in (*sources, *styles) if not one.startswith("data:")]
         if tag == "svg":
             self.drawings.append(named)
-        if tag == "div":
-            self._around = named.get("class")
-        if tag == "table":
-            self.tables_in.append(self._around)
 
 
 # Attributes whose value a browser loads, follows or posts to.
@@ -88,23 +83,55 @@ def test_the_page_is_self_contained(registered: Path) -> None:
     assert "@import" not in style
 
 
-def test_tables_scroll_and_drawings_fill_the_width_on_a_phone(registered: Path) -> None:
+def test_drawings_fill_the_width_and_take_the_ink_of_the_page(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     page = Page(text)
-    assert set(page.tables_in) == {"wide"}
     assert page.drawings
     for drawing in page.drawings:
         assert "viewBox" in drawing or "viewbox" in drawing
         assert "width" not in drawing
+        assert drawing["fill"] == "currentColor"
     assert 'name="viewport" content="width=device-width' in text
 
 
-def test_nothing_scrolls_on_paper_and_the_paper_is_a4(registered: Path) -> None:
-    style = write_report(registered).read_text().partition("</style>")[0]
-    screen, _, paper = style.partition("@media print")
-    assert re.search(r"\.wide \{ overflow-x: auto", screen)
-    assert "overflow: visible" in paper
-    assert "@page { size: A4" in style
+def test_each_cell_of_a_wide_table_carries_its_heading_for_a_phone(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    detail = text.partition("Error at the targets, in detail")[2].partition("</table>")[0]
+    assert f'<td data-label="target">{FIRST}</td><td data-label="error mm">0.432</td>' in detail
+    for table in re.findall(r'<table class="[^"]*stacked">.*?</table>', text, re.DOTALL):
+        headings = re.findall(r"<th>(.*?)</th>", table.partition("</thead>")[0])
+        for row in re.findall(r"<tr\b.*?</tr>", table.partition("</thead>")[2], re.DOTALL):
+            assert re.findall(r'<td data-label="([^"]*)"', row) == headings
+
+
+def test_the_paper_is_a4_and_names_what_is_not_on_it(registered: Path) -> None:
+    text = write_report(registered).read_text()
+    assert "@page { size: A4" in text
+    folded = re.findall(r"<details( class=\"paper\")?><summary><h2>(.*?)</h2>", text)
+    left_out = [title for on_paper, title in folded if not on_paper]
+    assert left_out
+    assert f"Folded and not on paper: {'; '.join(left_out)}." in text
+
+
+@pytest.mark.parametrize(
+    ("error_mm", "said", "word"),
+    [(0.4321, "within", "Done"), (2.5, "beyond", "Missed"), (None, "predicted within", "Done")],
+)
+def test_the_verdict_and_the_errors_against_the_margin_come_before_everything_else(
+    engine: Engine, error_mm: float | None, said: str, word: str
+) -> None:
+    engine.run_to()
+    engine.close("done")
+    known = [] if error_mm is None else [TargetTruth(id=FIRST, application_error_mm=error_mm)]
+    text = report_text(write_report(engine.case.folder, truth=Truth(targets=tuple(known))))
+    head = text.partition("</style>")[2].partition("<details")[0]
+    assert f"<strong>{word}.</strong>" in head
+    (row,) = re.findall(rf"<tr><td>{FIRST}</td>.*?</tr>", head)
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", row)
+    shown = "–" if error_mm is None else f"{error_mm:.3f}"
+    assert cells[1:4] == [f"<strong>{shown}</strong>", "2.000", said]
+    assert head.index("</table>") < (head + "<figure>").index("<figure>")
+    assert ("What to do." in head) is (word == "Missed")
 
 
 @pytest.mark.hazard(28)
@@ -115,7 +142,7 @@ def test_fit_residuals_are_not_mentioned_on_the_page(registered: Path) -> None:
 
 
 def test_prediction_error_and_budget_of_each_target_are_shown(registered: Path) -> None:
-    text = write_report(registered, truth=TRUTH).read_text()
+    text = report_text(write_report(registered, truth=TRUTH))
     for stored in read_for_report(registered).standing(RegisteredRobot):
         (predicted,) = stored.result.predictions
         for value in (predicted.rms_mm, predicted.limit_mm, *(share.rms_mm for share in predicted.budget)):
@@ -185,7 +212,7 @@ def test_results_that_a_repetition_superseded_are_named_and_struck_through(engin
     engine.run_step(repeated)
     engine.run_to()
     engine.close("left")
-    text = write_report(engine.case.folder).read_text()
+    text = report_text(write_report(engine.case.folder))
     assert f"Repeated; these results are no longer valid: {'; '.join(map(str, standing))}" in text
     struck = re.findall(r'<tr class="superseded"><td>(\S+) \(superseded\)</td>', text)
     assert struck == standing
@@ -200,6 +227,16 @@ def test_a_formatter_that_drops_a_digit_is_detected(
     assert "these figures differ" in write_report(registered, truth=TRUTH).read_text()
 
 
+def test_a_move_of_the_cart_is_told_in_the_head_of_the_page_once(cell: ClinicalCell) -> None:
+    moved = BaseShifted("the cart was moved by 1.74 mm", limit="0.85 mm", got="1.74 mm")
+    told = {"step": "relocalization:T2", "code": moved.code, "what": str(moved)}
+    cell.journal.write(Entry.VOIDED, 38.4, supersedes=["06-cart_lock", "07-global_localization"], **told)
+    cell.journal.write(Entry.FAILED, 38.5, **told)
+    head = write_report(cell.folder).read_text().partition("<details")[0]
+    said = "the cart was moved by 1.74 mm; limit 0.85 mm, got 1.74 mm; 2 results no longer valid"
+    assert f"Moved during the case:<ul><li>38.4 s: {said}</li></ul>" in head
+
+
 @pytest.mark.hazard(6)
 def test_cells_that_hold_numbers_do_not_break_inside_them(registered: Path) -> None:
     style = write_report(registered).read_text().partition("</style>")[0]
@@ -208,6 +245,7 @@ def test_cells_that_hold_numbers_do_not_break_inside_them(registered: Path) -> N
     assert "overflow-wrap: normal" in cells[1]
     assert "text-overflow" not in style
     assert "overflow: hidden" not in style
+    assert "overflow-x" not in style
 
 
 def test_every_drawing_has_its_data_in_a_csv_file(registered: Path) -> None:
@@ -236,7 +274,7 @@ def test_a_report_made_again_from_the_folder_alone_is_identical(registered: Path
 
 
 def test_questions_are_listed_with_the_displayed_value_and_the_answer(registered: Path) -> None:
-    text = write_report(registered).read_text()
+    text = report_text(write_report(registered))
     shown = r'</td><td class="free">predicted target error .* at 95%</td><td>yes</td>'
     assert re.search(f"accept the registration for {FIRST}{shown}", text)
 
@@ -315,10 +353,10 @@ def test_displacement_of_the_guide_is_reported_only_for_watched_work(
     )
     engine.run_to()
     engine.close("done")
-    assert said in write_report(cell.folder).read_text()
+    assert said in report_text(write_report(cell.folder))
 
 
-def test_the_plan_comes_first_with_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCell) -> None:
+def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCell) -> None:
     near = ClosestApproach(first="tube of the guide", second="fiducial", distance_mm=16.24, at=1.0)
     motions = tuple(
         MotionPreview(
@@ -346,8 +384,7 @@ def test_the_plan_comes_first_with_its_clearance_and_its_turn_about_the_axis(cel
     assert (row.name, row.turn_deg, row.nearest_head_mm) == (FIRST, pytest.approx(12.0), 18.29)
     assert row.nearest is not None
     assert row.nearest.closest == near
-    text = write_report(cell.folder).read_text()
-    assert re.search(r"<h2>(.*?)</h2>", text, re.DOTALL)[1] == "The plan"  # type: ignore[index]
+    text = report_text(write_report(cell.folder))
     assert "<td>12.0</td><td>18.3</td><td>16.2</td></tr>" in text
     picture = (cell.folder / "report" / f"clearance-{FIRST}.svg").read_text()
     assert "home → sphere 2" in picture

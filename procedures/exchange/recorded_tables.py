@@ -1,0 +1,112 @@
+"""Readings of a run as tables: stray markers with their identity, and looks with their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+from procedures.engine.errors import NotRecorded
+from procedures.exchange.raw_readings import iterate_steps
+from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
+from ronna_hw.devices.stray_tracks import identify_strays
+from ronna_hw.loaded_run import Column, RunTable, StereoPictures
+
+STRAYS = (
+    Column("frame", int, "number of the tracker frame in the run, from 0"),
+    Column("step", str, "step that read it"),
+    Column("theatre_time_s", float, "theatre time of its arrival"),
+    Column("device_clock", int, "the tracker's own count of frames"),
+    Column("identity", int, "the same sphere over the frames; -1 where it cannot be told"),
+    Column("position_tracker_mm", float, "as measured", (3,)),
+    Column("validity", str, "`ok`, or why the tracker doubts it"),
+)
+LOOKS = (
+    Column("look", int, "number of the look in the run, from 0: its place in `pictures`"),
+    Column("step", str, "step that took it"),
+    Column("theatre_time_s", float, "theatre time of its arrival"),
+    Column("device_clock", int, "ticks of the left camera's clock"),
+    Column("validity", str, "`ok`, or what is missing"),
+    Column("left_offset_px", int, "top-left pixel of the left picture on its sensor", (2,)),
+    Column("right_offset_px", int, "top-left pixel of the right picture on its sensor", (2,)),
+)
+NO_OFFSET_PX = (-1, -1)  # of a picture that did not arrive
+
+
+class RecordedPictures(Sequence[StereoPictures]):
+    """Pictures of each look, read from the run's tape when they are asked for."""
+
+    def __init__(self, loaders: Sequence[Callable[[], object]]) -> None:
+        self._loaders = loaders
+
+    def __len__(self) -> int:
+        return len(self._loaders)
+
+    @overload
+    def __getitem__(self, index: int) -> StereoPictures: ...
+    @overload
+    def __getitem__(self, index: slice) -> RecordedPictures: ...
+    def __getitem__(self, index: int | slice) -> StereoPictures | RecordedPictures:
+        """Return the pictures of one look, or of several. Raises PRO-024 for damaged pixels."""
+        if isinstance(index, slice):
+            return RecordedPictures(self._loaders[index])
+        pair = self._loaders[index]()
+        assert isinstance(pair, StereoReading)
+        return StereoPictures(*(None if one is None else one.pixels for one in (pair.left, pair.right)))
+
+
+@dataclass(frozen=True)
+class RecordedTables:
+    """Readings of a run: its stray markers, its looks with their pictures, and why they end early, if so."""
+
+    strays: RunTable
+    looks: RunTable
+    pictures: RecordedPictures
+    ends_early: str
+
+
+def recorded_tables(run: Path) -> RecordedTables:
+    """Read the tape of a run up to the first damaged reading. One pass; pictures stay on the disk."""
+    frames: list[tuple[str, TrackerFrame]] = []
+    looks: list[tuple[object, ...]] = []
+    loaders: list[Callable[[], object]] = []
+    problem = ""
+    try:
+        for step, one in iterate_steps(run):
+            if one.kind not in (TrackerFrame, StereoReading):
+                continue
+            value = one.load()
+            if isinstance(value, TrackerFrame) and value.validity is not Validity.STALE:
+                frames.append((step, value))
+            elif isinstance(value, StereoReading):
+                stamp = value.stamp
+                looks.append(
+                    (
+                        *(len(looks), step, stamp.theatre_time_s, stamp.device_clock, value.validity.value),
+                        *(_offset_px(value.left), _offset_px(value.right)),
+                    )
+                )
+                loaders.append(one.load)
+    except NotRecorded as error:  # of a run that goes on, the last reading may be half written
+        problem = str(error)
+    return RecordedTables(_strays(frames), RunTable.of(LOOKS, looks), RecordedPictures(loaders), problem)
+
+
+def _strays(frames: Sequence[tuple[str, TrackerFrame]]) -> RunTable:
+    identities = identify_strays([[stray.position_mm for stray in frame.strays] for _, frame in frames])
+    return RunTable.of(
+        STRAYS,
+        (
+            (
+                *(number, step, frame.stamp.theatre_time_s, frame.stamp.device_clock, identity),
+                *(stray.position_mm, stray.validity.value),
+            )
+            for number, (step, frame) in enumerate(frames)
+            for identity, stray in zip(identities[number].tolist(), frame.strays, strict=True)
+        ),
+    )
+
+
+def _offset_px(image: CameraImage | None) -> tuple[int, int]:
+    return NO_OFFSET_PX if image is None else (image.area.offset_x, image.area.offset_y)

@@ -1,0 +1,251 @@
+"""Results of a run as tables: targets, spheres, registrations, motions and events.
+
+Each table is declared by its columns and filled from the run's own models. Only records are read; what the
+devices answered is in `recorded_tables`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.events.event_file import FollowedRun
+from procedures.engine.run_folder import RunFolder
+from procedures.exchange.case_results import reached_lines
+from procedures.journal.journal import Entry, Line, theatre_time_s
+from procedures.reporting.outcome import Truth
+from procedures.reporting.run_reading import RunReading, UsedRegistration
+from procedures.reporting.tables import target_rows
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import RegisteredRobot, Relocalization
+from procedures.steps.clinical.target_measurement import MeasuredTarget
+from ronna_hw.loaded_run import Column, RunTable
+
+Array = NDArray[np.float64]
+NOWHERE = (math.nan,) * 3
+UNKNOWN_JOINTS = (math.nan,) * 6
+
+TARGETS = (
+    Column("name", str, "of the trajectory in the plan"),
+    Column("depth_mm", float, "from entry to target"),
+    Column("margin_mm", float, "largest error that the plan accepts"),
+    Column(
+        "predicted_mm", float, "predicted error at the target, root mean square; NaN without a registration"
+    ),
+    Column("limit_mm", float, "radius that holds the error with the confidence"),
+    Column("confidence", float, "of that radius, 0 to 1"),
+    Column("error_mm", float, "of the instrument's tip against the truth of the simulated theatre; else NaN"),
+    Column("lateral_mm", float, "its component across the planned axis"),
+    Column("axial_mm", float, "its component along it, positive if too deep"),
+    Column("measured_mm", float, "measured by the stereo head in place of the guide, on a phantom; else NaN"),
+    Column("entry_ct_mm", float, "planned entry", (3,)),
+    Column("target_ct_mm", float, "planned target", (3,)),
+    Column("target_robot_mm", float, "planned target by its registration", (3,)),
+    Column("reached_robot_mm", float, "instrument's tip by joints and depth stop; not the truth", (3,)),
+    Column("reached_ct_mm", float, "the same, back through the registration", (3,)),
+)
+SPHERES = (
+    Column("name", str, "M1, M2, ... from superior to inferior"),
+    Column("centre_ct_mm", float, "its centre", (3,)),
+    Column("covariance_ct_mm2", float, "of the centre", (3, 3)),
+    Column("radius_mm", float, "fitted radius"),
+    Column("quality", float, "share of the surface used, 0 to 1, reduced by disagreement of the estimates"),
+    Column("agreement_mm", float, "between the two estimates of the centre"),
+    Column("odds", float, "that it is a marker, 0 to 1"),
+)
+LOCALIZED = (
+    Column("step", str, "step that localized it, such as `relocalization:T1`"),
+    Column("standing", bool, "whether the result still holds; False once another took its place"),
+    Column("sphere", str, "its name in `spheres`"),
+    Column("centre_robot_mm", float, "its centre by the stereo head", (3,)),
+    Column("covariance_robot_mm2", float, "of the stereo measurement", (3, 3)),
+    Column("residual_mm", float, "last residual of the servo"),
+    Column("ray_gap_mm", float, "between the two lines of sight"),
+    Column("looks", int, "image pairs taken"),
+    Column("joints_rad", float, "measured at the last image pair", (6,)),
+)
+REGISTRATIONS = (
+    Column("record", str, "its record in the run folder"),
+    Column("targets", str, "targets it serves, separated by blanks"),
+    Column("standing", bool, "whether the result still holds; False once another took its place"),
+    Column("pairs", int, "spheres it was fitted to"),
+    Column("fre_mm", float, "fiducial registration error; not a measure of accuracy"),
+    Column("robot_from_ct_mm", float, "origin of the CT in the robot frame", (3,)),
+    Column("robot_from_ct_wxyz", float, "rotation robot <- ct, scalar first", (4,)),
+)
+MOTIONS = (
+    Column("motion", int, "its number in the run, from 1"),
+    Column("arm", str, "such as `master`"),
+    Column("step", str, "step that moved the arm; empty for the way home outside the steps"),
+    Column("kind", str, "such as `go`, `line`, `insert`, `home`"),
+    Column("begin_s", float, "theatre time of its journal line"),
+    Column("end_s", float, "theatre time at rest; NaN if the journal ends before"),
+    Column("goal_rad", float, "commanded joints; NaN for a straight line", (6,)),
+    Column("goal_robot_mm", float, "end of a straight line, origin of the tool frame; else NaN", (3,)),
+    Column("joints_rad", float, "measured at rest; NaN if the motion failed", (6,)),
+    Column("error", str, "code of the error that ended it"),
+)
+EVENTS = (
+    Column("number", int, "of the event in the run; starts again when the run is resumed"),
+    Column("theatre_time_s", float, "theatre time"),
+    Column("host_time", "datetime64[ms]", "the computer's time, UTC"),
+    Column("kind", str, "such as `step`, `question`, `answer`, `pose`, `fault`"),
+    Column("step", str, "step it belongs to, if it names one"),
+    Column("content", object, "all of it, as JSON"),
+)
+
+
+def targets_table(reading: RunReading, truth: Truth) -> RunTable:
+    """Return one row per planned trajectory. Raises REC-001, REC-003."""
+    run = reading.run
+    for model in (MeasuredTarget, RegisteredRobot):  # a report leaves out what is unreadable: raise instead
+        run.made(model)
+    plans, registrations = run.standing(CheckedPlan), reading.registrations
+    plan = plans[-1].result if plans else None
+    trajectories = () if plan is None else plan.plan.trajectories
+    known = {row.target: row for row in target_rows(reading, truth)}
+    used = {name: one for one in registrations for name in one.targets}
+    lines = reached_lines(run, plan, registrations, {one.id: one.id for one in trajectories})
+    rows = []
+    for planned in trajectories:
+        row, registration, line = known.get(planned.id), used.get(planned.id), lines.get(planned.id)
+        target_mm = tip_mm = np.array(NOWHERE)
+        tip_ct_mm = NOWHERE if line is None else line.end_mm
+        if registration is not None:
+            robot_from_ct = registration.result.robot_from_ct.transform
+            target_mm, tip_mm = robot_from_ct.apply(planned.target_mm), robot_from_ct.apply(tip_ct_mm)
+        predicted = None if row is None else row.predicted
+        rows.append(
+            (
+                *(planned.id, planned.depth_mm, planned.margin_mm),
+                *(_number(getattr(predicted, name, None)) for name in ("rms_mm", "limit_mm", "confidence")),
+                *(
+                    _number(getattr(row, name, None))
+                    for name in ("error_mm", "lateral_mm", "axial_mm", "measured_mm")
+                ),
+                *(planned.entry_mm, planned.target_mm, target_mm, tip_mm, tip_ct_mm),
+            )
+        )
+    return RunTable.of(TARGETS, rows)
+
+
+def spheres_table(run: RunFolder) -> RunTable:
+    """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
+    found = run.standing(LocalizedFiducials)
+    return RunTable.of(
+        SPHERES,
+        (
+            (
+                *(sphere_name(number), one.centre_mm, one.covariance_mm2, one.radius_mm),
+                *(one.quality, one.agreement_mm, one.odds),
+            )
+            for number, one in enumerate(found[-1].result.markers if found else ())
+        ),
+    )
+
+
+def sphere_name(index: int) -> str:
+    """Return the name of a sphere by its index in the CT, as exported: M1, M2, ..."""
+    return f"M{index + 1}"
+
+
+def localized_table(run: RunFolder) -> RunTable:
+    """Return one row per sphere and fine localization. Raises REC-001, REC-003."""
+    rows = []
+    for stored in run.made(Relocalization):
+        one, record = stored.result, stored.record
+        step = ":".join(filter(None, (record.kind, record.trajectory)))
+        standing = record.identifier not in run.superseded
+        for index, fiducial in enumerate(one.fiducials):
+            rows.append(
+                (
+                    *(step, standing, sphere_name(fiducial), one.points_robot_mm[index]),
+                    *(one.covariances_mm2[index], one.residuals_mm[index][-1], one.ray_gaps_mm[index]),
+                    *(one.looks[index], one.joints_rad[index]),
+                )
+            )
+    return RunTable.of(LOCALIZED, rows)
+
+
+def registrations_table(run: RunFolder) -> RunTable:
+    """Return one row per registration made. Raises REC-001, REC-003."""
+    return RunTable.of(
+        REGISTRATIONS,
+        (
+            (
+                stored.record.identifier,
+                " ".join(predicted.target for predicted in stored.result.predictions),
+                stored.record.identifier not in run.superseded,
+                *(stored.result.pairs, stored.result.fre_mm),
+                stored.result.robot_from_ct.translation_mm,
+                stored.result.robot_from_ct.quaternion_wxyz,
+            )
+            for stored in run.made(RegisteredRobot)
+        ),
+    )
+
+
+def find_registration(reading: RunReading, target: str) -> UsedRegistration | None:
+    """Return the registration used for a target, or None. Raises REC-001, REC-003."""
+    reading.run.made(RegisteredRobot)
+    return next((one for one in reading.registrations if target in one.targets), None)
+
+
+def motions_table(journal: Sequence[Line]) -> RunTable:
+    """Return one row per motion of an arm."""
+    rows: list[list[Any]] = []
+    step = ""
+    for line in journal:
+        if line["entry"] in (Entry.INTENT, Entry.HOME):
+            step = str(line.get("step", ""))
+        elif line["entry"] == Entry.MOTION:
+            goal: Any = line["to"]
+            in_joints = len(goal) == len(UNKNOWN_JOINTS)
+            rows.append(
+                [
+                    *(
+                        line["number"],
+                        line.get("arm", ""),
+                        step,
+                        line["what"],
+                        theatre_time_s(line),
+                        math.nan,
+                    ),
+                    *(tuple(goal) if in_joints else UNKNOWN_JOINTS, NOWHERE if in_joints else tuple(goal)),
+                    *(UNKNOWN_JOINTS, ""),
+                ]
+            )
+        elif line["entry"] == Entry.MOVED:
+            joints: Any = line.get("joints_rad", UNKNOWN_JOINTS)
+            begun = next(
+                (row for row in reversed(rows) if row[:2] == [line["number"], line.get("arm", "")]), None
+            )
+            if begun is not None:
+                begun[5], begun[8], begun[9] = theatre_time_s(line), tuple(joints), line.get("error", "")
+    return RunTable.of(MOTIONS, rows)
+
+
+def events_table(folder: Path) -> RunTable:
+    """Return one row per event so far. Raises CLI-005 for a run without events, PRO-018 for damaged ones."""
+    events = next(FollowedRun(folder).batches(whole=True))
+    return RunTable.of(
+        EVENTS,
+        (
+            (
+                *(one.number, one.theatre_time_s, np.datetime64(one.host_time.replace(tzinfo=None), "ms")),
+                *(one.what.kind, getattr(one.what, "step", "")),
+                one.what.model_dump_json(exclude={"kind"}),
+            )
+            for one in events
+        ),
+    )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -1,0 +1,118 @@
+"""A run folder opened for reading as arrays: the reader behind `ronna_hw.load_run`."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+from procedures.engine.events.event_file import EVENTS_FILE
+from procedures.engine.run_folder import run_of
+from procedures.exchange.errors import NoRegistration
+from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
+from procedures.exchange.run_tables import (
+    EVENTS,
+    events_table,
+    find_registration,
+    localized_table,
+    motions_table,
+    registrations_table,
+    spheres_table,
+    targets_table,
+)
+from procedures.reporting.ending import run_ending
+from procedures.reporting.files import KEPT_TRUTH, load_truth
+from procedures.reporting.outcome import Truth
+from procedures.reporting.run_reading import RunReading
+from procedures.runs.folders import find_run_holder, require_run
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.frames import Transform
+from ronna_hw.loaded_run import RunTable
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
+
+
+class RunArrays:
+    """Run folder as arrays; `ronna_hw.LoadedRun` describes each of them."""
+
+    def __init__(self, folder: Path) -> None:
+        """Check and read the journal and the records. Raises CLI-005, PRO-033."""
+        require_run(folder)
+        found = inspect_run(folder, every_file=False, files=(KEPT_TRUTH,)).require_account()
+        truth_changed = any(problem.file == KEPT_TRUTH for problem in found.changes)
+        self.path = folder
+        self._reading = RunReading(run_of(found), ())
+        self._truth = (None if truth_changed else load_truth(folder)) or Truth()
+        self._problems = tuple(map(str, found.problems))
+
+    def __repr__(self) -> str:
+        return "\n  ".join((f"run {self.name}: {self.outcome}", *self.notes))
+
+    @property
+    def name(self) -> str:
+        return self._reading.run.name
+
+    @property
+    def outcome(self) -> str:
+        word = run_ending(self._reading.run.journal).word
+        return "running" if word == "killed" and find_run_holder(self.path) is not None else word
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        missing = [
+            name
+            for name in (EVENTS_FILE, f"{READINGS_FOLDER}/{READINGS_FILE}")
+            if not (self.path / name).exists()
+        ]
+        ends_early = self._recorded.ends_early if "_recorded" in self.__dict__ else ""
+        return (*self._problems, *(f"{name}: missing" for name in missing), *filter(None, [ends_early]))
+
+    @cached_property
+    def targets(self) -> RunTable:
+        return targets_table(self._reading, self._truth)
+
+    @cached_property
+    def spheres(self) -> RunTable:
+        return spheres_table(self._reading.run)
+
+    @cached_property
+    def localized(self) -> RunTable:
+        return localized_table(self._reading.run)
+
+    @cached_property
+    def registrations(self) -> RunTable:
+        return registrations_table(self._reading.run)
+
+    @cached_property
+    def motions(self) -> RunTable:
+        return motions_table(self._reading.run.journal)
+
+    @cached_property
+    def events(self) -> RunTable:
+        if not (self.path / EVENTS_FILE).is_file():
+            return RunTable.of(EVENTS, ())
+        return events_table(self.path)
+
+    @cached_property
+    def _recorded(self) -> RecordedTables:
+        return recorded_tables(self.path)
+
+    @property
+    def strays(self) -> RunTable:
+        return self._recorded.strays
+
+    @property
+    def looks(self) -> RunTable:
+        return self._recorded.looks
+
+    @property
+    def pictures(self) -> RecordedPictures:
+        return self._recorded.pictures
+
+    def robot_from_ct(self, target: str) -> Transform:
+        """Return the registration used for a target. Raises EXC-005 if it has none."""
+        used = find_registration(self._reading, target)
+        if used is None:
+            raise NoRegistration(
+                f"{self.name} has no registration for a target {target}",
+                expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
+            )
+        return used.result.robot_from_ct.transform

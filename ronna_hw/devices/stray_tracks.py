@@ -1,0 +1,181 @@
+"""Identity of stray markers from frame to frame: which reading is the same sphere as before.
+
+A tracker reports strays in no fixed order: spheres change places in the list from one frame to the next. A
+standard deviation taken by place in the list is the distance between spheres, not the noise of one.
+
+Readings are assigned to the last known positions of the spheres so that the sum of distances is least, within
+a gate. An identity is never carried on by a guess. It ends where
+
+- readings and known spheres could be paired in more than one way within the gate, as when two spheres meet;
+- known spheres are missing while as many new ones appear: tracker or head was moved between two frames;
+- a sphere was hidden while the others moved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from ronna_hw.devices.errors import BadStrays
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.strays import require_positions
+from ronna_hw.vectors import Vector3
+
+Array = NDArray[np.float64]
+
+# Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60
+# frames in a second it follows a motion of 300 mm/s.
+GATE_MM = 5.0
+KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
+# Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
+FEWEST_MOVED = 2  # from one frame to the next
+FEWEST_MOVED_UNSEEN = 3  # while they were hidden
+LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
+UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
+
+
+@dataclass(frozen=True)
+class StrayTrack:
+    """One stray sphere in the frames in which it was seen, in tracker coordinates."""
+
+    identity: int  # in the order of first appearance
+    device_clock: NDArray[np.int64]  # (n,) the tracker's own count of frames
+    positions_mm: Array  # (n, 3)
+
+
+@dataclass
+class _Sphere:
+    last_mm: Array
+    identity: int | None  # None while it cannot be told from another
+    count: int = 0  # of frames in which it was seen
+    drift_mm: Array = field(default_factory=lambda: np.zeros(3))  # of the others since it was last seen
+
+    in_last_frame: bool = True
+
+    @property
+    def is_known(self) -> bool:
+        return self.count >= KNOWN_AFTER
+
+
+_NEW = _Sphere(np.zeros(3), None)
+
+
+def track_strays(
+    frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM, least_share: float = LEAST_SHARE
+) -> tuple[StrayTrack, ...]:
+    """Follow each stray sphere through the frames, whatever its place in their lists.
+
+    Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
+    belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.
+    `gate_mm` is the farthest that a sphere may move between two frames. Raises DEV-005.
+    """
+    if not 0.0 <= least_share <= 1.0:
+        raise BadStrays("the share must be between 0 and 1", got=f"{least_share}")
+    read = [frame for frame in frames if frame.validity is not Validity.STALE]
+    kept = [[one.position_mm for one in frame.strays if one.validity is Validity.OK] for frame in read]
+    seen: dict[int, list[tuple[int, Vector3]]] = {}
+    for frame, positions, identities in zip(read, kept, identify_strays(kept, gate_mm=gate_mm), strict=True):
+        for identity, position_mm in zip(identities.tolist(), positions, strict=True):
+            seen.setdefault(identity, []).append((frame.stamp.device_clock, position_mm))
+    seen.pop(UNKNOWN, None)
+    return tuple(
+        StrayTrack(
+            identity,
+            np.array([clock for clock, _ in readings], dtype=np.int64),
+            np.array([position_mm for _, position_mm in readings], dtype=float),
+        )
+        for identity, readings in sorted(seen.items())
+        if len(readings) >= least_share * len(read)
+    )
+
+
+def identify_strays(
+    frames: Iterable[Sequence[Vector3]], *, gate_mm: float = GATE_MM
+) -> tuple[NDArray[np.int64], ...]:
+    """Return the identity of each stray position (mm), frame by frame, or -1 where it cannot be told.
+
+    Raises DEV-005.
+    """
+    if not 0.0 < gate_mm < math.inf:
+        raise BadStrays("the gate must be positive", got=f"{gate_mm} mm")
+    spheres: list[_Sphere] = []
+    begun = 0
+    found = []
+    for frame in frames:
+        readings = require_positions(frame)
+        distances_mm = cdist(readings, _stack([one.last_mm for one in spheres]))
+        pairs = _assign(distances_mm, gate_mm)
+        if _has_moved(spheres, pairs, len(readings)):
+            spheres, pairs, distances_mm = [], {}, np.zeros((len(readings), 0))
+        within = distances_mm <= gate_mm
+        moved_mm = _stack([readings[row] - spheres[column].last_mm for row, column in pairs.items()])
+        identities = np.full(len(readings), UNKNOWN, dtype=np.int64)
+        here = []
+        for row, reading in enumerate(readings):
+            column = pairs.get(row)
+            rivals = within[row].sum() if column is None else within[row].sum() + within[:, column].sum() - 2
+            if rivals:
+                here.append(_Sphere(reading, None))
+                continue
+            known = _NEW if column is None else spheres[column]
+            identity = known.identity
+            if identity is None:
+                identity, begun = begun, begun + 1
+            identities[row] = identity
+            here.append(_Sphere(reading, identity, known.count + 1))
+        unseen = [one for column, one in enumerate(spheres) if one.is_known and not within[:, column].any()]
+        for one in unseen:
+            one.in_last_frame = False
+            if len(moved_mm):
+                one.drift_mm = one.drift_mm + _typical(moved_mm)
+        spheres = here + [one for one in unseen if float(np.linalg.norm(one.drift_mm)) <= gate_mm / 2.0]
+        found.append(identities)
+    return tuple(found)
+
+
+def _has_moved(spheres: Sequence[_Sphere], pairs: Mapping[int, int], readings: int) -> bool:
+    """Return whether the scene has moved since the last frame, or while it was hidden.
+
+    Then known spheres are missing and as many new ones are there: of the last frame no fewer than have
+    stayed, of all more than twice as many. One or two may be hidden spheres, and reflections that appear.
+    """
+    known = [column for column, one in enumerate(spheres) if one.is_known]
+    seen = [column for column in known if spheres[column].in_last_frame]
+    most = max(len(known) - 1, 1)  # of few spheres one may have stayed by chance: it is now where another was
+    stayed, missing = _count_missing(seen, pairs, readings)
+    if missing >= max(stayed, min(FEWEST_MOVED, most)):
+        return True
+    stayed, missing = _count_missing(known, pairs, readings)
+    return missing >= max(2 * stayed + 1, min(FEWEST_MOVED_UNSEEN, most))
+
+
+def _count_missing(columns: Sequence[int], pairs: Mapping[int, int], readings: int) -> tuple[int, int]:
+    """Return how many spheres have stayed, and how many are missing that may be among the new readings."""
+    stayed = len(set(columns).intersection(pairs.values()))
+    return stayed, min(len(columns) - stayed, readings - len(pairs))
+
+
+def _typical(moved_mm: Array) -> Array:
+    """Return the movement of median length; of two the shorter, as a reflection wanders by itself."""
+    return np.asarray(moved_mm[np.argsort(np.linalg.norm(moved_mm, axis=1))[(len(moved_mm) - 1) // 2]])
+
+
+def _stack(vectors: Sequence[Array]) -> Array:
+    return np.array(vectors, dtype=float).reshape(-1, 3)
+
+
+def _assign(distances_mm: Array, gate_mm: float) -> dict[int, int]:
+    """Return the sphere for each reading that has one within the gate, with the least sum of distances."""
+    out_of_gate_mm = 1e3 * gate_mm  # so costly that as many as possible are assigned within the gate
+    rows, columns = linear_sum_assignment(np.where(distances_mm <= gate_mm, distances_mm, out_of_gate_mm))
+    return {
+        row: column
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+        if distances_mm[row, column] <= gate_mm
+    }

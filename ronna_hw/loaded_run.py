@@ -1,0 +1,205 @@
+"""A finished, interrupted or running case as NumPy record arrays: `load_run` and what it returns.
+
+    from ronna_hw import load_run
+
+    run = load_run("runs/20261126T165631-s7-5191")
+    print(run.targets.name, run.targets.error_mm)
+
+The reader of run folders belongs to the procedures. It is found by its entry point, as drivers are.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.errors import ConfigurationError
+from ronna_hw.frames import Transform
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+GROUP = "ronna_hw.runs"
+AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("A1", "A2", "A3", "A4", "A5", "A6")}  # names in a pandas column
+QUATERNION = "wxyz"  # unit in the name of one, which names its axes already
+
+
+class NoRunReader(ConfigurationError):
+    """No installed package reads run folders."""
+
+    code = "RUN-001"
+    action = "Run make setup in the clone, which installs the packages again with their entry points."
+
+
+class NoPandas(ConfigurationError):
+    """A table was requested for pandas, which is not installed."""
+
+    code = "RUN-002"
+    action = "Run make setup in the clone, or python -m pip install pandas; the arrays need nothing else."
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of a table: its unit is in the name, and the frame of a position before it."""
+
+    name: str
+    kind: type | str  # float: NaN where unknown; str: empty; a NumPy type
+    description: str
+    size: tuple[int, ...] = ()  # of one entry: (3,) for a vector
+
+    @property
+    def pandas_names(self) -> list[str]:
+        """Names of the plain columns for pandas, such as `target_ct_x_mm`."""
+        if not self.size:
+            return [self.name]
+        stem, _, unit = self.name.rpartition("_")
+        tail = "" if unit == QUATERNION else f"_{unit}"
+        return [f"{stem}_{''.join(axes)}{tail}" for axes in itertools.product(*(AXES[n] for n in self.size))]
+
+
+class RunTable(np.recarray[Any, np.dtype[np.void]]):
+    """Record array with described columns: `table.error_mm`, `table[table.name == "T1"]`, `table[0]`."""
+
+    columns: tuple[Column, ...] = ()
+
+    @classmethod
+    def of(cls, columns: tuple[Column, ...], rows: Iterable[Sequence[object]]) -> RunTable:
+        """Build a table from its rows, with one value per column."""
+        listed = [tuple(row) for row in rows]
+        table: RunTable = np.array(
+            listed,
+            dtype=[
+                (one.name, _find_type(one, listed, number), one.size) for number, one in enumerate(columns)
+            ],
+        ).view(cls)
+        table.columns = columns
+        return table
+
+    def __array_finalize__(self, source: Any) -> None:
+        super().__array_finalize__(source)
+        self.columns = getattr(source, "columns", ())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a pandas data frame, with one column per component of a vector. Raises RUN-002."""
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise NoPandas("pandas is not installed") from error
+        plain: dict[str, Any] = {}
+        for column in self.columns:
+            names = column.pandas_names
+            values = np.asarray(self[column.name]).reshape(len(self), len(names))
+            plain.update(zip(names, values.T, strict=True))
+        return pd.DataFrame(plain)
+
+
+def _find_type(column: Column, rows: Sequence[Sequence[object]], number: int) -> object:
+    if column.kind is not str:
+        return column.kind
+    return f"U{max((len(str(row[number])) for row in rows), default=1) or 1}"
+
+
+class StereoPictures(NamedTuple):
+    """Grey values of one stereo look as recorded; None for a side that did not arrive."""
+
+    left: NDArray[np.uint8] | NDArray[np.uint16] | None
+    right: NDArray[np.uint8] | NDArray[np.uint16] | None
+
+
+class LoadedRun(Protocol):
+    """Run folder as arrays. Each table is read on first use; docs/reference/api-runs.md lists the columns.
+
+    Positions are in mm, in the frame that their name says: `ct` (DICOM LPS), `robot`, `tracker`.
+    """
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        ...
+
+    @property
+    def outcome(self) -> str:
+        """How the run ended, such as done, in doubt, failed or interrupted; or that it is running."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is missing in the folder or has changed in it since the run ended."""
+        ...
+
+    @property
+    def targets(self) -> RunTable:
+        """Trajectories of the plan: planned and reached positions, predicted error, error against truth."""
+        ...
+
+    @property
+    def spheres(self) -> RunTable:
+        """Spheres found in the CT."""
+        ...
+
+    @property
+    def localized(self) -> RunTable:
+        """The same spheres as the stereo head localized them in the robot frame, by trajectory."""
+        ...
+
+    @property
+    def registrations(self) -> RunTable:
+        """Registrations of the CT to the robot."""
+        ...
+
+    @property
+    def strays(self) -> RunTable:
+        """Stray markers in each new frame of the tracker, with an identity over the frames."""
+        ...
+
+    @property
+    def looks(self) -> RunTable:
+        """Image pairs of the stereo head."""
+        ...
+
+    @property
+    def pictures(self) -> Sequence[StereoPictures]:
+        """Images of each row of `looks`, read when they are asked for."""
+        ...
+
+    @property
+    def motions(self) -> RunTable:
+        """Motions of the arms."""
+        ...
+
+    @property
+    def events(self) -> RunTable:
+        """Events of the run, as a console shows them."""
+        ...
+
+    def robot_from_ct(self, target: str) -> Transform:
+        """Return the registration used for a target. Raises EXC-005 if it has none."""
+        ...
+
+
+class RunReader(Protocol):
+    """Target of the entry point: opens the folder of one run."""
+
+    def __call__(self, folder: Path) -> LoadedRun: ...
+
+
+def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
+    """Open the folder of one run for reading: finished, interrupted, or still running.
+
+    Raises CLI-005 if it is not the folder of a run, PRO-033 if its journal or a record was changed. A table
+    that another version wrote differently raises REC-003 when it is read.
+    """
+    for point in entry_points(group=GROUP):
+        reader: RunReader = point.load()
+        return reader(Path(folder))
+    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point in {GROUP}")

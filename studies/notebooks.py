@@ -1,0 +1,64 @@
+"""Execution of the example notebooks: each in its own kernel, over files instead of network ports."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from ronna_hw.bounded_input import parse_json, read_json_bytes
+from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.records import write_atomically
+from studies.errors import NotANotebook, NotebookFailed, NotebooksNotInstalled
+
+LONGEST_CELL_S = 300.0  # host time; the longest of the examples takes a tenth of it
+NOTEBOOK = ".ipynb"
+
+
+def execute_notebook(path: Path, out: Path) -> Path:
+    """Execute a notebook in the folder `out` and write it there with its output.
+
+    Raises STU-016 without the extra, STU-017 for a failed cell, STU-018 for another file, CLI-005.
+    """
+    try:
+        import nbformat
+        from nbclient import NotebookClient
+        from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+    except ImportError as error:
+        raise NotebooksNotInstalled(f"notebooks need {error.name}, which is not installed") from error
+    if not path.is_file():
+        is_there = "is a folder, not a notebook" if path.is_dir() else "does not exist"
+        raise PathProblem(
+            f"{path} {is_there}",
+            expected=f"a file NAME{NOTEBOOK}",
+            action="Give one or more, such as examples/notebooks/*.ipynb.",
+        )
+    try:
+        content = read_json_bytes(path)
+        parse_json(content)["cells"]
+        notebook = nbformat.reads(content.decode(), as_version=4)
+    except (ValueError, TypeError, KeyError, nbformat.ValidationError) as error:
+        raise NotANotebook(
+            f"{path} is not a notebook, or a damaged one", expected="JSON as Jupyter writes it"
+        ) from error
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="ronna-") as sockets:
+        client = NotebookClient(
+            notebook,
+            kernel_name="python3",
+            timeout=LONGEST_CELL_S,
+            resources={"metadata": {"path": str(out)}},
+        )
+        kernel = client.create_kernel_manager()
+        kernel.transport, kernel.connection_file = "ipc", str(Path(sockets, "kernel.json"))
+        try:
+            client.execute()
+        except CellExecutionError as error:
+            raise NotebookFailed(
+                f"a cell of {path.name} failed", got=f"{error.ename}: {error.evalue}"
+            ) from error
+        except (CellTimeoutError, DeadKernelError) as error:
+            what = "took too long" if isinstance(error, CellTimeoutError) else "ended its kernel"
+            raise NotebookFailed(f"a cell of {path.name} {what}", limit=f"{LONGEST_CELL_S:g} s") from error
+    written = out / path.name
+    write_atomically(written, nbformat.writes(notebook).encode())
+    return written

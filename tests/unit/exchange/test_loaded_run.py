@@ -1,0 +1,229 @@
+"""A run as arrays: what loads, what is left out and said, and what is refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from declaration_checks import UNITS
+from prepared_results import checked_plan, imported_ct, localized_fiducials, registered_robot, relocalization
+
+import procedures.imaging
+import procedures.registration
+import procedures.relocalization
+import ronna_hw
+from procedures.engine.case import Case, StepKey
+from procedures.engine.replay.recorded_answers import section_follower
+from procedures.exchange import recorded_tables, run_tables
+from procedures.exchange.errors import NoRegistration
+from procedures.journal.journal import Entry, Journal
+from procedures.reporting.files import KEPT_TRUTH
+from procedures.runs.folders import hold_run
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from ronna_hw import RunTable, load_run
+from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import (
+    AreaOfInterest,
+    CameraImage,
+    Stamp,
+    StereoReading,
+    StrayReading,
+    TrackerFrame,
+    Validity,
+)
+from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.manifest import seal
+from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
+from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FOLDER, ReadingTape
+from ronna_hw.records import OtherVersion
+
+STAMP = Stamp(1, 4242, 1.25)
+LEFT = CameraImage(
+    STAMP, Validity.OK, "L1", np.arange(1200, dtype=np.uint16).reshape(30, 40), AreaOfInterest(16, 32, 40, 30)
+)
+PAIR = StereoReading(STAMP, Validity.PARTIAL, LEFT, None)
+TABLES = {
+    name: table
+    for module in (run_tables, recorded_tables)
+    for name, table in vars(module).items()
+    if isinstance(table, tuple) and table and isinstance(table[0], Column)
+}
+WITHOUT_UNIT = {"confidence", "quality", "odds"}
+
+
+def frame(
+    number: int, *strays_mm: tuple[float, float, float], validity: Validity = Validity.OK
+) -> TrackerFrame:
+    stamp = Stamp(number, 100 + number, number / 60.0)
+    return TrackerFrame(stamp, validity, (), tuple(StrayReading(one, Validity.OK) for one in strays_mm))
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run that goes on: results up to the registration of T1, frames and a look, the arm under way."""
+    folder = tmp_path / "runs" / "20261126T000000-s7-0000"
+    folder.mkdir(parents=True)
+    tape = ReadingTape(folder / READINGS_FOLDER, lambda: 3.5, {"paced": True})
+    case, journal = Case(folder), Journal(folder, section_follower(tape))
+    journal.write(Entry.OPENED, 0.0, run=folder.name)
+    journal.write(Entry.INTENT, 0.0, step="global_localization")
+    a, b = (0.0, 0.0, -1500.0), (0.0, 40.0, -1500.0)
+    for one in (frame(0, a, b), frame(1, b, a), frame(1, b, a, validity=Validity.STALE), frame(2, b)):
+        tape.keep("tracker", "read_frame", Lifecycle.ACTIVE, one)
+    tape.keep("stereo", "grab_pair", Lifecycle.ACTIVE, PAIR)
+    journal.write(Entry.MOTION, 1.0, arm="master", number=1, what="go", to=[0.1] * 6, trajectory=None)
+    journal.write(Entry.MOVED, 2.0, arm="master", number=1, joints_rad=[0.1] * 6, at_home=False)
+    journal.write(Entry.MOTION, 3.0, arm="master", number=2, what="line", to=[1.0, 2.0, 3.0], trajectory=None)
+    journal.write(Entry.MOVED, 3.5, arm="master", number=2, error="RSI-012", at_home=None)
+    tape.close()
+    results = {
+        StepKey("ct_import"): imported_ct(),
+        StepKey("fiducial_localization"): localized_fiducials(),
+        StepKey("plan_check"): checked_plan(),
+        StepKey("relocalization", "T1"): relocalization(),
+        StepKey("registration", "T1"): registered_robot(),
+    }
+    for key, result in results.items():
+        stored = case.store(key, result, ())
+        names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
+        journal.write(Entry.RESULT, 4.0, step=str(key), supersedes=[], **names)
+        case.accept(key, stored)
+    journal.write(Entry.MOTION, 5.0, arm="master", number=3, what="home", to=[0.0] * 6, trajectory=None)
+    journal.close()
+    return folder
+
+
+def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
+    loaded = load_run(str(run))
+    with hold_run(run):
+        assert loaded.outcome == "running"
+    assert loaded.outcome == "killed"
+    assert any("still running" in note for note in loaded.notes)
+    targets = loaded.targets
+    assert targets.name.tolist() == [one.id for one in checked_plan().plan.trajectories]
+    assert np.isfinite(targets.predicted_mm[targets.name == "T1"]).all()
+    assert np.isnan(targets.error_mm).all()
+    assert np.isnan(targets.reached_ct_mm).all()
+    np.testing.assert_allclose(loaded.spheres.centre_ct_mm, localized_fiducials().centres_mm)
+    np.testing.assert_allclose(loaded.localized.centre_robot_mm, relocalization().points_mm)
+    assert set(loaded.localized.step) == {"relocalization:T1"}
+    row = targets[targets.name == "T1"][0]
+    np.testing.assert_allclose(loaded.robot_from_ct("T1").apply(row.target_ct_mm), row.target_robot_mm)
+    assert loaded.registrations.standing.tolist() == [True]
+
+
+def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> None:
+    strays = load_run(run).strays
+    assert strays.identity.tolist() == [0, 1, 1, 0, 1]
+    assert strays.position_tracker_mm[strays.identity == 1].tolist() == [[0.0, 40.0, -1500.0]] * 3
+    assert strays.device_clock.tolist() == [100, 100, 101, 101, 102]
+    assert set(strays.step) == {"global_localization"}
+
+
+def test_looks_have_their_pictures_and_none_for_a_side_that_did_not_arrive(run: Path) -> None:
+    loaded = load_run(run)
+    assert loaded.looks.left_offset_px.tolist() == [[16, 32]]
+    assert loaded.looks.validity.tolist() == ["partial"]
+    (pair,) = loaded.pictures
+    np.testing.assert_array_equal(pair.left, LEFT.pixels)
+    assert pair.right is None
+    assert len(loaded.pictures[:0]) == 0
+
+
+def test_a_motion_tells_how_it_ended_or_that_nothing_is_known_of_its_end(run: Path) -> None:
+    motions = load_run(run).motions
+    assert motions.kind.tolist() == ["go", "line", "home"]
+    assert motions.error.tolist() == ["", "RSI-012", ""]
+    assert np.isnan(motions.end_s).tolist() == [False, False, True]
+    assert motions.joints_rad[0].tolist() == [0.1] * 6
+    assert motions.goal_robot_mm[1].tolist() == [1.0, 2.0, 3.0]
+    assert np.isnan(motions.joints_rad[1:]).all()
+
+
+def test_readings_after_a_damaged_one_are_left_out_and_it_is_said(run: Path) -> None:
+    (run / READINGS_FOLDER / PIXELS_FILE).write_bytes(
+        b""
+    )  # of a running case they may not be on the disk yet
+    loaded = load_run(run)
+    assert (len(loaded.strays), len(loaded.looks)) == (5, 0)
+    assert any("PRO-024" in note for note in loaded.notes)
+    assert "PRO-024" in repr(loaded)
+
+
+def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
+    truth = run / KEPT_TRUTH
+    truth.parent.mkdir()
+    truth.write_text(json.dumps({"targets": [{"id": "T1", "application_error_mm": 0.25}]}))
+    seal(run, {})
+    assert load_run(run).targets.error_mm[0] == 0.25
+    truth.write_text(truth.read_text().replace("0.25", "0.05"))
+    loaded = load_run(run)
+    assert np.isnan(loaded.targets.error_mm[0])
+    assert f"{KEPT_TRUTH}: changed" in loaded.notes
+
+
+def test_a_changed_record_is_refused_and_one_of_another_version_spares_the_other_tables(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as other:
+        other.setattr(LocalizedFiducials, "version", 99)
+        loaded = load_run(run)
+        with pytest.raises(OtherVersion, match="version 99, got version 2"):
+            _ = loaded.spheres
+        assert len(loaded.strays) == 5
+    record = run / "records" / "02-fiducial_localization.json"
+    record.write_text(record.read_text().replace('"quality": ', '"quality": 0'))
+    with pytest.raises(RunChanged):
+        load_run(run)
+
+
+def test_what_is_no_run_folder_is_refused_with_what_to_give(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(PathProblem, match=run.name):
+        load_run(run.parent)  # a folder of runs
+    for wrong in (run / "journal.jsonl", tmp_path / "nothing", tmp_path):
+        with pytest.raises(PathProblem):
+            load_run(wrong)
+    with pytest.raises(NoRegistration, match="no registration for a target T9"):
+        load_run(run).robot_from_ct("T9")
+
+
+def test_a_stale_installation_without_the_reader_says_what_to_run(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ronna_hw.loaded_run.entry_points", lambda *, group: [])
+    with pytest.raises(NoRunReader, match="make setup"):
+        load_run(run)
+
+
+def test_a_table_for_pandas_has_a_column_per_component_and_needs_pandas(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = load_run(run)
+    table = loaded.localized[loaded.localized.sphere == "M1"].to_pandas()
+    assert table["centre_robot_y_mm"].tolist() == [relocalization().points_robot_mm[0][1]]
+    assert {"joints_A6_rad", "covariance_robot_xz_mm2"} <= set(table.columns)
+    assert "robot_from_ct_w" in loaded.registrations.to_pandas()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(NoPandas, match="pip install pandas"):
+        loaded.targets.to_pandas()
+
+
+@pytest.mark.parametrize("name", sorted(TABLES))
+def test_an_empty_table_has_all_columns_and_each_quantity_has_its_unit(name: str) -> None:
+    columns = TABLES[name]
+    assert RunTable.of(columns, ()).dtype.names == tuple(one.name for one in columns)
+    assert len(RunTable.of(columns, ()).to_pandas()) == 0
+    quantities = {one.name for one in columns if one.kind is float} - WITHOUT_UNIT
+    assert {one for one in quantities if not one.endswith(UNITS)} == set()
+
+
+@pytest.mark.parametrize(
+    "package", [ronna_hw, procedures.registration, procedures.relocalization, procedures.imaging]
+)
+def test_completion_shows_the_public_names_of_a_package_and_no_others(package: object) -> None:
+    assert dir(package) == sorted(package.__all__)
+    assert all(hasattr(package, name) for name in dir(package))
