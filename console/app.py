@@ -30,6 +30,7 @@ from console.web.page import add_page
 from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun
 from procedures.engine.events.event_types import digest_of_question
+from procedures.operator.question import Identity
 from procedures.runs.orders import LONGEST_BYTES, Reply, SentOrder
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
@@ -37,7 +38,7 @@ from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.errors import RonnaError
 
 LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
-PAIR = b'{"pair":"'
+PAIR, IDENTITY = b'{"pair":"', b'{"identity":'
 AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
 AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
 Work = Callable[[], Coroutine[Any, Any, None]]
@@ -176,6 +177,8 @@ def _handle_line(hub: Hub, line: bytes) -> None:
         hub.take(Event.model_validate_json(line.strip()[len(b'{"event":') : -1]))
     elif line.startswith(b'{"beat":'):
         hub.notify()
+    elif line.startswith(IDENTITY):
+        hub.take_identity(Identity.model_validate_json(line.strip()[len(IDENTITY) : -1]))
     elif line.startswith(PAIR):
         hub.take_pair(base64.b64decode(line.strip()[len(PAIR) : -2]))
     elif line.strip():

@@ -6,6 +6,7 @@ The journal and the records are compared each time; of a run that no program wri
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from dataclasses import replace
 from typing import Any
 
@@ -114,7 +115,10 @@ class Figures:
 
         async def picture(request: Request) -> Response:
             name = request.path_params["name"]
-            if self.latest is None or name not in (*self.latest.pictures, *self.latest.cuts):
+            question = self._hub.view.question
+            asked = () if question is None else (one.name for one in question.pictures)
+            known = () if self.latest is None else (*self.latest.pictures, *self.latest.cuts)
+            if name not in (*known, *asked):
                 return PlainTextResponse("No such picture.", 404)
             path = self._hub.folder / PICTURES_FOLDER / name
             try:  # not through a link: whoever made the run would choose what viewers see of this computer
@@ -123,6 +127,9 @@ class Figures:
                 )
             except (OSError, InputRefused):
                 return PlainTextResponse("No such picture.", 404)
+            shown = request.query_params.get("shown")  # in a question: the answer signs this very content
+            if shown is not None and hashlib.sha256(content).hexdigest() != shown:
+                return PlainTextResponse("This picture has changed since the question was asked.", 404)
             return Response(content, media_type="image/png")
 
         async def pair(_request: Request) -> Response:

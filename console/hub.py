@@ -14,7 +14,8 @@ from typing import Any
 from console.case_view import CaseView, RecordedCase, fold
 from console.changes import ChangeNotifier
 from console.guard import Role, Session
-from procedures.engine.events import DeviceAge, Event, Pose
+from procedures.engine.events import DeviceAge, Event, Pose, Questioned
+from procedures.operator.question import Identity
 from procedures.runs.orders import Claim, Renew, Reply, SentOrder, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -40,6 +41,7 @@ class Hub(ChangeNotifier):
         self.review: RecordedCase | None = None  # of a case that this console does not operate
         self._granted = ("", "")  # session and name to which the engine last gave the seat
         self.break_reason = ""  # why nothing more can be read of a case under review
+        self._identity: Identity | None = None
         self.pair = b""  # PNG of the stereo head's last pair
         self.pairs = 0  # number of pairs received
         self._paired_s = 0.0
@@ -56,7 +58,15 @@ class Hub(ChangeNotifier):
         match event.what:
             case Pose(arm=device) | DeviceAge(device=device):
                 self._seen_s[device] = self._now_s()
+            case Questioned(identity_sha256=digest) as question if digest:
+                identity, self._identity = self._identity, None
+                if identity is not None and identity.sha256 == digest:
+                    event = event.model_copy(update={"what": question.with_identity(identity)})
         self.show(fold(self.view, event))
+
+    def take_identity(self, identity: Identity) -> None:
+        """Store the patient's identity for the next question, which has its digest."""
+        self._identity = identity
 
     def show(self, view: CaseView) -> None:
         """Switch to another view: the next one, or one selected for review."""

@@ -18,7 +18,8 @@ from nicegui import ui
 
 from console.case_view import CaseView
 from console.panels.case_state import seat_line
-from console.panels.html import evidence_table, tag, text
+from console.panels.html import tag, text
+from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Topic
@@ -40,6 +41,7 @@ HOLD_S = 1.0  # host time for which an answer must be held
 ARMED_S = 0.7  # host time after appearing before it can be given
 DIGEST_SHOWN = 12  # characters; the journal has all of them
 Give = Callable[[dict[str, Any]], Awaitable[None]]
+GetReply = Callable[[dict[str, Any]], Awaitable[str]]  # the reason for a refusal, or an empty string
 NOT_EMERGENCY = (
     "Stop motion makes the driver bring the arm to rest. "
     "It is not an emergency stop: for that, press the red button."
@@ -167,9 +169,12 @@ def add_stop_button(give: Give) -> None:
 class QuestionPanel:
     """Panel of the open question, rebuilt for each question and whenever the seat changes hands."""
 
-    def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
+    def __init__(self, give: GetReply, tell: Callable[[str], None]) -> None:
+        """Set up the panel. `tell` shows what was still said in it when its question is gone."""
         self._give = give
         self._tell = tell
+        self._words = ""
+        self._said: ui.html | None = None
         self._shown: object = ()
         self._time_limit: ui.html | None = None
         self._place = (
@@ -183,7 +188,9 @@ class QuestionPanel:
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
         )
         if key != self._shown:
-            self._shown, self._time_limit = key, None
+            if self._words:
+                self._tell(self._words)
+            self._shown, self._time_limit, self._said, self._words = key, None, None, ""
             self._place.clear()
             self._place.set_visibility(question is not None)
             if question is not None:
@@ -192,14 +199,26 @@ class QuestionPanel:
         if self._time_limit is not None and question is not None:
             self._time_limit.set_content(_time_limit(question, view))
 
+    def _say(self, words: str) -> None:
+        """Show a refusal or advice beside the answers."""
+        self._words = words
+        if self._said is not None:
+            self._said.set_content(tag("p", text(words), class_="warn", role="alert") if words else "")
+
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
         digest = digest_of_question(question)
-        ui.html(
-            tag("h2", text(question.subject), data_question=str(question.question))
-            + tag("p", text(question.value), class_="value")
-            + "".join(map(evidence_table, question.evidence)),
-            sanitize=False,
-        )
+        ui.html(question_heading(question), sanitize=False)
+        with ui.element("div").classes("asked"):
+            ui.html(question_words(question), sanitize=False)
+            if question.pictures:
+                ui.html(question_pictures(question), sanitize=False).classes("cutbox")
+        if question.evidence:
+            ui.html(question_evidence(question), sanitize=False)
+        with ui.element("div").classes("answerbar"):
+            self._build_answers(question, view, digest, is_mine=is_mine)
+
+    def _build_answers(self, question: Questioned, view: CaseView, digest: str, *, is_mine: bool) -> None:
+        """Add what is typed and the buttons, which stay in view below the question."""
         self._time_limit = ui.html("", sanitize=False)
         if not is_mine:
             who = f"{view.seat.holder} answers" if view.seat else "the operator's seat is empty"
@@ -210,20 +229,16 @@ class QuestionPanel:
             return
         read_back_field = None
         if question.read_back is not None:
-            label = f"Read back: {question.read_back}"
-            read_back_field = (
-                ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
-            )
+            read_back_field = _typed_field(f"Type {question.read_back}", "maxlength=60")
         reading_fields = [
-            ui.input(what)
-            .classes("typed")
-            .props("dense outlined autocomplete=off maxlength=20 inputmode=decimal")
-            for what in question.reads
+            _typed_field(f"Type {what}", "maxlength=20 inputmode=decimal") for what in question.reads
         ]
+        self._said = ui.html("", sanitize=False)
         with ui.element("div").classes("answers"):
             for answer in question.answers:
                 self._answer_button(question, answer, digest, read_back_field, reading_fields)
-        ui.html(tag("p", f"shown: {digest[:DIGEST_SHOWN]}", class_="digest"), sanitize=False)
+        signed = f"Your answer signs exactly what is shown here: {digest[:DIGEST_SHOWN]} in the journal."
+        ui.html(tag("p", signed, class_="digest dim"), sanitize=False)
 
     def _answer_button(
         self,
@@ -250,13 +265,13 @@ class QuestionPanel:
                         parse_typed_number(str(field.value or ""), "mm") for field in reading_fields
                     ]
                 except ValueError as error:
-                    self._tell(f"{error} is not a number in mm, such as 0.12")
+                    self._say(f"{error} is not a number in mm, such as 0.12")
                     return
-            await self._give(order)
+            self._say(await self._give(order))
 
         # The last answer, also given by silence, changes nothing.
         if question.deliberate and answer != question.answers[-1]:
-            button = HeldButton(f"{answer} (hold)", act, self._tell).button
+            button = HeldButton(f"{answer} (hold)", act, self._say).button
         else:
             button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
         button.classes("go" if is_go_ahead else "plain").props(f'data-answer="{answer}"')
@@ -326,6 +341,14 @@ def _time_limit(question: Questioned, view: CaseView) -> str:
     return tag(
         "p", f"{remaining_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num"
     )
+
+
+def _typed_field(what: str, props: str) -> ui.input:
+    """Add a field below its label, which wraps where one inside would be cut."""
+    ui.html(tag("p", text(what), class_="label"), sanitize=False)
+    field = ui.input().classes("typed").props(f"dense outlined autocomplete=off {props}")
+    field.props["aria-label"] = what
+    return field
 
 
 def _button(label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain") -> ui.button:

@@ -23,9 +23,13 @@ TAIL_BYTES = 16_384  # about eighty lines
 HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
-def accuracy(figures: CaseFigures | None) -> str:
-    """Show the tables of the valid registrations."""
-    if figures is None or not figures.predictions:
+def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
+    """Show the tables of the valid registrations, and the one that the open question is about."""
+    asked = () if view.question is None else view.question.predicted
+    decided = {item.target for item in asked}
+    valid = () if figures is None else figures.predictions
+    predictions = [*asked, *(item for item in valid if item.target not in decided)]
+    if not predictions:
         return tag("p", "No registration yet.", class_="dim")
     rows = "".join(
         tag(
@@ -35,7 +39,7 @@ def accuracy(figures: CaseFigures | None) -> str:
             + tag("td", f"{item.limit_mm:.2f} at {item.confidence:.0%}", class_="num")
             + tag("td", f"{item.margin_mm:g}", class_="num"),
         )
-        for item in figures.predictions
+        for item in predictions
     )
     head = tag(
         "tr", "".join(tag("th", item, scope="col") for item in ("target", "mm rms", "limit mm", "margin mm"))
@@ -44,7 +48,15 @@ def accuracy(figures: CaseFigures | None) -> str:
         "table",
         f"<caption>Predicted error at the targets</caption><thead>{head}</thead><tbody>{rows}</tbody>",
     )
-    return total + "".join(map(evidence_table, figures.tables)) + tag("p", NOTE, class_="dim")
+    open_words = f"Not accepted yet: {', '.join(item.target for item in asked)}."
+    is_open = tag("p", text(open_words), class_="warn") if asked else ""
+    tables = "" if figures is None or asked else "".join(map(evidence_table, figures.tables))
+    return is_open + total + tables + tag("p", NOTE, class_="dim")
+
+
+def accuracy_key(view: CaseView) -> object:
+    """Return a key that changes with the registration that the open question is about."""
+    return view.question.predicted if view.question is not None else ()
 
 
 def live_pair(hub: Hub) -> str:

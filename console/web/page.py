@@ -20,6 +20,7 @@ from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, add_stop
 from console.panels.results import (
     LogTail,
     accuracy,
+    accuracy_key,
     course,
     cuts,
     cuts_key,
@@ -107,7 +108,7 @@ class CasePage:
                     self._orders = OrderPanel(self._give_order, self._show_message)
                 self._section("Progress", chart, chart_key, "chart")
             with ui.element("div").classes("middle"):
-                self._question = QuestionPanel(self._give_order, self._show_message)
+                self._question = QuestionPanel(self._get_reply, self._show_message)
                 self._scene = ScenePanel(low=self._low)
                 self._section(
                     "Trajectories in the CT",
@@ -117,7 +118,10 @@ class CasePage:
                 )
             with ui.element("div").classes("right"):
                 self._section(
-                    "Accuracy", lambda _view: accuracy(self._shown_figures), self._update_figures, "accuracy"
+                    "Accuracy",
+                    lambda view: accuracy(view, self._shown_figures),
+                    lambda view: (self._update_figures(view), accuracy_key(view)),
+                    "accuracy",
                 )
                 self._section("Faults, refusals, notes", notices, lambda view: view.notices, "noticebox")
             with ui.element("div").classes("bottom"):
@@ -182,6 +186,10 @@ class CasePage:
 
     async def _give_order(self, order: dict[str, Any]) -> None:
         """Give an order and show the engine's reply."""
+        self._show_message(await self._get_reply(order))
+
+    async def _get_reply(self, order: dict[str, Any]) -> str:
+        """Give an order and return the engine's refusal in words, or an empty string."""
         try:
             refusal = await self._hub.order(self._session, order)
         except ValueError:
@@ -189,7 +197,7 @@ class CasePage:
                 "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "not a valid order"
             )
         words = refusal if refusal == NO_REPLY else f"Refused: {refusal}"
-        self._show_message(f"{words}." if refusal else "")
+        return f"{words}." if refusal else ""
 
     def _show_message(self, words: str) -> None:
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")

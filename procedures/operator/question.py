@@ -108,14 +108,18 @@ class PredictedError(BaseModel):
     margin_mm: float
 
     @property
+    def is_within(self) -> bool:
+        """Whether the plan accepts it."""
+        return self.rms_mm <= self.margin_mm
+
+    @property
     def verdict(self) -> str:
         """Whether it is within the margin, with the limit of the error spelled out."""
-        within = "within" if self.rms_mm <= self.margin_mm else "BEYOND"
-        limit = f"{self.limit_mm:.2f} mm at {self.confidence:.0%}"
-        beyond = " is beyond it" if self.rms_mm <= self.margin_mm < self.limit_mm else ""
-        return (
-            f"{within} the margin; its limit, {limit},{beyond}" if beyond else f"{within} the margin; {limit}"
-        )
+        limit = f"{self.limit_mm:.2f} mm"
+        if self.is_within and self.limit_mm > self.margin_mm:
+            return f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
+        within = "within" if self.is_within else "BEYOND"
+        return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 
 class Picture(BaseModel):

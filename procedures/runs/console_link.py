@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.engine.errors import ConsoleMissing
-from procedures.engine.events import EventStream
+from procedures.engine.events import Event, EventStream, Questioned
 from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
@@ -153,7 +153,7 @@ class ConsoleLink:
             self._station.free_silent_seat()
             batch = reader.read(0.0)
             ended = batch.ended
-            lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]
+            lines = [line for event in batch.events for line in event_lines(event)]
             if not self._send("\n".join(lines or [BEAT])):
                 return
             if all(event.what.signal for event in batch.events):
@@ -174,6 +174,13 @@ class ConsoleLink:
             self._station.leave()
             if not self._ending:
                 self._say("the console has ended; this terminal operates the case")
+
+
+def event_lines(event: Event) -> Iterator[str]:
+    """Encode an event for the console. The patient's identity goes ahead of it, as no event contains it."""
+    if isinstance(event.what, Questioned) and event.what.identity is not None:
+        yield f'{{"identity":{event.what.identity.model_dump_json()}}}'
+    yield f'{{"event":{event.model_dump_json()}}}'
 
 
 class LivePictures:

@@ -17,7 +17,7 @@ from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import Answer, Question, Signature, Topic
+from procedures.operator.question import MOST_MISREAD, Answer, Question, Signature, Topic, tries_left
 from procedures.runs.orders import (
     OPENING,
     PAUSED,
@@ -109,7 +109,8 @@ class _OpenQuestion:
     question: Question
     shown: str
     answer: Answer | None = None
-    misread: int = 0  # how often, not yet in the journal
+    misread: int = 0  # how often a wrong value was read back
+    misread_noted: int = 0  # of these, how many are in the journal
     acknowledged_by: str = ""  # who acknowledges faults while it stands
 
 
@@ -308,7 +309,13 @@ class OperatorStation:
             return "the question shown is not the question asked"
         by = Signature(self._seat.holder, session, current.shown)
         answer = Answer(order.answer, order.typed, order.readings, by)
-        current.misread += question.is_misread(answer)
+        if question.read_back is not None and question.is_misread(answer):
+            current.misread += 1
+            wrong = f"{answer.typed!r} {question.read_back.wrong.rstrip('.')}"
+            if current.misread < MOST_MISREAD:
+                return f"{wrong}; {tries_left(current.misread)}"
+            self._settle(Answer(question.silence, signature=by))
+            return f"{wrong}; {MOST_MISREAD} wrong values count as {question.silence!r}"
         if refused := question.why_refused(answer):
             return refused
         if question.topic is Topic.PAUSE:
@@ -359,8 +366,8 @@ class OperatorStation:
                         return Answer(question.silence)
                     self._changed.wait(remaining_s)
                     self._notice_lapse()
-                    while current.misread:
-                        current.misread -= 1
+                    while current.misread_noted < current.misread:
+                        current.misread_noted += 1
                         question.misread()
                     if current.acknowledged_by:
                         by, current.acknowledged_by = current.acknowledged_by, ""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from console_clicks import take_seat
 from operated_case import enter
@@ -35,7 +38,7 @@ from procedures.engine.events import (
     StepState,
     Waiting,
 )
-from procedures.operator.question import Evidence
+from procedures.operator.question import Evidence, Picture, PredictedError
 
 OPENED = JournalLine(line={"entry": "opened", "run": "r1", "banner": "SIMULATED THEATRE", "theatre": "mini"})
 LINK = LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0)
@@ -77,12 +80,20 @@ which => {
   return top >= document.querySelector(".head").getBoundingClientRect().bottom && top < window.innerHeight;
 }
 """
+ALL_IN_VIEW = """
+which => [...document.querySelectorAll(which)].every(one => {
+  const {left, right, top, bottom} = one.getBoundingClientRect();
+  const ends = [left + 2, right - 2].map(x => document.elementFromPoint(x, (top + bottom) / 2));
+  const inside = left >= 0 && right <= window.innerWidth && top >= 0 && bottom <= window.innerHeight;
+  return inside && ends.every(end => one.contains(end));
+})
+"""
 # The page looks every 250 ms for a new question and brings it into view once; the scrolling comes after that.
 TWO_TICKS_MS = 500
 SCROLLED_AND_STAYS = """
 px => {
   const stays = window.scrollY > px;
-  document.querySelector(".answers button")?.scrollIntoView();
+  if (document.querySelector(".answers button")) window.scrollTo(0, px + 100);
   return stays;
 }
 """
@@ -102,11 +113,40 @@ def test_the_console_has_readable_text_and_named_controls_reachable_by_tab_in_li
         assert not_reached_by_tab(page) == []
 
 
+def test_the_error_against_the_margin_and_the_answers_are_in_view_also_over_an_unfolded_budget(
+    page: Any, tmp_path: Path
+) -> None:
+    picture = cv2.imencode(".png", np.zeros((267, 813), np.uint8))[1].tobytes()  # as large as real cuts
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "plan-T1.png").write_bytes(picture)
+    rows = tuple((f"source {number}", "0.1") for number in range(60))
+    predicted = PredictedError(target="T1", rms_mm=0.46, limit_mm=0.83, confidence=0.95, margin_mm=2.0)
+    asked = QUESTION.model_copy(
+        update={
+            "evidence": (Evidence(title="budget", head=("source", "mm"), rows=rows),),
+            "predicted": (predicted,),
+            "pictures": (Picture(name="plan-T1.png", sha256=hashlib.sha256(picture).hexdigest()),),
+        }
+    )
+    with served_at(tmp_path, content=(OPENED, asked)) as (_, addresses):
+        enter(page, addresses["url"] + "&low")
+        take_seat(page)
+        page.wait_for_function("document.querySelector('.question img').naturalWidth === 813")
+        page.wait_for_selector(".accuracy >> text=Not accepted yet: T1")
+        for width, height in ((1280, 800), (390, 844)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.evaluate("window.scrollTo(0, 0)")
+            page.wait_for_function(ALL_IN_VIEW, arg=".decides dd, .question img, .answers button")
+            page.locator(".evidence summary").click()
+            page.wait_for_function(ALL_IN_VIEW, arg=".answers button")
+            page.locator(".evidence summary").click()
+
+
 def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_lies_under_the_head(
     page: Any, tmp_path: Path
 ) -> None:
-    rows = tuple((f"source {number}", "0.1") for number in range(60))
-    longer = QUESTION.model_copy(update={"evidence": (Evidence(title="budget", head=("a", "b"), rows=rows),)})
+    lines = "\n".join(f"statement {number}" for number in range(60))
+    longer = QUESTION.model_copy(update={"value": lines})
     shorter = QUESTION.model_copy(update={"question": 2, "subject": "park the arm", "evidence": ()})
     answered = Event()
 

@@ -23,7 +23,7 @@ from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import Question, ReadBack, Task, Topic
+from procedures.operator.question import Identity, PredictedError, Question, ReadBack, Task, Topic
 from ronna_hw.wire.room_tasks import DIALS
 
 READ_BACK = ReadBack("how many mm it moves first", "62")
@@ -157,6 +157,27 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
     assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
     assert "63" not in misread.values()
+
+
+def test_what_decides_a_registration_is_bold_on_a_terminal_and_the_identity_is_shown(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"no\n"))
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    asked = Question(
+        Topic.REGISTRATION,
+        "accept the registration for T1",
+        "predicted target error 0.22 mm rms against a margin of 2 mm",
+        predicted=(PredictedError(target="T1", rms_mm=0.22, limit_mm=0.4, confidence=0.95, margin_mm=2.0),),
+        identity=Identity(rows=(("name", "Phantom, Head"),)),
+    )
+    assert TerminalOperator().ask(asked).word == "no"
+    shown = screen.getvalue().partition("Type ")[0].replace("\x1b[1m", "<").replace("\x1b[0m", ">")
+    assert shown == (
+        "accept the registration for T1\n  name: Phantom, Head\n"
+        "  predicted target error <0.22 mm rms> against a <margin of 2 mm>\n"
+        "  within the margin; 95% of such errors stay within 0.40 mm\n"
+    )
 
 
 @pytest.mark.hazard(9)

@@ -187,6 +187,7 @@ def _describe_question(question: Question) -> str:
         printable(question.subject),
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
+        *(f"  {predicted.verdict}" for predicted in question.predicted[:1]),
         *(
             f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
             for picture in question.pictures
@@ -195,8 +196,7 @@ def _describe_question(question: Question) -> str:
     text = "\n".join(lines) + "\n"
     bold = [question.read_back.shown] if question.read_back else []
     for predicted in question.predicted[:1]:
-        text += f"  {predicted.verdict}\n"
-        bold += [f"{predicted.rms_mm:.2f} mm rms", f"{predicted.margin_mm:g} mm"]
+        bold += [f"{predicted.rms_mm:.2f} mm rms", f"margin of {predicted.margin_mm:g} mm"]
     if sys.stderr.isatty():
         for shown in filter(None, bold):
             text = text.replace(shown, style(shown, bold=True), 1)

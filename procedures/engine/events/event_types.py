@@ -96,6 +96,10 @@ class Questioned(_EventBase):
         default=False, description="Whether the first answer moves the arm or permits it to move."
     )
 
+    def with_identity(self, identity: Identity) -> Questioned:
+        """Return the question with the identity that its digest is of."""
+        return self.model_copy(update={"identity": identity})
+
 
 class Answered(_EventBase):
     """A question was answered."""

@@ -126,7 +126,7 @@ def _confirm_patient(
     if not identifier:
         context.find("the CT series has no patient identifier: there is nothing to read back")
     wristband = ReadBack(
-        "the patient's whole identifier, as on the wristband",
+        "the patient's identifier, as on the wristband",
         identifier,
         wrong="is not the identifier in this CT (PatientID). Answer no if that is what the wristband says.",
     )
@@ -148,7 +148,7 @@ def _identify(scan: ScanIdentity) -> Identity:
         date = f"{date[:4]}-{date[4:6]}-{date[6:]}"
     rows = (
         ("name", ", ".join(part for part in scan.patient.name.split("^") if part)),
-        ("identifier", identifier and f"begins with {identifier[: len(identifier) // 2]}"),
+        ("identifier", identifier and f"{identifier[: len(identifier) // 2]}…, the rest as on the wristband"),
         ("date of scan", date),
         ("study", scan.study),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -100,16 +101,23 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
     assert asyncio.run(named()) == everything
 
 
-def test_a_link_in_place_of_a_picture_is_not_followed(tmp_path: Path) -> None:
+def test_a_link_in_place_of_a_picture_is_not_followed_nor_one_served_that_changed_since_the_question(
+    tmp_path: Path,
+) -> None:
     app, figures = Starlette(), Figures(Hub(tmp_path))
     figures.latest = FIGURES
     figures.add_routes(app)
     (route,) = (one for one in app.routes if isinstance(one, Route) and one.path == "/picture/{name}")
     (picture := tmp_path / "pictures" / FIGURES.pictures[0]).parent.mkdir()
-    request = Request({"type": "http", "path_params": {"name": picture.name}})
+    address = {"type": "http", "path_params": {"name": picture.name}, "query_string": b""}
+    request = Request(address)
     (tmp_path / "another").write_bytes(b"of this computer")
     picture.symlink_to(tmp_path / "another")
     assert asyncio.run(route.endpoint(request)).status_code == 404
     picture.unlink()
     picture.write_bytes(b"a picture")
     assert asyncio.run(route.endpoint(request)).body == b"a picture"
+    for content, status in ((b"a picture", 200), (b"another", 404)):  # as in the question, and changed since
+        shown = b"shown=" + hashlib.sha256(content).hexdigest().encode()
+        request = Request({**address, "query_string": shown})
+        assert asyncio.run(route.endpoint(request)).status_code == status

@@ -26,6 +26,9 @@ from procedures.engine.events import (
     Pose,
     Seat,
 )
+from procedures.engine.questions import as_shown
+from procedures.operator.question import Identity, Question, Topic
+from procedures.runs.console_link import event_lines
 from procedures.runs.orders import Reply, SentOrder, read_order
 
 OPERATOR = Session(Role.OPERATOR, "session-1")
@@ -133,6 +136,18 @@ def test_an_engine_that_ends_before_closing_its_journal_leaves_a_banner() -> Non
 def test_an_invalid_line_from_the_engine_ends_the_feed_but_not_the_console(bad: bytes) -> None:
     hub = fed(line(1, CaseState(state="held")), bad, line(2, CaseState(state="finished")))
     assert (hub.view.state, hub.has_ended) == ("held", True)
+
+
+def test_a_question_gets_the_identity_that_was_sent_with_it_and_no_other() -> None:
+    identity = Identity(rows=(("name", "Secret, Name"),))
+    asked = as_shown(Question(Topic.PATIENT, "Is this the patient?", "T1", identity=identity), 1)
+    sent = [line.encode() for line in event_lines(event(1, asked))]
+    assert fed(*sent).view.question == asked
+    swapped = Identity(rows=(("name", "Other, Name"),))
+    for others in ([], [b'{"identity":' + swapped.model_dump_json().encode() + b"}"]):
+        question = fed(*others, sent[-1]).view.question
+        assert question is not None
+        assert question.identity is None
 
 
 def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:

@@ -10,8 +10,20 @@ import pytest
 
 from console.case_view import CaseView, DeviceRow, Notice, StepRow
 from console.panels.case_state import banner, chart, devices, mode, seat_line
-from console.panels.results import TAIL_BYTES, LogTail, cuts, journal, log, notices, pictures, problems
-from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
+from console.panels.question import question_evidence, question_heading, question_pictures, question_words
+from console.panels.results import (
+    TAIL_BYTES,
+    LogTail,
+    accuracy,
+    cuts,
+    journal,
+    log,
+    notices,
+    pictures,
+    problems,
+)
+from procedures.engine.events import DeviceFact, DeviceState, Questioned, Seat, Waiting
+from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.log_output import LOG_FILE
 
@@ -82,9 +94,52 @@ def test_external_text_is_escaped_in_every_panel() -> None:
     named = CaseFigures(cuts=(f"plan-{SCRIPT}.png",), pictures=(f"stereo-{SCRIPT}.png",))
     pictured = (pictures(named), cuts(view, named))
     lists = (notices(view), journal(view), log((SCRIPT,)))
+    asked = Questioned(
+        question=1,
+        topic="patient",
+        subject=SCRIPT,
+        value=f"{SCRIPT}\n{SCRIPT}",
+        answers=("yes", "no"),
+        timeout_s=None,
+        evidence=(Evidence(title=SCRIPT, head=(SCRIPT,), rows=((SCRIPT,),)),),
+        pictures=(Picture(name=f"plan-{SCRIPT}.png", sha256=SCRIPT),),
+        identity=Identity(rows=((SCRIPT, SCRIPT),)),
+        identity_sha256="0",
+        emphasis="<script",
+    )
+    pictured += (
+        question_heading(asked),
+        question_words(asked),
+        question_pictures(asked),
+        question_evidence(asked),
+    )
     for shown in (banner(view), line, chart(view), devices(view), mode(view), *lists, *pictured):
         assert "<script" not in shown
         assert "&lt;script" in shown
+
+
+def test_the_accuracy_panel_shows_the_registration_that_is_being_asked_about() -> None:
+    def predicted(target: str, rms_mm: float) -> PredictedError:
+        return PredictedError(target=target, rms_mm=rms_mm, limit_mm=0.83, confidence=0.95, margin_mm=2.0)
+
+    asked = Questioned(
+        question=1,
+        topic="registration:T1",
+        subject="accept the registration for T1",
+        value="predicted target error 0.46 mm rms",
+        answers=("yes", "no"),
+        timeout_s=None,
+        predicted=(predicted("T1", 0.46),),
+    )
+    before = CaseFigures(predictions=(predicted("T1", 0.51), predicted("T2", 0.62)))
+    assert accuracy(CaseView(), None) == '<p class="dim">No registration yet.</p>'
+    for words in ("0.46 mm", "predicted error at T1", "2 mm", "the plan&#x27;s margin", "within the margin"):
+        assert words in question_words(asked)
+    shown = accuracy(CaseView(question=asked), before)
+    for words in ("Not accepted yet: T1.", ">0.46<", ">2<", "0.83 at 95%", ">0.62<"):
+        assert words in shown
+    assert "0.51" not in shown  # what it would supersede
+    assert "0.51" in accuracy(CaseView(), before)
 
 
 def line(level: str, event: str, **more: object) -> str:

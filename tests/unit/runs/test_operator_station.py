@@ -111,10 +111,22 @@ def test_an_affirmative_answer_needs_the_correct_read_back(stand: Stand) -> None
     answers = stand.ask(asked)
     given = {"question": 1, "answer": "yes", "shown": shown(asked)}
     assert stand.give("answer", **given) == "type how many mm"
-    assert stand.give("answer", **given, typed="13") == "what was typed is not the value to be read back"
+    assert stand.give("answer", **given, typed="13") == "'13' is not the value to be read back; 2 tries left"
     eventually(lambda: len(misread) == 1)
     assert stand.give("answer", **given, typed=" 12 ") == ""
     eventually(lambda: answers == ["yes"])
+
+
+def test_three_wrong_values_read_back_count_as_no(stand: Stand) -> None:
+    misread: list[None] = []
+    asked = question(read_back=ReadBack("how many mm", "12"), misread=lambda: misread.append(None))
+    answers = stand.ask(asked)
+    given = {"question": 1, "answer": "yes", "shown": shown(asked)}
+    said = [stand.give("answer", **given, typed=typed).partition("; ")[2] for typed in ("13", "1", "2")]
+    assert said == ["2 tries left", "1 try left", "3 wrong values count as 'no'"]
+    eventually(lambda: answers == ["no"])
+    assert len(misread) == 3
+    assert stand.give("answer", **given, typed="12") == "that question is no longer open"
 
 
 def test_the_unit_may_be_typed_with_the_read_back() -> None:

@@ -6,7 +6,8 @@ import pytest
 
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
-from procedures.operator.question import Evidence
+from procedures.engine.questions import as_shown
+from procedures.operator.question import Evidence, Identity, Picture, PredictedError, Question, Topic
 from procedures.runs.orders import COMMANDS, LONGEST_BYTES, PAUSED, SentOrder, Stop, read_order
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
@@ -64,6 +65,36 @@ def test_anything_else_is_refused(text: str) -> None:
         read_order(text)
 
 
+PREDICTED = PredictedError(target="T1", rms_mm=0.4, limit_mm=0.8, confidence=0.95, margin_mm=2.0)
+
+
+def test_the_identity_is_in_no_serialized_event_and_only_its_salted_digest_is_signed() -> None:
+    rows = (("name", "Secret, Name"),)
+    one, other = Identity(rows=rows), Identity(rows=rows)
+    assert one.sha256 != other.sha256  # nobody who guesses the name can confirm it from a record
+    asked = Question(Topic.PATIENT, "Is this the patient?", "T1", identity=one)
+    event = as_shown(asked, 1)
+    assert event.identity == one
+    assert event.identity_sha256 == one.sha256
+    for shown in (event.model_dump_json(), repr(event), repr(asked), repr(one)):
+        assert "Secret" not in shown
+        assert one.salt not in shown
+
+
+@pytest.mark.parametrize(
+    ("rms_mm", "limit_mm", "words"),
+    [
+        (0.4, 0.8, "within the margin; 95% of such errors stay within 0.80 mm"),
+        (1.9, 2.6, "rms within the margin, but its 95% limit, 2.60 mm, is beyond it"),
+        (2.1, 2.9, "BEYOND the margin; 95% of such errors stay within 2.90 mm"),
+    ],
+)
+def test_the_verdict_on_a_prediction_tells_also_when_only_its_limit_is_beyond_the_margin(
+    rms_mm: float, limit_mm: float, words: str
+) -> None:
+    assert PREDICTED.model_copy(update={"rms_mm": rms_mm, "limit_mm": limit_mm}).verdict == words
+
+
 def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() -> None:
     table = Evidence(title="budget", head=("source", "mm"), rows=(("CT", "0.01"),))
     asked = Questioned(
@@ -78,6 +109,10 @@ def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() 
             {"answers": ("no", "yes")},
             {"evidence": (table,)},
             {"read_back": "how many"},
+            {"emphasis": "moves 12 mm"},
+            {"predicted": (PREDICTED,)},
+            {"pictures": (Picture(name="plan-T1.png", sha256="0" * 64),)},
+            {"identity_sha256": "0" * 64},
         )
     ]
     assert len({digest_of_question(one) for one in (asked, *changed)}) == len(changed) + 1

@@ -165,7 +165,7 @@ def test_patient_and_plan_are_asked_about_with_the_identity_apart_and_the_plans_
     assert question.identity is not None
     assert question.identity.rows == (
         ("name", "Secret, Name"),
-        ("identifier", "begins with SECR"),  # the rest is on the wristband only
+        ("identifier", "SECR…, the rest as on the wristband"),
         ("date of scan", "2026-01-02"),
         ("study", "not given"),
     )

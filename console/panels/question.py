@@ -1,0 +1,92 @@
+"""Content of the open question: what decides it in large type, pictures beside it, the evidence folded."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import PurePath
+
+from console.panels.html import evidence_table, tag, text
+from procedures.engine.events import Questioned
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE
+from procedures.operator.question import PredictedError
+
+NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them."
+
+
+def question_heading(question: Questioned) -> str:
+    """Show the subject of a question."""
+    return tag("h2", text(question.subject), data_question=str(question.question))
+
+
+def question_words(question: Questioned) -> str:
+    """Show what decides the question, and its statements."""
+    return (
+        "".join(map(_render_decision, question.predicted[:1]))
+        + _render_identity(question)
+        + _render_value(question)
+    )
+
+
+def question_pictures(question: Questioned) -> str:
+    """Show the pictures of a question, all but the first folded."""
+    return "".join(
+        _render_picture(PurePath(one.name), one.sha256, is_first=not place)
+        for place, one in enumerate(question.pictures)
+    )
+
+
+def question_evidence(question: Questioned) -> str:
+    """Show the tables of evidence, folded."""
+    return "".join(
+        tag("details", tag("summary", text(one.title)) + evidence_table(one), class_="evidence")
+        for one in question.evidence
+    )
+
+
+def _render_decision(predicted: PredictedError) -> str:
+    """Show the predicted error against the plan's margin."""
+    figures = (
+        (f"{predicted.rms_mm:.2f} mm", f"predicted error at {predicted.target} (rms)"),
+        (f"{predicted.margin_mm:g} mm", "the plan's margin"),
+    )
+    shown = "".join(
+        tag("div", tag("dt", text(what)) + tag("dd", text(figure), class_="num")) for figure, what in figures
+    )
+    kind = "ok" if predicted.is_within else "bad"
+    if predicted.is_within and predicted.limit_mm > predicted.margin_mm:
+        kind = "warn"
+    sign = {"ok": "✓", "warn": "!", "bad": "✗"}[kind]
+    return tag("dl", shown, class_="decides") + tag("p", f"{sign} {text(predicted.verdict)}", class_=kind)
+
+
+def _render_identity(question: Questioned) -> str:
+    if not question.identity_sha256:
+        return ""
+    if question.identity is None:
+        return tag("p", NOT_KEPT, class_="dim")
+    rows = (
+        tag("div", tag("dt", text(name)) + tag("dd", text(said))) for name, said in question.identity.rows
+    )
+    return tag("dl", "".join(rows), class_="identity")
+
+
+def _render_value(question: Questioned) -> str:
+    """Show the value as a list of its lines, with the part to read back in bold."""
+    lines = [text(line) for line in question.value.splitlines()]
+    if shown := text(question.emphasis):
+        places = [place for place, line in enumerate(lines) if shown in line][:1]
+        for place in places:
+            lines[place] = lines[place].replace(shown, tag("strong", shown), 1)
+    if len(lines) < 2:
+        return tag("p", "".join(lines), class_="value dim" if question.predicted else "value")
+    return tag("ul", "".join(tag("li", line) for line in lines), class_="value")
+
+
+def _render_picture(name: PurePath, sha256: str, *, is_first: bool) -> str:
+    """Show a picture, addressed by its digest: the server serves no other content there."""
+    way = name.stem.removeprefix(PLAN_PICTURE)
+    caption = text(f"{way} in the CT")
+    address = f"/picture/{escape(name.name)}?shown={escape(sha256)}"
+    image = f'<img src="{address}" alt="{caption}: three planes through the target; opens enlarged">'
+    link = f'<a href="{address}" target="_blank" rel="noopener">{image}</a>'
+    return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{link}</details>"
