@@ -37,6 +37,10 @@ from procedures.engine.events import (
 RATE_OVER_S = 1.0  # theatre time
 NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
+JOURNAL_SHOWN = (  # fields of a journal line, in this order
+    *("step", "what", "topic", "subject", "trajectory", "task", "device", "state", "text", "answer", "by"),
+    *("outcome", "reason"),
+)
 MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
 BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
 STORED_EVERY = 100  # events between stored views
@@ -287,10 +291,7 @@ def _make_notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
 
 def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     entry = str(line.get("entry"))
-    about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
-    changes: dict[str, Any] = {
-        "journal": (*view.journal, f"{line.get('sequence')} {entry} {about}".rstrip())[-JOURNAL_KEPT:]
-    }
+    changes: dict[str, Any] = {"journal": (*view.journal, _journal_text(line))[-JOURNAL_KEPT:]}
     if entry in BEGINNINGS:  # of a session: anything the last one left open is over
         changes |= {
             "outcome": "",
@@ -306,6 +307,14 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     elif entry == CLOSED:
         changes["outcome"] = str(line.get("outcome") or "")
     return changes
+
+
+def _journal_text(line: dict[str, Any]) -> str:
+    """Format a journal line like `121 10:21:05 stage: T1, skin`."""
+    about = ", ".join(str(line[name]) for name in JOURNAL_SHOWN if line.get(name))
+    time = str(line.get("host_time") or "")[11:19]
+    head = " ".join(part for part in (str(line.get("sequence", "")), time, str(line.get("entry"))) if part)
+    return f"{head}: {about}" if about else head
 
 
 class RecordedCase:

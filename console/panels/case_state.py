@@ -69,6 +69,46 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
     return tag("div", text(words), class_=f"seat {kind}", role="status")
 
 
+def advice(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
+    """Say what happens and what to do while nothing is asked."""
+    if view.question is not None:
+        return ""
+    heading, words = _advise(view, is_mine=is_mine, may_operate=may_operate)
+    body = tag("h2", text(heading)) + tag("p", text(words))
+    return tag("section", body, class_="card advicebox", data_runs=view.running)
+
+
+def _advise(view: CaseView, *, is_mine: bool, may_operate: bool) -> tuple[str, str]:
+    if view.outcome:
+        return f"The case is closed: {view.outcome}", "Its results are below, and in the run's report.html."
+    if not view.steps:
+        return "The theatre is opening", "Nothing to do yet: the first step appears here."
+    step = _find_title(view, view.running or view.upcoming)
+    if view.waiting is None or not view.upcoming:
+        return f"Now: {step}" if step else "Nothing left to run", "Nothing to answer at the moment."
+    if view.seat is None and may_operate:
+        return "Take the seat to operate", (
+            f"Type your name at the top and press Take the seat. Next then runs: {step}. "
+            "Without the seat you can only watch."
+        )
+    if view.waiting.unmet:
+        return f"Cannot start yet: {step}", "Put right what is listed under Progress, then press Next."
+    if is_mine:
+        return f"Next: {step}", (
+            "Press Next to run this step; or choose a step and press Run to. "
+            "Run on goes to the end. Either stops at every question."
+        )
+    who = f"{view.seat.holder} operates" if view.seat else "No one is operating"
+    return f"Next: {step}", f"{who}. You are watching."
+
+
+def _find_title(view: CaseView, step: str) -> str:
+    """Return a step's title with its trajectory. Bringing the arm home is no step of its own."""
+    title = next((row.title for row in view.steps if row.step == step), step)
+    _, _, place = step.partition(":")
+    return f"{title} {place}".rstrip()
+
+
 def chart(view: CaseView) -> str:
     """Show the steps by phase, collapsing completed phases until all are complete."""
     finished = all(row.state == "done" for row in view.steps)
@@ -159,16 +199,23 @@ def mode(view: CaseView) -> str:
 
 def _render_row(name: str, row: DeviceRow) -> str:
     sign, kind = SIGNS.get(row.seen.state, ("◐", ""))
-    state = tag("td", f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}', class_=kind)
+    state = tag(
+        "td",
+        f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}',
+        class_=kind,
+        data_head="state",
+    )
     is_old = row.age_s is not None and row.age_s > OLD_S
     validity_text = "" if row.validity in WHOLE else f" {text(row.validity)}"
     age = tag(
         "td",
         _format_age(row) + (" old" if is_old else "") + validity_text,
         class_="num warn" if is_old or validity_text else "num",
+        data_head="reading",
     )
-    rate = tag("td", _format_rate(row.rate) or "-", class_="num")
-    fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
+    rate = tag("td", _format_rate(row.rate) or "-", class_="num", data_head="rate")
+    fault_kind = "bad" if row.seen.fault else "dim"
+    fault = tag("td", text(row.seen.fault or "none"), class_=fault_kind, data_head="fault")
     return tag(
         "tr",
         tag("th", text(name), scope="row") + state + age + rate + _render_facts(row) + fault,

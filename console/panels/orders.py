@@ -161,7 +161,7 @@ def add_stop_button(give: Give) -> None:
             "no-caps unelevated data-do=stop"
         ).tooltip(NOT_EMERGENCY)
         ui.html(
-            '<div class="stopnote">not an emergency stop:<br>for that, press the red button</div>',
+            '<div class="stopnote">not an emergency stop: for that, press the red button</div>',
             sanitize=False,
         )
 

@@ -115,7 +115,7 @@ class ScenePanel:
 def _age(view: CaseView) -> str:
     reported_pose = view.pose
     if reported_pose is None:
-        return tag("div", "No arm position yet.", class_="dim")
+        return tag("div", "No arm position yet: it comes with the connected devices.", class_="dim")
     age_s = view.theatre_time_s - reported_pose.reported_s + reported_pose.pose.age_s
     if age_s > OLD_S:
         return tag("div", f"POSE IS {age_s:.1f} s OLD, shown grey", class_="warn num")

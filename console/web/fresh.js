@@ -21,7 +21,9 @@
   // The head stays over the page: what is asked, or focused by Tab, must not lie under it.
   let asked = "";
   setInterval(() => {
-    const head = document.querySelector(".head")?.getBoundingClientRect();
+    // On a phone only its first row stays; an element without a box has no height.
+    const boxes = [...document.querySelectorAll(".head, .headrow")].map(one => one.getBoundingClientRect());
+    const head = boxes.find(box => box.height > 0);
     if (!head) return;
     document.documentElement.style.scrollPaddingTop = `${head.height + MARGIN_PX}px`;
     const panel = document.querySelector("section.question:has(.answers)");

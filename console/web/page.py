@@ -14,7 +14,17 @@ from console.changes import await_change
 from console.figures import Figures, figures_at
 from console.guard import SESSION, Role, Session
 from console.hub import NO_REPLY, Hub
-from console.panels.case_state import banner, case_line, chart, chart_key, clock, devices, devices_key, mode
+from console.panels.case_state import (
+    advice,
+    banner,
+    case_line,
+    chart,
+    chart_key,
+    clock,
+    devices,
+    devices_key,
+    mode,
+)
 from console.panels.html import tag, text
 from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, add_stop_button
 from console.panels.results import (
@@ -86,15 +96,18 @@ class CasePage:
         """Create the panels and start updating them."""
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
-            self._add(banner, lambda view: view.banner)
-            self._add(
-                case_line, lambda view: (view.run, view.theatre, view.strategy, view.methods, view.outcome)
-            )
-            self._add(mode, lambda view: view.mode)
-            self._clock = ui.html("", sanitize=False)
-            self._seat = SeatPanel(self._give_order, may_operate=may_operate)
-            if may_operate:
-                add_stop_button(self._give_order)
+            with ui.element("div").classes("headrow"):
+                self._add(banner, lambda view: view.banner)
+                if may_operate:
+                    add_stop_button(self._give_order)
+            with ui.element("div").classes("headmore"):
+                self._add(
+                    case_line,
+                    lambda view: (view.run, view.theatre, view.strategy, view.methods, view.outcome),
+                )
+                self._add(mode, lambda view: view.mode)
+                self._clock = ui.html("", sanitize=False)
+                self._seat = SeatPanel(self._give_order, may_operate=may_operate)
         self._frozen = ui.html("", sanitize=False).classes("frozenbox")
         ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
         if self._hub.review is not None:
@@ -102,13 +115,15 @@ class CasePage:
         self._words = ui.html("", sanitize=False).classes("words")
         self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.notify)
         self._orders: OrderPanel | None = None
-        with ui.element("main").classes("places"):
+        with ui.element("main").classes("places case-places"):
+            with ui.element("div").classes("ask"):
+                self._question = QuestionPanel(self._get_reply, self._show_message)
+                self._advice = ui.html("", sanitize=False)
             with ui.element("div").classes("left"):
                 if may_operate:
                     self._orders = OrderPanel(self._give_order, self._show_message)
                 self._section("Progress", chart, chart_key, "chart")
             with ui.element("div").classes("middle"):
-                self._question = QuestionPanel(self._get_reply, self._show_message)
                 self._scene = ScenePanel(low=self._low)
                 self._section(
                     "Trajectories in the CT",
@@ -124,17 +139,6 @@ class CasePage:
                     "accuracy",
                 )
                 self._section("Faults, refusals, notes", notices, lambda view: view.notices, "noticebox")
-            with ui.element("div").classes("bottom"):
-                with ui.element("div").classes("column"):
-                    self._section(
-                        "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
-                    )
-                    self._section(
-                        "Timeline",
-                        lambda _view: course(self._shown_figures),
-                        self._update_figures,
-                        "coursebox",
-                    )
                 self._section(
                     "Stereo pictures",
                     lambda _view: pictures(self._shown_figures),
@@ -142,10 +146,15 @@ class CasePage:
                     "picturebox",
                     live=lambda: live_pair(self._hub),
                 )
-                with ui.element("div").classes("column"):
-                    lines = self._tail.lines
-                    self._section("Journal", journal, lambda view: view.journal, "journalbox")
-                    self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
+            with ui.element("div").classes("bottom"):
+                self._section("Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox")
+                self._section(
+                    "Timeline", lambda _view: course(self._shown_figures), self._update_figures, "coursebox"
+                )
+                lines = self._tail.lines
+                self._section("Journal", journal, lambda view: view.journal, "journalbox")
+                self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
+        self._show_case(self._view())  # with the page itself, not only once its socket is open
         client = ui.context.client
         ui.on("alive", self._on_alive)
         changed = self._hub.subscribe()
@@ -225,25 +234,35 @@ class CasePage:
     def _period_s(self) -> float:
         return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
-    def _show(self, now_s: float) -> None:
+    def _view(self) -> CaseView:
         latest = self._hub.aged_view
-        view = latest if self._moment is None else self._moment.view(latest)
+        return latest if self._moment is None else self._moment.view(latest)
+
+    def _show(self, now_s: float) -> None:
+        view = self._view()
         self._slow = int(now_s / SLOW_KEYS_S)
+        self._show_case(view)
+        self._scene.show(view, self._shown_figures, self._figures.heads)
+        self._beat += 1
+        self._clock.set_content(clock(view, self._beat))
+
+    def _show_case(self, view: CaseView) -> None:
+        """Show all but the scene and the beat, which need an open page."""
         for place, render, key, shown in self._panels:
             current = key(view)
             if current != shown[0]:
                 shown[0] = current
                 place.set_content(render(view))
-        mine, frozen = self._is_mine, self._hub.frozen if view is latest else ""  # a past moment stands still
+        is_latest = view.number == self._hub.view.number
+        mine, frozen = self._is_mine, self._hub.frozen if is_latest else ""  # a past moment stands still
         self._question.show(view, is_mine=mine and not frozen, has_seat=view.seat is not None)
         self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
+        may_answer = self._orders is not None and not frozen
+        self._advice.set_content(advice(view, is_mine=mine, may_operate=may_answer) if not frozen else "")
         if self._orders is not None:
             self._orders.show(view, is_mine=mine and not frozen)
         self._update_figures(view)
-        self._scene.show(view, self._shown_figures, self._figures.heads)
         self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
-        self._beat += 1
-        self._clock.set_content(clock(view, self._beat))
 
 
 class MomentPanel:

@@ -34,7 +34,7 @@ OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmwar
 PICTURE_HEIGHT_PX = 300  # of the report
 TRUSTED_BGR, DOUBTED_BGR, PAPER_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
 GAP_PX = 8
-CAPTION_PX = 22
+CAPTION_PX = 18  # per line
 LETTERS, LETTER_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.4
 Picture = NDArray[np.uint8]
 
@@ -165,9 +165,12 @@ def _draw(side: str, image: CameraImage, sphere: SphereImage | None, height_px: 
     scale = height_px / pixels.shape[0]
     small = cv2.resize(eight_bit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     colour = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
-    caption = np.full((CAPTION_PX, colour.shape[1], 3), PAPER_BGR, dtype=np.uint8)
-    words = f"{side} {image.serial}: " + ("no sphere" if sphere is None else _describe_sphere(sphere))
-    cv2.putText(caption, words, (2, CAPTION_PX - 7), LETTERS, LETTER_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
+    lines = (f"{side} {image.serial}", "no sphere" if sphere is None else _describe_sphere(sphere))
+    caption = np.full((len(lines) * CAPTION_PX, colour.shape[1], 3), PAPER_BGR, dtype=np.uint8)
+    for number, words in enumerate(lines, start=1):
+        (width_px, _), _ = cv2.getTextSize(words, LETTERS, LETTER_SCALE, 1)
+        letters = LETTER_SCALE * min(1.0, (caption.shape[1] - 4) / width_px)  # whole on a narrow image too
+        cv2.putText(caption, words, (2, number * CAPTION_PX - 6), LETTERS, letters, (0, 0, 0), 1, cv2.LINE_AA)
     if sphere is not None:
         ink = TRUSTED_BGR if sphere.status is SphereStatus.OK else DOUBTED_BGR
         x = (sphere.centre_px[0] - image.area.offset_x) * scale

@@ -13,7 +13,8 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 from case_results import measured, outcome_of, targets
-from console_clicks import ARMED_MS, HOLD_MS, answer, answer_until, await_next, run_to, take_seat
+from console_clicks import ARMED_MS, answer, answer_until, await_next, run_to, take_seat
+from console_keys import ANSWERS, answer_by_keys, hold_space, press, run_on_by_keys, tab_to, take_seat_by_keys
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
@@ -50,15 +51,15 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a
     assert targets(case.run) == targets(alone.run)
 
 
-def test_a_second_operator_can_only_view_and_sees_who_is_operating(
+def test_a_second_operator_and_eight_viewers_can_only_view_and_a_ninth_is_refused(
     start: OperatedCases, page: Any, browser: Any
 ) -> None:
     case = start("step")
-    enter(page, case.addresses["url"])
+    enter(page, case.addresses["url"] + "&low")
     take_seat(page, "Ana")
-    elsewhere, watching = opened_context(browser), opened_context(browser)
-    other = elsewhere.new_page()
-    enter(other, case.addresses["url"])
+    contexts = [opened_context(browser) for _ in range(10)]
+    other, *viewers, late = [context.new_page() for context in contexts]
+    enter(other, case.addresses["url"] + "&low")
     other.wait_for_selector("text=Ana is operating; you are viewing")
     assert other.locator("[data-do=next]").is_disabled()
     forged = other.evaluate(
@@ -66,13 +67,17 @@ def test_a_second_operator_can_only_view_and_sees_who_is_operating(
             {kind: 'next', upcoming: 'ct_import', nonce: 'forged-0001'})})).json()"""
     )
     assert forged == {"refused": "you are not in the operator's seat"}
-    viewer = watching.new_page()
-    enter(viewer, case.addresses["viewer_url"])
-    assert viewer.locator("[data-do=stop]").count() == 0
-    assert viewer.get_by_label("Your name").is_visible() is False
+    for viewer in viewers:
+        enter(viewer, case.addresses["viewer_url"] + "&low")
+        assert viewer.locator("[data-do=stop]").count() == 0
+        assert viewer.get_by_label("Your name").is_visible() is False
     assert not any((case.run / "records").iterdir())
-    elsewhere.close()  # else they draw on beside all tests to come
-    watching.close()
+    with late.expect_websocket() as tried:
+        late.goto(case.addresses["viewer_url"])
+    eventually(lambda: tried.value.is_closed() or late.wait_for_timeout(50))
+    assert late.locator("#clock[data-beat]").count() == 0
+    for context in contexts:  # else they draw on beside all tests to come
+        context.close()
 
 
 def test_a_killed_console_is_shown_in_a_banner_over_the_past(start: OperatedCases, page: Any) -> None:
@@ -106,32 +111,37 @@ def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: Oper
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_stray_click_and_enter_do_not_accept_a_motion_and_a_held_space_bar_answers(
+def test_a_whole_case_is_operated_by_keyboard_where_enter_and_a_stray_click_do_not_accept_a_motion(
     start: OperatedCases, page: Any
 ) -> None:
     case = start("step")
     enter(page, case.addresses["url"] + "&low")
-    take_seat(page)
+    take_seat_by_keys(page)
     await_next(page, "ct_import")
-    run_to(page, "relocalization:T1")
-    answer_until(page, "first motion")
-    question = page.locator("section.question")
-    question.locator(".typed input").fill("0")
-    button = question.locator(".answers button").first
+    press(page, "[data-do=next]")
+    await_next(page, "fiducial_localization")
+    press(page, "[data-do=resume]")
+    page.wait_for_selector(ANSWERS)
+    while "first motion" not in page.locator("section.question").inner_text():
+        answer_by_keys(page)
+        page.wait_for_selector(ANSWERS)
+
+    tab_to(page, ".typed input")
+    page.keyboard.type("0")
     page.wait_for_timeout(ARMED_MS)  # nothing on the page changes when it can be given
-    button.click()
-    button.focus()
+    page.locator(ANSWERS).first.click()
+    page.locator(ANSWERS).first.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector("text=Hold the button for one second")
-    page.keyboard.down(" ")
-    page.wait_for_timeout(HOLD_MS)
-    page.keyboard.up(" ")
+    hold_space(page)
     page.wait_for_selector(".question >> text='0' is not it")
     page.wait_for_selector(".question >> text=2 tries left")
     assert not any((case.run / "records").glob("*-relocalization-T1.json"))
-    page.get_by_role("button", name="no", exact=True).click()
+    press(page, f"{ANSWERS}:last-child")
     page.wait_for_selector(".notices >> text=PRO-002")
-    eventually(lambda: page.locator("[data-do=next]").is_enabled())
+    run_on_by_keys(page)
+    assert case.ended() == 0
+    assert page.complaints == []
 
 
 def test_a_suspended_browser_does_not_hold_up_the_case(start: OperatedCases, page: Any) -> None:
@@ -191,18 +201,3 @@ def _is_renderer(process: psutil.Process) -> bool:
     with contextlib.suppress(psutil.Error):  # it ends meanwhile
         return "--type=renderer" in " ".join(process.cmdline())
     return False
-
-
-def test_eight_viewers_are_served_and_a_ninth_is_refused(start: OperatedCases, browser: Any) -> None:
-    case = start("step")
-    contexts = [opened_context(browser) for _ in range(9)]
-    pages = [context.new_page() for context in contexts]
-    for page in pages[:8]:
-        page.goto(case.addresses["viewer_url"] + "&low")
-        page.wait_for_selector("#clock[data-beat]")
-    with pages[8].expect_websocket() as tried:
-        pages[8].goto(case.addresses["viewer_url"])
-    eventually(lambda: tried.value.is_closed() or pages[8].wait_for_timeout(50))
-    assert pages[8].locator("#clock[data-beat]").count() == 0
-    for context in contexts:
-        context.close()

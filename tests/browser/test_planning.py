@@ -28,7 +28,10 @@ from open_planner import (
     type_place,
 )
 from page_reading import (
+    MOST_FIRST_PICTURE_MS,
     NO_WEBGL,
+    cut_labels,
+    first_picture_ms,
     low_contrast_by_scheme,
     not_reached_by_tab,
     too_wide_by_screen,
@@ -295,6 +298,8 @@ def assert_read_by_tab_and_eye(page: Any) -> None:
     assert without_name(page) == []
     assert not_reached_by_tab(page) == []
     assert too_wide_by_screen(page) == {}
+    assert cut_labels(page) == []
+    assert first_picture_ms(page, page.url) < MOST_FIRST_PICTURE_MS
 
 
 def test_a_case_that_starts_on_the_plan_blocks_editing_until_it_ends(

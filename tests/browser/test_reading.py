@@ -15,10 +15,12 @@ from console_clicks import take_seat
 from operated_case import enter
 from page_reading import (
     NO_WEBGL,
+    cut_labels,
     low_contrast,
     low_contrast_by_scheme,
     not_reached_by_tab,
     too_wide,
+    tops_px,
     without_name,
 )
 from scripted_engine import served_at
@@ -97,20 +99,37 @@ px => {
   return stays;
 }
 """
+DECISION, PICTURES, RECORDS = (".ask", ".orders"), (".scenebox", ".picturebox"), (".journalbox", ".logbox")
+SCREENS = ((390, 844), (1280, 800))
 WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
 
 
 @pytest.mark.parametrize("last", [QUESTION, WAITING], ids=["asked", "waiting"])
-def test_the_console_has_readable_text_and_named_controls_reachable_by_tab_in_light_and_dark(
+def test_the_console_is_readable_on_a_phone_and_a_screen_with_stop_beside_the_banner_and_all_keys_reached(
     page: Any, tmp_path: Path, last: Questioned | Waiting
 ) -> None:
     with served_at(tmp_path, content=(*EVENTFUL, last)) as (_, addresses):
         enter(page, addresses["url"] + "&low")
+        page.wait_for_selector(".advicebox, section.question:not(.hidden)")
         assert low_contrast(page) == []
+        assert cut_labels(page) == []
         take_seat(page)
         assert low_contrast_by_scheme(page) == {}
         assert without_name(page) == []
         assert not_reached_by_tab(page) == []
+        for width, height in SCREENS:
+            page.set_viewport_size({"width": width, "height": height})
+            assert too_wide(page) == 0
+            assert cut_labels(page) == []
+            decision, pictures, records = (tops_px(page, *which) for which in (DECISION, PICTURES, RECORDS))
+            assert max(decision) < height
+            assert max(*decision, *pictures) < min(records)
+            page.mouse.wheel(0, 3000)
+            stop, banner = (page.locator(one).bounding_box() for one in ("[data-do=stop]", ".banner"))
+            assert 0 <= stop["x"] <= stop["x"] + stop["width"] <= width
+            assert 0 <= stop["y"] < stop["y"] + stop["height"] <= height
+            assert stop["y"] < banner["y"] + banner["height"] / 2 < stop["y"] + stop["height"]  # one row
+            page.mouse.wheel(0, -3000)
 
 
 def test_the_error_against_the_margin_and_the_answers_are_in_view_also_over_an_unfolded_budget(
@@ -168,21 +187,6 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
         page.wait_for_function("window.scrollY > 300")
         page.locator(".typed input").first.focus()
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg=".typed input")
-
-
-@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
-def test_nothing_is_wider_than_the_screen_and_stop_stays_in_view(
-    page: Any, tmp_path: Path, width: int, height: int
-) -> None:
-    with served_at(tmp_path, content=(*EVENTFUL, QUESTION)) as (_, addresses):
-        page.set_viewport_size({"width": width, "height": height})
-        enter(page, addresses["url"] + "&low")
-        take_seat(page)
-        assert too_wide(page) == 0
-        page.mouse.wheel(0, 3000)
-        box = page.locator("[data-do=stop]").bounding_box()
-        assert 0 <= box["x"] <= box["x"] + box["width"] <= width
-        assert 0 <= box["y"] <= box["y"] + box["height"] <= height
 
 
 def test_without_webgl_the_panels_work_and_the_scene_explains_why_it_is_empty(

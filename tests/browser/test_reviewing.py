@@ -9,7 +9,15 @@ from typing import Any
 
 from console_clicks import await_next
 from operated_case import OperatedCases, enter, reviewed
-from page_reading import low_contrast_by_scheme, not_reached_by_tab, too_wide_by_screen, without_name
+from page_reading import (
+    MOST_FIRST_PICTURE_MS,
+    cut_labels,
+    first_picture_ms,
+    low_contrast_by_scheme,
+    not_reached_by_tab,
+    too_wide_by_screen,
+    without_name,
+)
 
 from ronna_hw.log_output import LOG_FILE
 
@@ -32,6 +40,8 @@ def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
         assert without_name(page) == []
         assert not_reached_by_tab(page) == []
         assert too_wide_by_screen(page) == {}
+        assert cut_labels(page) == []
+        assert first_picture_ms(page, page.url) < MOST_FIRST_PICTURE_MS
         errors = (tmp_path / "review-errors").read_text()
         for shown in (page.title(), page.url, case.said, errors, (case.run / LOG_FILE).read_text()):
             assert "Phantom" not in shown  # as the CT calls the patient

@@ -77,8 +77,7 @@ def _give(page: Any, patient: str) -> None:
     keep_seat(page)
     typed = question.locator(".typed input")
     if typed.count():
-        moves = re.search(r"moves (\d+(?:\.\d+)?) mm", question.locator(".value").inner_text())
-        typed.fill(moves[1] if moves else patient)
+        typed.fill(read_back(page, patient))
     answers = question.locator(".answers button")
     goes_on = question.locator(".answers button[data-answer=continue]")
     button = (
@@ -88,6 +87,12 @@ def _give(page: Any, patient: str) -> None:
         hold(page, button)
     else:
         button.click()
+
+
+def read_back(page: Any, patient: str = PATIENT) -> str:
+    """What the question that stands wants typed."""
+    moves = re.search(r"moves (\d+(?:\.\d+)?) mm", page.locator("section.question").inner_text())
+    return moves[1] if moves else patient
 
 
 def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 LARGE_PX, LARGE_BOLD_PX, BOLD = 24.0, 18.66, 700  # from which text counts as large
@@ -67,6 +68,24 @@ FOCUSED = """
   return [e.dataset.pressable ?? null, ring, e.outerHTML.slice(0, 120)];
 }
 """
+CUT = """
+() => [...document.querySelectorAll("body *")].filter(e => {
+  if (!e.checkVisibility({opacityProperty: true, visibilityProperty: true})) return false;
+  const hasText = [...e.childNodes].some(node => node.nodeType === 3 && node.textContent.trim());
+  const hides = !/visible|auto|scroll/.test(getComputedStyle(e).overflowX);
+  return hasText && hides && !e.closest(".stage, svg") && e.clientWidth > 1 && e.scrollWidth > e.clientWidth;
+}).map(e => `${e.innerText} .${e.className}`)
+"""
+FIRST_PICTURE = """
+() => new Promise(told => {
+  const look = () => [...document.images].some(one => one.complete && one.naturalWidth)
+    ? requestAnimationFrame(() => told(performance.now()))  // painted by then
+    : requestAnimationFrame(look);
+  look();
+})
+"""
+MOST_FIRST_PICTURE_MS = 1500.0
+MOST_REPEATS = 5  # the best of them: a busy computer is not the page's fault
 MOST_TABS = 150
 NO_WEBGL = """
 const given = HTMLCanvasElement.prototype.getContext;
@@ -114,6 +133,30 @@ def not_reached_by_tab(page: Any) -> list[str]:
         if not wanted:
             break
     return [f"not reached: {html}" for html in wanted.values()] + faint
+
+
+def cut_labels(page: Any) -> list[str]:
+    """Visible text that its own box cuts off, with nothing to scroll."""
+    return list(page.evaluate(CUT))
+
+
+def first_picture_ms(page: Any, address: str) -> float:
+    """From the navigation to the first picture on the screen of another page, the best of a few."""
+    best_ms = math.inf
+    for _ in range(MOST_REPEATS):
+        anew = page.context.new_page()
+        anew.goto(address, wait_until="commit")
+        best_ms = min(best_ms, float(anew.evaluate(FIRST_PICTURE)))
+        anew.close()
+        if best_ms < MOST_FIRST_PICTURE_MS:
+            break
+    return best_ms
+
+
+def tops_px(page: Any, *which: str) -> list[float]:
+    """Where each of them begins, from the top of the page."""
+    top = "which => document.querySelector(which).getBoundingClientRect().top + window.scrollY"
+    return [float(page.evaluate(top, one)) for one in which]
 
 
 def too_wide(page: Any) -> int:

@@ -174,6 +174,17 @@ def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
     assert len(view_after(*lines).journal) == JOURNAL_KEPT
 
 
+def test_a_journal_line_shows_its_time_and_what_it_is_about() -> None:
+    line = {
+        "entry": "stage",
+        "sequence": 121,
+        "host_time": "2026-11-21T10:21:05.246+00:00",
+        "trajectory": "T1",
+    }
+    view = view_after(JournalLine(line={**line, "task": "skin", "previous": "ab" * 32}))
+    assert view.journal == ("121 10:21:05 stage: T1, skin",)
+
+
 def test_a_fault_notice_shows_the_advice_only_once() -> None:
     view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
     assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from console.case_view import CaseView, DeviceRow, Notice, StepRow
-from console.panels.case_state import banner, chart, devices, mode, seat_line
+from console.panels.case_state import advice, banner, chart, devices, mode, seat_line
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from console.panels.results import (
     TAIL_BYTES,
@@ -46,6 +47,22 @@ def test_the_step_list_shows_what_is_done_what_is_next_and_why_it_cannot_start()
     shown = chart(view)
     for words in ("done", "3 slices", "next", "moves", "fit:T1 cannot start", "image comes first"):
         assert words in shown
+
+
+def test_while_nothing_is_asked_the_page_says_what_to_do() -> None:
+    rows = (StepRow("image", "Import the CT", "preoperative", False),)
+    waits = CaseView(steps=rows, waiting=Waiting(upcoming="image", unmet=()))
+    held = replace(waits, seat=Seat(holder="Ana"))
+    refused = replace(held, waiting=Waiting(upcoming="image", unmet=("the arm is in fault",)))
+    assert "The theatre is opening" in advice(CaseView(), is_mine=False, may_operate=True)
+    assert "Next then runs: Import the CT" in advice(waits, is_mine=False, may_operate=True)
+    assert "No one is operating. You are watching" in advice(waits, is_mine=False, may_operate=False)
+    assert "Ana operates. You are watching" in advice(held, is_mine=False, may_operate=True)
+    assert "Press Next to run this step" in advice(held, is_mine=True, may_operate=True)
+    assert "Put right what is listed" in advice(refused, is_mine=True, may_operate=True)
+    runs = replace(waits, waiting=None, running="image")
+    assert "Now: Import the CT" in advice(runs, is_mine=True, may_operate=True)
+    assert "closed: done" in advice(replace(runs, outcome="done"), is_mine=False, may_operate=False)
 
 
 def test_a_stale_reading_and_a_fault_are_shown_in_words() -> None:

@@ -1,0 +1,166 @@
+"""Screenshots of the console and the planner for the docs, of a real case and a real plan in a real browser.
+
+.venv/bin/python tools/docs/page_pictures.py [FOLDER]     # docs/pictures by default; two minutes
+
+Each moment is taken at 1280 x 800 and 390 x 844, light and dark, with at most 256 colours.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path += map(str, (ROOT / "tests" / "support").iterdir())
+
+# These stand beside the tests, whose folders are on the path only now.
+from console_clicks import answer, answer_until, await_next, run_to, take_seat  # noqa: E402
+from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
+from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
+from operated_case import enter, operated_cases, reviewed  # noqa: E402
+
+DRAWN = """
+async () => {
+  // a picture further down is loaded when it is scrolled to, and decoded never
+  const decoded = [...document.images].map(image => image.decode().catch(() => null));
+  await Promise.race([Promise.all(decoded), new Promise(given_up => setTimeout(given_up, 3000))]);
+  for (let frame = 0; frame < 8; frame++) await new Promise(requestAnimationFrame);
+}
+"""  # software graphics have drawn the scene, and every picture is there
+IS_SCHEME = "dark => document.body.classList.contains('body--dark') === dark"
+WIDE, PHONE = (1280, 800), (390, 844)
+LOOKS = tuple((scheme, size) for size in (WIDE, PHONE) for scheme in ("light", "dark"))
+COLOURS = 256
+HOLD_WHILE_RUNNING = """
+() => {
+  const now = performance.now();
+  const step = "li.now[data-step='relocalization:T1']";
+  if (!document.querySelector(`${step} progress:not([value='0.000'])`)) return false;
+  if (!document.querySelector("figure.live:not(.old) img")?.naturalWidth) return false;
+  window.socket.disconnect();  // the page keeps this moment for all its looks: steps are quick
+  performance.now = () => now;
+  return true;
+}
+"""
+DRAWN_MS = 2500  # for software graphics to have drawn the planner's scene
+
+
+def main() -> None:
+    """Take the screenshots, write them to files, and delete those that the pages no longer have."""
+    if MISSING:
+        sys.exit(MISSING)
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"
+    stale = {*out.glob("console-*.png"), *out.glob("planner-*.png")}
+    with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:
+        taken = {
+            *_operated(browser, Path(name), out),
+            *_reviewed(browser, Path(name), out),
+            *_planned(browser, Path(name), out),
+        }
+    for file in stale - taken:
+        file.unlink()
+
+
+def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
+    """Take the start of a case, the question about a registration, and steps that run."""
+    with operated_cases(place) as start:
+        case = start("step")
+        page = _open_page(browser)
+        enter(page, case.addresses["url"] + "&low")
+        await_next(page, "ct_import")
+        yield from _take(page, out, "console-start")
+        take_seat(page, "Dr Rehearsal")
+        run_to(page, "registration:T1")
+        answer_until(page, "first motion")
+        moment = page.context.new_page()  # of the same session, hence of the same operator
+        moment.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
+        enter(moment, case.addresses["url"].partition("?")[0])
+        moment.evaluate(DRAWN)
+        answer(page)
+        moment.wait_for_function(HOLD_WHILE_RUNNING)
+        yield from _take(moment, out, "console-running")
+        moment.close()
+        answer_until(page, "accept the registration")
+        yield from _take(page, out, "console-question")
+        page.context.close()
+
+
+def _reviewed(browser: Any, place: Path, out: Path) -> Iterator[Path]:
+    """Take a finished case, from its top and from its devices."""
+    with operated_cases(place) as start:
+        case = start("run", "--json")
+        case.ended()
+        with reviewed(case.run, place / "review-errors") as address:
+            page = _open_page(browser)
+            enter(page, address)
+            page.wait_for_selector(".accuracy >> text=Predicted error")
+            yield from _take(page, out, "console-review")
+            yield from _take(page, out, "console-records", ".devicebox")
+            page.context.close()
+
+
+def _planned(browser: Any, place: Path, out: Path) -> Iterator[Path]:
+    patient = make_phantom(place / "case", "--markers", 5)
+    with open_planner(place, patient / "ct") as addresses:
+        page = _open_page(browser)
+        enter_planner(page, addresses["url"])
+        await_judged(page)
+        page.get_by_label("crosshair to the target").click()
+        _draw(page)
+        page.mouse.move(0, 0)  # no tooltip of a button under the pointer
+        page.evaluate("window.scrollTo(0, 0)")
+        page.wait_for_timeout(DRAWN_MS)
+        yield from _take(page, out, "planner")
+        page.context.close()
+
+
+def _draw(page: Any) -> None:
+    """Draw a structure next to the target, shaped like a vessel."""
+    page.get_by_role("button", name="draw a structure").click()
+    picture = page.locator("[data-plane=axial]").bounding_box()
+    for number, (across, down) in enumerate(((0.36, 0.5), (0.40, 0.56), (0.41, 0.63), (0.39, 0.70))):
+        page.mouse.move(
+            picture["x"] + across * picture["width"], picture["y"] + down * picture["height"], steps=3
+        )
+        if number == 0:
+            page.mouse.down()
+    page.mouse.up()
+    page.wait_for_selector("[data-distance]")
+
+
+def _open_page(browser: Any) -> Any:
+    width, height = WIDE
+    return opened_context(browser, viewport={"width": width, "height": height}).new_page()
+
+
+def _take(page: Any, out: Path, moment: str, place: str = "body") -> Iterator[Path]:
+    """Take one moment in every look, from that place downwards, and leave the page as it was."""
+    for scheme, size in LOOKS:
+        _show_as(page, scheme, size)
+        page.locator(place).evaluate("place => place.scrollIntoView()")
+        page.evaluate(DRAWN)
+        yield _keep(page.screenshot(), out, moment, scheme, size)
+    _show_as(page, *LOOKS[0])
+
+
+def _keep(image: bytes, out: Path, moment: str, scheme: str, size: tuple[int, int]) -> Path:
+    file = out / f"{moment}-{scheme}-{size[0]}.png"
+    pixels = Image.open(io.BytesIO(image)).convert("RGB")
+    pixels.quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE).save(file, optimize=True)
+    return file
+
+
+def _show_as(page: Any, scheme: str, size: tuple[int, int]) -> None:
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_function(IS_SCHEME, arg=scheme == "dark")
+
+
+if __name__ == "__main__":
+    main()
