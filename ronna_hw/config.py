@@ -381,7 +381,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
     except OSError as error:
         raise BadTheatreFile(
             f"cannot read {path}: {error.strerror}",
-            action="Give the path of a theatre file; ronna-procedure new-theatre --hardware writes one, "
+            action="Give the path of a theatre file; ronna-procedure new-theatre writes one, "
             "ronna-sim theatre that of a simulated theatre.",
         ) from error
     theatre = parse_theatre(content, path.name)

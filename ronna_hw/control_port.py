@@ -20,6 +20,7 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError, ConnectError
 
 ANSWER_LIMIT_S = 5.0  # host time
+VARIABLE = "RONNA_CONTROL"  # in the environment: the address, for programs that are given none
 LONGEST_LINE = 16 * 1024  # bytes, of a request or an answer
 TOKEN_KEY = "token"
 _TOKEN_MARK = f"?{TOKEN_KEY}="
@@ -29,7 +30,10 @@ class ControlPortSilent(ConnectError):
     """No simulated theatre or device answers at the control port."""
 
     code = "CTL-001"
-    action = "Copy the control endpoint from the READY line; if that program has ended, start it again."
+    action = (
+        'Set it anew: eval "$(ronna-sim env CELL)", or copy it from the READY line; if that program '
+        "has ended, start it again."
+    )
 
 
 class ControlRequestRefused(ConfigurationError):

@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
+    from sim.running_command import env, list_command, stop_command
     from sim.theatre.command import fault, mount, move, scene, stand, theatre, verify, work
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, move, fault, verify):
@@ -33,6 +34,9 @@ def register(app: typer.Typer) -> None:
     app.command(context_settings={"ignore_unknown_options": True})(
         work
     )  # negative joint angles look like options
+    app.command()(env)
+    app.command("list")(list_command)
+    app.command("stop")(stop_command)
 
 
 register(app)

@@ -125,3 +125,10 @@ class TheatreRunning(ConnectError):
 
     code = "SIM-013"
     action = "Stop the other theatre, or give another folder."
+
+
+class NotRunning(RefusedError):
+    """No running simulator, or more than one, is meant; or it cannot be stopped from here."""
+
+    code = "SIM-018"
+    action = "ronna-sim list shows what is running."

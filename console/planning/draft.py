@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from procedures.imaging.markers import Marker
+from procedures.planning.ac_pc import AcPcFrame, require_commissures
 from procedures.planning.errors import UnsavedChanges
 from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, Structure
 from procedures.strategies.trajectory import Point
@@ -24,6 +25,7 @@ from ronna_hw.records import write_atomically
 USUAL_MARGIN_MM = 2.0
 USUAL_STANDOFF_MM = 30.0
 MOST_STEPS_BACK = 200
+LANDMARKS = ("AC", "PC", "midline")  # in the order in which they are clicked
 LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
@@ -64,6 +66,7 @@ class Draft:
     ways: tuple[DraftTrajectory, ...] = (DraftTrajectory("T1"),)
     structures: tuple[Structure, ...] = ()
     table_position: str = ""  # as in the scanner
+    landmarks: tuple[Point, ...] = ()  # AC, PC and a point of the midline, as far as they are clicked
     markers: tuple[Marker, ...] = ()
 
     @classmethod
@@ -83,7 +86,28 @@ class Draft:
             ),
             structures=plan.structures or (),
             table_position=plan.table_position or "",
+            landmarks=()
+            if plan.ac_pc is None
+            else (plan.ac_pc.ac_mm, plan.ac_pc.pc_mm, plan.ac_pc.midline_mm),
         )
+
+    @property
+    def ac_pc(self) -> AcPcFrame | None:
+        """The AC-PC frame, or None until all three points are clicked."""
+        return AcPcFrame.from_points(*self.landmarks) if len(self.landmarks) == len(LANDMARKS) else None
+
+    def with_landmark(self, place_mm: Point) -> Draft:
+        """Add AC, PC or the midline point, whichever is next; after all three begin anew.
+
+        Raises PLAN-031 for points that do not give a frame.
+        """
+        known = () if len(self.landmarks) == len(LANDMARKS) else self.landmarks
+        draft = replace(self, landmarks=(*known, place_mm))
+        if len(draft.landmarks) > 1:
+            require_commissures(*draft.landmarks[:2])
+        if len(draft.landmarks) == len(LANDMARKS):
+            AcPcFrame.from_points(*draft.landmarks)
+        return draft
 
     def way(self, identifier: str) -> DraftTrajectory:
         """Return the trajectory with that name; raises KeyError."""
@@ -154,6 +178,11 @@ class Draft:
             content["table_position"] = self.table_position
         if self.structures:
             content["structures"] = [item.model_dump(mode="json") for item in self.structures]
+        if len(self.landmarks) == len(LANDMARKS):
+            content["ac_pc"] = {
+                f"{name.lower()}_mm": list(place)
+                for name, place in zip(LANDMARKS, self.landmarks, strict=True)
+            }
         return content
 
 
@@ -252,6 +281,13 @@ class _StoredDraft(BaseModel):
     ways: tuple[DraftTrajectory, ...]
     structures: tuple[Structure, ...]
     table_position: str = ""
+    landmarks: Annotated[tuple[Point, ...], Field(max_length=len(LANDMARKS))] = ()
+
+    @model_validator(mode="after")
+    def _check_landmarks(self) -> _StoredDraft:
+        if len(self.landmarks) == len(LANDMARKS):
+            AcPcFrame.from_points(*self.landmarks)
+        return self
 
 
 class UnsavedFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from nicegui import ui
 
 from console.planning.plan_editor import PlanEditor
 from console.planning.slice_panel import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
-from console.planning.slices import PageView
+from console.planning.slices import SIZE_PX, PageView
+from console.planning.views import View
 from console.scene.bodies import METRES, Call, Rod
 from console.scene.theatre_scene import (
     BACKGROUND,
@@ -32,22 +34,35 @@ AWAY_MM = 480.0
 class HeadScene:
     """3-D scene of the head on one page, in CT coordinates, metres."""
 
-    def __init__(self, editor: PlanEditor, page_view: PageView, *, low: bool) -> None:
+    def __init__(
+        self, editor: PlanEditor, page_view: PageView, enlarge: Callable[[View], None], *, low: bool
+    ) -> None:
         self._editor, self._page_view, self._low = editor, page_view, low
+        self._scene: Any = None
         self._head: Any = None
         self._marks: list[Any] = []
         self._key: object = None
         self._structure_clouds: list[Any] = []
         self._structures_key: object = None
         self._placed: object = None
-        with ui.element("section").classes("card scenebox").props('aria-label="The head"'):
-            self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
+        self.section = ui.element("section").classes("card slice scenebox").props('aria-label="The head"')
+        with self.section:
+            with ui.element("div").classes("slicehead"):
+                ui.html("<h2>3-D head</h2>", sanitize=False)
+                self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
+            stage = ui.element("div").classes("stagebox")
+            stage.on("click", lambda: enlarge(View.HEAD) if page_view.large is not View.HEAD else None)
+        self._stage = stage
+
+    def build_scene(self) -> None:
+        """Create the scene, whose script is larger than all others: after the CT's pictures are shown."""
+        with self._stage:
             self._scene = ui.scene(
-                width=420,
-                height=300,
+                width=SIZE_PX,
+                height=SIZE_PX,
                 grid=False,
                 background_color=BACKGROUND,
-                fps=LOW_FRAMES_PER_S if low else FRAMES_PER_S,
+                fps=LOW_FRAMES_PER_S if self._low else FRAMES_PER_S,
                 camera=ui.scene.perspective_camera(fov=35, near=0.02, far=20),
             ).classes("stage")
             self._scene.props('role=img aria-label="The head in three dimensions"')
@@ -58,10 +73,13 @@ class HeadScene:
                 ui.button(name, on_click=lambda name=name: self._move_camera(name), color=None).classes(
                     "plain small"
                 ).props("no-caps unelevated")
+        self.show()
         self._move_camera("front")
 
     def show(self) -> None:
-        """Show the current draft."""
+        """Show the current draft, once the scene is built."""
+        if self._scene is None:
+            return
         editor, draft = self._editor, self._editor.draft
         with self._scene:
             if self._head is None and editor.head:

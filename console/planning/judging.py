@@ -6,6 +6,7 @@ A draft is judged twice: immediately without clearance, and then like `ronna-pla
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
-from procedures.planning.errors import PlanMistakes
+from procedures.planning.errors import NotReachable, PlanMistakes
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import skull_angle_rad
 from procedures.planning.paths import check_paths
@@ -25,12 +26,13 @@ from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
 from procedures.planning.structures import StructureDistance, measure_distances
 from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
-from procedures.planning.visits import PathCheck
+from procedures.planning.visits import PathCheck, Unmet
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
 
 SHARES_SHOWN = 6
+COMMAND = re.compile(r"ronna-|(?<!\S)--[a-z]")  # a command, or an option of one
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,9 @@ class Judgement:
     reached: tuple[str, ...] = ()  # in words, by the arm
     angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is perpendicular
     distances: tuple[StructureDistance, ...] = ()
+    unmet: tuple[Unmet, ...] = ()  # poses that the arm does not reach
     is_arm_known: bool = False
+    is_reach_known: bool = False  # its poses were tried
     complete: bool = False  # at least one trajectory has both ends, so there is something to judge
 
 
@@ -87,11 +91,13 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
     markers_mm = np.array([item.centre_mm for item in draft.markers]).reshape(-1, 3)
     covariances_mm2 = np.array([item.covariance_mm2 for item in draft.markers]).reshape(-1, 3, 3)
     check, paths = _check_draft(plan, volume, markers_mm, theatre, thorough)
-    unmet = () if thorough or paths is None else paths.unmet  # of a thorough check they are findings
+    unmet = check.unmet if thorough or paths is None else paths.unmet
     return replace(
         judged,
         findings=(*missing, *check.findings),
-        warnings=(*(f"{item.pose}: {item.reason}" for item in unmet), *check.warnings),
+        warnings=check.warnings,
+        unmet=unmet,
+        is_reach_known=bool(unmet) or paths is not None,
         expected=_predict_errors(plan, markers_mm, covariances_mm2, theatre, paths),
         reached=_describe_reach(check),
     )
@@ -153,14 +159,14 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
     """Describe the results of a passed arm check."""
     if check.paths is None:
         return ()
-    lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
+    lines = [f"all {len(check.paths.reached)} poses are reached in one posture of the arm"]
     closest = [item.preview.closest for item in check.motions if item.preview.closest is not None]
     if closest:
         least = min(closest, key=lambda item: item.distance_mm)
         pair = f"{least.first}, {least.second}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
-        f"{name} is rotated by {math.degrees(turn):+.0f}° about its axis"
+        f"at {name} the guide is turned by {math.degrees(turn):+.0f}° about its axis"
         for name, turn in check.turns_rad
         if turn
     ]
@@ -172,14 +178,18 @@ def verdict(judged: Judgement, draft: Draft) -> str:
     parts = [
         tag(
             "li",
-            f"{text(f'{item.code} {item.summary}')} {tag('span', text(item.advice), class_='advice')}",
+            f"{text(f'{item.code} {item.summary}')} {tag('span', text(page_advice(item)), class_='advice')}",
             class_="bad",
         )
         for item in judged.findings
+        if not isinstance(item, NotReachable)
     ]
+    if any(isinstance(item, NotReachable) for item in judged.findings):
+        parts.append(
+            tag("li", f"{NotReachable.code} the arm does not reach everything: see Reach.", class_="bad")
+        )
     parts += [tag("li", text(item), class_="warn") for item in judged.warnings]
     parts += [tag("li", text(_skull_text(name, angle))) for name, angle in judged.angles_deg.items()]
-    parts += [tag("li", text(item), class_="ok") for item in judged.reached]
     current = judged.draft is draft
     head = _outcome_html(judged) if current else tag("p", "Checking…", class_="dim")
     more = mark_outdated(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
@@ -200,6 +210,15 @@ def expected(judged: Judgement, draft: Draft) -> str:
     return mark_outdated(rows + tag("p", _basis_text(judged.expected.values()), class_="dim"), judged, draft)
 
 
+def page_advice(problem: RonnaError) -> str:
+    """Return what to do about a problem without command lines, which are for whoever set up the planner."""
+    sentences = re.split(r"(?<=[.;:]) ", problem.advice)
+    kept = " ".join(item for item in sentences if not COMMAND.search(item))
+    return (
+        kept or f"Ask whoever set up this planner: the list of errors says what to do about {problem.code}."
+    )
+
+
 def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:
     """Mark findings as outdated, greyed out and with a note, once their draft has changed."""
     if judged.draft is draft or not content:
@@ -216,7 +235,7 @@ def _outcome_html(judged: Judgement) -> str:
         return tag("p", "Checking clearance…", class_="dim")
     words = "This plan would be accepted."
     if not judged.is_arm_known:
-        words += " No arm given: open with --config and --robot-from-ct to check reach and clearance."
+        words += " The arm's reach is not checked: see Reach."
     return tag("p", words, class_="ok")
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -12,16 +14,21 @@ from nicegui import ui
 from console.changes import await_change
 from console.guard import SESSION, Role, Session
 from console.panels.html import tag, text
+from console.planning.ac_pc_panel import CLICK_NEXT, AcPcPanel
 from console.planning.head_scene import HeadScene
-from console.planning.judging import expected, verdict
+from console.planning.help import help_html
+from console.planning.judging import expected, page_advice, verdict
 from console.planning.marker_panel import MarkerPanel, ProposalPanel
 from console.planning.plan_editor import PlanEditor
+from console.planning.reach_panel import ReachPanel
 from console.planning.slice_panel import STROKE, SlicePanel
 from console.planning.slices import WINDOWS_HU, PageView, Plane, add_pictures
 from console.planning.structure_panel import StructurePanel
 from console.planning.trajectory_panel import TrajectoryPanel
+from console.planning.views import NAMES, Size, View, arrange
 from console.web.library import bind_page, page_head, use_library
-from procedures.planning.errors import PlanMistakes
+from procedures.imaging import PatientIdentity
+from procedures.planning.errors import AcPcUnfit, PlanMistakes
 from procedures.planning.plan_model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
@@ -30,19 +37,25 @@ TITLE = "RONNA planner"  # the same for every patient
 BEAT_S = 0.4  # host time between two updates when nothing happens
 RECONNECT_S = 30.0  # a page delayed by a busy computer keeps its view
 LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
+MEASURE, AC_PC = "measure", "acpc"
 CLICK_ACTIONS = {
-    LOOK: "move the crosshair",
+    LOOK: "look around",
     ENTRY: "set the entry",
     TARGET: "set the target",
     SPHERE: "pick a sphere",
     DRAW: "draw a structure",
+    MEASURE: "measure",
+    AC_PC: "AC–PC",
 }
+VIEWERS_ACTIONS = (LOOK, MEASURE)
+FOLDER = Path(__file__).parent
 
 
 def add_planner(app: FastAPI, editor: PlanEditor) -> None:
     """Serve the planner at `/` of an application."""
     add_pictures(app, editor)
-    head = page_head()
+    style, script = ((FOLDER / f"planner.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    head = f"{page_head()}<style>{style}</style><script>{script}</script>"
 
     @ui.page("/")
     async def page(request: Request) -> None:
@@ -61,6 +74,7 @@ class PlannerPage:
         self._editor, self._low = editor, low
         self._may_edit = session.role is Role.OPERATOR and editor.problem is None
         self._page_view = PageView(editor.volume.geometry)
+        self._page_view.open_on(editor.draft.ways)
         self._beat = 0
 
     def build(self) -> None:
@@ -75,9 +89,9 @@ class PlannerPage:
         self._notice = ui.html("", sanitize=False).classes("words")
         self._words = ui.html("", sanitize=False).classes("words")
         with ui.element("main").classes("places planner"):
+            self._picture_bar()
             with ui.element("div").classes("middle"):
-                self._picture_bar()
-                with ui.element("div").classes("cuts"):
+                with ui.element("div").classes("board"):
                     self._slices = [
                         SlicePanel(
                             plane,
@@ -86,21 +100,28 @@ class PlannerPage:
                             drag=self._on_drag,
                             is_drawing=lambda: self._mode.value == DRAW,
                             key=self._on_key,
+                            enlarge=self._enlarge,
                             on_view_change=self._show_view,
                         )
                         for plane in Plane
                     ]
+                    self._scene = HeadScene(editor, page_view, self._enlarge, low=self._low)
+                self._sections = {View.HEAD: self._scene.section} | {
+                    View(plane.value): item.section for plane, item in zip(Plane, self._slices, strict=True)
+                }
             with ui.element("div").classes("left"):
                 self._ways = TrajectoryPanel(editor, page_view, self._show_view, may_edit=self._may_edit)
                 self._verdict = self._section("Check", "verdictbox")
+                self._reach = ReachPanel(editor, self._show_problem, may_edit=self._may_edit)
                 self._expected = self._section("Expected error", "accuracy")
             with ui.element("div").classes("right"):
-                self._scene = HeadScene(editor, page_view, low=self._low)
+                self._ac_pc = AcPcPanel(editor, page_view, self._go_to, may_edit=self._may_edit)
                 self._structures = StructurePanel(
                     editor, page_view, self._go_to, self._show_problem, may_edit=self._may_edit
                 )
                 self._markers = MarkerPanel(editor, self._go_to, self._pick, may_edit=self._may_edit)
                 ProposalPanel(editor, self._go_to)
+        self._enlarge(page_view.large)
         self._show()  # at once, with the page itself
         client = ui.context.client
         changed = editor.subscribe()
@@ -118,23 +139,42 @@ class PlannerPage:
         self._author = ui.input("Your name").classes("name")
         self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
+        self._add_help()
         for item in (self._undo, self._redo, self._author, self._save):
             item.set_visibility(self._may_edit)
 
+    def _add_help(self) -> None:
+        """Add the help, hidden, and the button that opens and closes it."""
+
+        def toggle() -> None:
+            shown.set_visibility(not shown.visible)
+            button.props(f"aria-expanded={'true' if shown.visible else 'false'}")
+
+        button = self._button("Help", toggle, "help").props("aria-expanded=false")
+        shown = ui.html(help_html(), sanitize=False).classes("card help")
+        shown.props('role=region aria-label="Help"').set_visibility(False)
+
     def _picture_bar(self) -> None:
-        with ui.element("div").classes("orders").props('role=toolbar aria-label="Pictures"'):
-            click_actions = CLICK_ACTIONS if self._may_edit else {LOOK: CLICK_ACTIONS[LOOK]}
-            ui.label("Click to")
-            self._mode = ui.toggle(click_actions, value=LOOK).props(
-                'no-caps unelevated aria-label="Click to"'
-            )
-            self._mode.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
-            window = ui.select(list(WINDOWS_HU), value=self._page_view.window, label="CT window")
-            window.props("dense outlined options-dense").classes("window")
+        with ui.element("div").classes("orders bar").props('role=toolbar aria-label="Pictures"'):
+            actions = VIEWERS_ACTIONS if not self._may_edit else tuple(CLICK_ACTIONS)
+            self._mode = self._choices("Click to", {name: CLICK_ACTIONS[name] for name in actions}, LOOK)
+            self._mode.on_value_change(self._on_mode)
+            window = self._choices("Window", {name: name for name in WINDOWS_HU}, self._page_view.window)
             window.on_value_change(lambda event: self._set_window(str(event.value)))
-            self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
-            self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
+            names = {view.value: NAMES[view] for view in View}
+            self._large = self._choices("Large", names, self._page_view.large.value)
+            self._large.on_value_change(lambda event: self._enlarge(View(event.value)))
+            with ui.element("div").classes("views"):
+                self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
+                self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
+            self._hint = ui.label("").classes("hint")
             self._crosshair_label = ui.label("").classes("num")
+
+    def _choices(self, name: str, words: dict[str, str], chosen: str) -> ui.toggle:
+        with ui.element("div").classes("choice").props(f'role=group aria-label="{name}"'):
+            ui.label(name)
+            choices = ui.toggle(words, value=chosen).props(f'no-caps unelevated aria-label="{name}"')
+        return choices.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
 
     def _section(self, title: str, name: str) -> ui.html:
         with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
@@ -156,6 +196,25 @@ class PlannerPage:
         elif mode == SPHERE:
             self._mode.set_value(LOOK)
             await self._pick(place_mm)
+        elif mode == MEASURE:
+            self._page_view.measure(place_mm)
+        elif mode == AC_PC:
+            self._add_landmark(place_mm)
+        self._show_view()
+
+    def _add_landmark(self, place_mm: Point) -> None:
+        try:
+            self._editor.change(self._editor.draft.with_landmark(place_mm))
+        except AcPcUnfit as unfit:
+            self._show_problem(unfit)
+        else:
+            self._show_problem(None)
+            if self._editor.draft.ac_pc is not None:
+                self._mode.set_value(LOOK)
+
+    def _on_mode(self) -> None:
+        if self._mode.value != MEASURE:
+            self._page_view.measured_mm = ()
         self._show_view()
 
     def _on_drag(self, end: str, place_mm: Point, is_start: bool) -> None:
@@ -196,6 +255,13 @@ class PlannerPage:
         self._page_view.go_to(place_mm)
         self._show_view()
 
+    def _enlarge(self, view: View) -> None:
+        """Make a view the large one. Its picture keeps the keyboard's focus."""
+        self._page_view.large = view
+        self._large.set_value(view.value)
+        for item, size in arrange(view).items():
+            self._sections[item].classes(size, remove=" ".join(Size))
+
     def _set_window(self, name: str) -> None:
         self._page_view.window = name
         self._show_view()
@@ -213,11 +279,28 @@ class PlannerPage:
         for item in self._slices:
             item.show(draft)
         self._ways.show()
+        self._ac_pc.show()
         self._crosshair_label.set_text(self._describe_place())
+        self._hint.set_text(self._describe_mode())
 
     def _describe_place(self) -> str:
-        place = ", ".join(f"{value:.1f}" for value in self._page_view.place_mm)
-        return f"crosshair LPS {place} mm, {self._editor.hu_at(self._page_view.place_mm)}"
+        place_mm = self._page_view.place_mm
+        frame = self._editor.draft.ac_pc
+        words = f"LPS {_numbers(place_mm)} mm"
+        if frame is not None:
+            words += f" · AC–PC {_numbers(frame.from_lps_mm(place_mm))} mm"
+        return f"{words} · {self._editor.hu_at(place_mm)}"
+
+    def _describe_mode(self) -> str:
+        """Tell which click comes next, or what was measured."""
+        ends = self._page_view.measured_mm
+        if self._mode.value == AC_PC:
+            return CLICK_NEXT[len(self._editor.draft.landmarks) % len(CLICK_NEXT)]
+        if self._mode.value != MEASURE:
+            return ""
+        if len(ends) == 2:
+            return f"Distance {math.dist(*ends):.1f} mm"
+        return "Click the other end." if ends else "Click one end."
 
     def _show_problem(self, problem: RonnaError | None) -> None:
         self._words.set_content("" if problem is None else _problem_html(problem))
@@ -225,9 +308,13 @@ class PlannerPage:
     # Display
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
+        is_built = False
         while True:
             if client.has_socket_connection:
                 with client:
+                    if not is_built:
+                        is_built = True
+                        self._scene.build_scene()
                     self._show()
             await await_change(changed, BEAT_S)
 
@@ -243,24 +330,37 @@ class PlannerPage:
         self._scene.show()
         self._markers.show()
         self._structures.show()
+        self._reach.show()
         self._verdict.set_content(verdict(editor.judged, editor.draft))
         self._expected.set_content(expected(editor.judged, editor.draft))
         self._beat += 1
         self._clock.set_content(tag("div", "", id="clock", data_beat=str(self._beat)))
 
 
+def _numbers(place_mm: Point) -> str:
+    return ", ".join(f"{value:.1f}" for value in place_mm)
+
+
 def _case_line(editor: PlanEditor) -> str:
+    state, kind = ("saved", "ok") if editor.is_saved else ("not saved", "warn")
+    file = text(editor.file.name) + " " + tag("span", state, class_=kind, data_saved=state)
     shape = " × ".join(map(str, editor.volume.geometry.shape))
     position = editor.volume.patient_position or "patient position unknown"
-    state, kind = ("saved", "ok") if editor.is_saved else ("not saved", "warn")
-    file = tag("b", text(editor.file.name)) + " " + tag("span", state, class_=kind, data_saved=state)
-    return tag(
-        "div", file + tag("div", text(f"CT of {shape} voxels, {position}"), class_="dim"), class_="case"
-    )
+    scan = tag("div", file + text(f", CT of {shape} voxels, {position}"), class_="dim")
+    return tag("div", _patient_html(editor.patient) + scan, class_="case")
+
+
+def _patient_html(patient: PatientIdentity | None) -> str:
+    """Name the patient, whose name stands nowhere else: not in titles, addresses or messages."""
+    if patient is None:
+        return ""
+    name = patient.name.replace("^", " ").strip() or "no name in the CT"
+    born = f", born {patient.birth_date}" if patient.birth_date else ""
+    details = f"identifier {patient.identifier or 'missing'}{born}"
+    return tag("div", tag("b", text(name)) + " " + tag("span", text(details)), class_="patient")
 
 
 def _problem_html(problem: RonnaError) -> str:
-    words = (
-        text(f"{problem.code}: {problem.summary}.") + " " + tag("span", text(problem.advice), class_="advice")
-    )
+    advice = tag("span", text(page_advice(problem)), class_="advice")
+    words = text(f"{problem.code}: {problem.summary}.") + " " + advice
     return tag("div", words, class_="said", role="alert", data_code=problem.code)

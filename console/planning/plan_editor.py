@@ -13,8 +13,9 @@ import numpy as np
 from console.changes import ChangeNotifier
 from console.planning.draft import Draft, History, UnsavedFile
 from console.planning.judging import Judgement, judge
+from console.planning.theatre_choice import TheatreChoice
 from console.scene.head_surface import encode_stl, head_surface
-from procedures.imaging import Candidate, Volume, likeliest_first, localize, localize_picks
+from procedures.imaging import Candidate, PatientIdentity, Volume, likeliest_first, localize, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker
@@ -37,10 +38,19 @@ AGAIN_S = 0.5  # host time between checks whether the plan has become free
 class PlanEditor(ChangeNotifier):
     """Editor of one draft. Announces every change and has the draft checked again in the background."""
 
-    def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        plan: Path,
+        choice: TheatreChoice | None = None,
+        patient: PatientIdentity | None = None,
+    ) -> None:
         super().__init__()
         self.volume = volume
-        self.theatre = theatre
+        self.patient = patient  # for the page's head alone
+        self.choice = choice
+        self.theatre: TheatreArm | None = None
+        self.theatre_name = self.head_words = ""  # of its file, and where the head is taken to be
         self.file = plan
         self.candidates: Sequence[Candidate] = ()
         self.searching = True
@@ -260,6 +270,21 @@ class PlanEditor(ChangeNotifier):
         remaining = tuple(item for k, item in enumerate(self.draft.markers, start=1) if k != number)
         self.change(replace(self.draft, markers=remaining))
 
+    async def choose_theatre(self, name: str) -> None:
+        """Read the arm of a listed theatre file and check the plan with it from now on.
+
+        Raises the errors of `TheatreChoice.load`; the arm so far is then kept.
+        """
+        if self.choice is not None:
+            loaded = await asyncio.to_thread(self.choice.load, name, self.volume.series_instance_uid)
+            self.adopt_theatre(*loaded)
+
+    def adopt_theatre(self, name: str, theatre: TheatreArm, head_words: str) -> None:
+        """Check the plan with an arm from now on."""
+        self.theatre, self.theatre_name, self.head_words = theatre, name, head_words
+        self.judged = Judgement(self.draft, is_arm_known=True)
+        self.altered()
+
     # Background work
 
     async def work(self) -> None:
@@ -308,7 +333,10 @@ class PlanEditor(ChangeNotifier):
         while True:
             await self._change_event.wait()
             self._change_event.clear()
-            self._announce(await self._judge_draft(self.draft, thorough=False))
+            theatre = self.theatre
+            judged = await self._judge_draft(self.draft, thorough=False)
+            if theatre is self.theatre:  # otherwise it has changed, and the draft is judged again
+                self._announce(judged)
             if not self.judged.thorough and not self._change_event.is_set():
                 self._check_event.set()
 
@@ -317,8 +345,9 @@ class PlanEditor(ChangeNotifier):
         while True:
             await self._check_event.wait()
             self._check_event.clear()
+            theatre = self.theatre
             judged = await self._judge_draft(self.draft, thorough=True)
-            if judged.draft is self.draft:
+            if judged.draft is self.draft and theatre is self.theatre:
                 self._announce(judged)
 
     async def _judge_draft(self, draft: Draft, *, thorough: bool) -> Judgement:
@@ -353,5 +382,5 @@ def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
         return None
     return PlanInUse(
         f"{plan.name} belongs to run {run.name}, which must not change",
-        action="You can view it here; to edit, copy it and open the copy with --plan.",
+        action="You can view it here; to change it, have a copy opened in the planner.",
     )

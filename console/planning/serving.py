@@ -17,12 +17,13 @@ SixNumbers = tuple[float, float, float, float, float, float]
 
 
 class PlannerRequest(BaseModel):
-    """A CT, its plan, and the arm to execute the plan, if known."""
+    """A CT, its plan, where theatre files are listed, and the one to check the plan with, if known."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     series: Path
     plan: Path
+    folder: Path
     port: int = 0
     config: Path | None = None
     strategy: str = "ocs"
@@ -36,21 +37,25 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     from console.app import serve_pages
     from console.planning.page import add_planner
     from console.planning.plan_editor import PlanEditor
-    from procedures.imaging import read_series
+    from console.planning.theatre_choice import TheatreChoice
+    from procedures.imaging import read_identity, read_series
     from procedures.imaging.picks import LARGEST_FILE_BYTES
-    from procedures.planning.theatre_arm import theatre_arm
-    from procedures.strategies.catalogue import find_strategy
 
     parsed_request = PlannerRequest.model_validate_json(request)
-    theatre = None
-    if parsed_request.config is not None and parsed_request.robot_from_ct is not None:
-        strategy = find_strategy(parsed_request.strategy)
-        theatre = theatre_arm(
-            parsed_request.config, parsed_request.robot_from_ct, parsed_request.home_deg, strategy
-        )
+    choice = TheatreChoice(
+        folder=parsed_request.folder,
+        plan=parsed_request.plan,
+        given=parsed_request.config,
+        strategy=parsed_request.strategy,
+        robot_from_ct=parsed_request.robot_from_ct,
+        home_deg=parsed_request.home_deg,
+    )
     with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(parsed_request.series, progress=advance)
-    editor = PlanEditor(volume, parsed_request.plan, theatre)
+    loaded = choice.load_given(volume.series_instance_uid)
+    editor = PlanEditor(volume, parsed_request.plan, choice, read_identity(parsed_request.series))
+    if loaded is not None:
+        editor.adopt_theatre(*loaded)
     try:
         serve_pages(
             lambda application: add_planner(application, editor),

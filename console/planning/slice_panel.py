@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable, Sequence
-from math import hypot, sqrt
+from math import dist, hypot, sqrt
 from typing import Any
 from urllib.parse import urlencode
 
@@ -12,18 +12,18 @@ from nicegui import ui
 from numpy.typing import NDArray
 
 from console.panels.html import tag, text
-from console.planning.draft import Draft, DraftTrajectory
+from console.planning.draft import LANDMARKS, Draft, DraftTrajectory
 from console.planning.slices import SIZE_PX, Cut, PageView, Plane
+from console.planning.views import View
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
 CROSS, SPHERE, CHOSEN, OTHER = "#35c8ff", "#ffa64d", "#ff5fa2", "#d8a6ff"
-AVOIDED = "#ff4d4d"
+AVOIDED, MEASURED, LANDMARK = "#ff4d4d", "#ffe14d", "#7dffa0"
 POINT_WITHIN_MM = 1.5  # from the image: points of a structure that are drawn in it
 NEAR_MM = 3.0  # from the image: a closer end is drawn opaque, one farther off faint
-GAP_PX = 9.0  # left free by the crosshair around its centre
-HANDLE_PX = 9.0  # within which an end can be grasped
-FONT = "bold 13px system-ui,sans-serif"
+GAP_PX = 12.0  # left free by the crosshair around its centre
+HANDLE_PX = 12.0  # within which an end can be grasped
 LEAST_SHARE = 0.35  # of a direction along an image's edge, to be labelled there
 LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 WHEEL_S = 0.02  # host time between two steps of the wheel that are sent
@@ -36,15 +36,17 @@ KEYS_JS = (
     "(e) => { if (/^(Page(Up|Down)|Arrow(Left|Right|Up|Down)|Enter|[-+=et])$/.test(e.key) && !e.ctrlKey)"
     " { e.preventDefault(); emit({key: e.key, shift: e.shiftKey}); } }"
 )
+# Name, and from where it is seen.
 TITLES = {
-    Plane.AXIAL: "Axial, seen from the feet",
-    Plane.CORONAL: "Coronal, from the front",
-    Plane.SAGITTAL: "Sagittal, from the left",
-    Plane.ALONG: "Along the trajectory",
+    Plane.AXIAL: ("Axial", ", seen from the feet"),
+    Plane.CORONAL: ("Coronal", ", from the front"),
+    Plane.SAGITTAL: ("Sagittal", ", from the left"),
+    Plane.ALONG: ("Along", " the trajectory"),
 }
 KEYBOARD_HELP = (
     "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and minus magnify,"
-    " Enter does what a click at the crosshair does, e and t set entry and target."
+    " Enter does what a click at the crosshair does, or enlarges a small picture,"
+    " e and t set entry and target."
 )
 Place = Callable[[Point], Awaitable[None]]
 Drag = Callable[[str, Point, bool], None]
@@ -66,31 +68,29 @@ class SlicePanel:
         drag: Drag,
         is_drawing: Callable[[], bool],
         key: Callable[[str], None],
+        enlarge: Callable[[View], None],
         on_view_change: Callable[[], None],
     ) -> None:
         self._plane, self._page_view = plane, page_view
-        self._act, self._drag, self._is_drawing, self._key, self._on_view_change = (
-            act,
-            drag,
-            is_drawing,
-            key,
-            on_view_change,
-        )
+        self._act, self._drag, self._is_drawing, self._key = act, drag, is_drawing, key
+        self._enlarge, self._on_view_change = enlarge, on_view_change
         self._cut: Cut | None = None
         self._draft: Draft | None = None
         self._dragged_end = ""
         self._has_begun = False
         self._shown: tuple[str, str] = ("", "")
-        with ui.element("section").classes("card slice").props(f'aria-label="{TITLES[plane]}"'):
+        title, aside = TITLES[plane]
+        self.section = ui.element("section").classes("card slice").props(f'aria-label="{title}{aside}"')
+        with self.section:
             with ui.element("div").classes("slicehead"):
-                ui.html(f"<h2>{TITLES[plane]}</h2>", sanitize=False)
+                ui.html(f"<h2>{title}{tag('span', aside, class_='aside')}</h2>", sanitize=False)
                 self._where = ui.label("").classes("num dim")
             self._image = (
                 ui.interactive_image(
                     events=["mousedown", "mousemove", "mouseup", "mouseleave"], sanitize=False, size=(1, 1)
                 )
                 .classes("cut")
-                .props(f'tabindex=0 role=img aria-label="{TITLES[plane]}. {KEYBOARD_HELP}"')
+                .props(f'tabindex=0 role=img aria-label="{title}{aside}. {KEYBOARD_HELP}"')
                 .props(f"data-plane={plane.value}")
             )
         self._image.on("mouse", self._on_mouse, js_handler=MOUSE_JS)
@@ -109,7 +109,7 @@ class SlicePanel:
         else:
             shown = (
                 _image_address(cut, page_view.window),
-                draw_overlay(cut, draft, page_view.way, page_view.place_mm),
+                draw_overlay(cut, draft, page_view.way, page_view.place_mm, page_view.measured_mm),
             )
             self._where.set_text(self._words(cut))
         if shown[0] != self._shown[0]:
@@ -117,6 +117,10 @@ class SlicePanel:
         if shown[1] != self._shown[1]:
             self._image.set_content(shown[1])
         self._shown = shown
+
+    @property
+    def _is_large(self) -> bool:
+        return self._page_view.large == self._plane.value
 
     def _words(self, cut: Cut) -> str:
         if self._plane is Plane.ALONG:
@@ -145,6 +149,8 @@ class SlicePanel:
             self._page_view.move(self._plane, right * by, down * by)
         elif key in "+=-":
             self._page_view.magnify(-1 if key == "-" else 1)
+        elif key == "Enter" and not self._is_large:
+            self._enlarge(View(self._plane.value))
         elif key == "Enter" and self._is_drawing():
             self._drag(STROKE, self._page_view.place_mm, True)
         elif key == "Enter":
@@ -158,7 +164,9 @@ class SlicePanel:
         if cut is None or draft is None:
             return
         kind, x, y = args.get("mouse_event_type"), float(args["image_x"]), float(args["image_y"])
-        if kind == "mousedown" and args.get("button") == 0 and self._is_drawing():
+        if kind == "mousedown" and not self._is_large:
+            self._enlarge(View(self._plane.value))
+        elif kind == "mousedown" and args.get("button") == 0 and self._is_drawing():
             self._dragged_end = STROKE
             self._drag(STROKE, cut.to_patient_mm(x, y), True)
             self._has_begun = True
@@ -202,7 +210,9 @@ def _image_address(cut: Cut, window: str) -> str:
     return f"/cut.png?{urlencode(numbers)}"
 
 
-def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
+def draw_overlay(
+    cut: Cut, draft: Draft, chosen: str, place_mm: Point, measured_mm: Sequence[Point] = ()
+) -> str:
     """Draw the overlay as SVG in the image's pixels."""
     parts = [*_draw_sides(cut), *_draw_cross(cut, place_mm)]
     parts += [_structure_path(cut, np.array(item.points_mm)) for item in draft.structures]
@@ -210,6 +220,9 @@ def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
         parts += _draw_sphere(cut, marker.centre_mm, f"{number}")
     for way in draft.ways:
         parts += _draw_trajectory(cut, way, CHOSEN if way.identifier == chosen else OTHER)
+    for name, landmark in zip(LANDMARKS, draft.landmarks, strict=False):
+        parts += _draw_point(cut, landmark, LANDMARK, name)
+    parts += _draw_measured(cut, measured_mm)
     return "".join(parts)
 
 
@@ -272,15 +285,41 @@ def _draw_trajectory(cut: Cut, way: DraftTrajectory, colour: str) -> Iterable[st
         yield _draw_circle(x, y, 1.2, colour, 1.5)
 
 
+def _draw_point(cut: Cut, place_mm: Point, colour: str, name: str = "") -> Iterable[str]:
+    """Draw an upright cross at a point, faint if it is away from the image."""
+    x, y, off_mm = cut.to_picture(place_mm)
+    shade = 1.0 if abs(off_mm) < NEAR_MM else 0.35
+    yield _draw_line(x - 6, y, x + 6, y, colour, 2.0, shade)
+    yield _draw_line(x, y - 6, x, y + 6, colour, 2.0, shade)
+    if name and shade == 1.0:
+        yield _words(x + 9, y + 18, name, colour)
+
+
+def _draw_measured(cut: Cut, ends_mm: Sequence[Point]) -> Iterable[str]:
+    """Draw the ends of the measured distance, and the line between them with its length."""
+    for end in ends_mm:
+        yield from _draw_point(cut, end, MEASURED)
+    if len(ends_mm) == 2:
+        (x1, y1, _), (x2, y2, _) = (cut.to_picture(end) for end in ends_mm)
+        yield _draw_line(x1, y1, x2, y2, MEASURED, 1.6, 0.9)
+        yield _words((x1 + x2) / 2 + 8, (y1 + y2) / 2 - 8, f"{dist(*ends_mm):.1f} mm", MEASURED)
+
+
 def _draw_sides(cut: Cut) -> Iterable[str]:
     half = SIZE_PX / 2.0
     for direction, x, y in (
-        (cut.right, SIZE_PX - 16, half + 5),
-        (-cut.right, 6, half + 5),
-        (cut.down, half - 5, SIZE_PX - 7),
-        (-cut.down, half - 5, 16),
+        (cut.right, SIZE_PX - 8, half),
+        (-cut.right, 8, half),
+        (cut.down, half, SIZE_PX - 8),
+        (-cut.down, half, 8),
     ):
-        yield _words(x, y, side_letters(direction), "#f2f2f2")
+        yield _words(x, y, side_letters(direction), "#f2f2f2", _side_class(x, y))
+
+
+def _side_class(x: float, y: float) -> str:
+    """Return the class of a side's letters, by which they stay inside the image at any size."""
+    half = SIZE_PX / 2.0
+    return "side " + ("atright" if x > half else "atleft" if x < half else "below" if y > half else "above")
 
 
 def side_letters(direction: NDArray[np.float64]) -> str:
@@ -305,6 +344,5 @@ def _draw_circle(x: float, y: float, radius: float, colour: str, width: float, s
     )
 
 
-def _words(x: float, y: float, words: str, colour: str) -> str:
-    style = f"font:{FONT};paint-order:stroke;stroke:#000;stroke-width:3px"
-    return tag("text", text(words), x=f"{x:.1f}", y=f"{y:.1f}", fill=colour, style=style)
+def _words(x: float, y: float, words: str, colour: str, css: str = "name") -> str:
+    return tag("text", text(words), x=f"{x:.1f}", y=f"{y:.1f}", fill=colour, class_=css)

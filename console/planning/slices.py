@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -17,22 +18,19 @@ from starlette.responses import PlainTextResponse, Response
 
 from console.planning.draft import DraftTrajectory
 from console.planning.plan_editor import PlanEditor
+from console.planning.views import View
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.strategies.trajectory import Point
 
 Array = NDArray[np.float64]
-SIZE_PX = 400  # of an image, which is square
+SIZE_PX = 512  # of an image, which is square; a scanner's usual matrix
 UNSCANNED_HU = -32768  # no CT has this value
 UNSCANNED_GREY = 40  # unlike the black of air
 ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
 PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
-WINDOWS_HU = {
-    "spheres": (-1000.0, 600.0),
-    "soft tissue": (-160.0, 240.0),
-    "brain": (0.0, 80.0),
-    "bone": (-500.0, 2000.0),
-    "everything": (-1024.0, 3071.0),
-}
+# Lowest and highest HU shown. Brain and bone are the presets that radiology uses for the head: width 80 at
+# level 40, width 1800 at level 400. Spheres are plastic: below bone, set off against air at -1000.
+WINDOWS_HU = {"brain": (0.0, 80.0), "bone": (-500.0, 1300.0), "spheres": (-1000.0, 600.0)}
 ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
 TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
 FARTHEST_MM = 10_000.0
@@ -160,9 +158,11 @@ class PageView:
     place_mm: Point = (0.0, 0.0, 0.0)
     zoom: int = 0  # step of ZOOMS
     focus_mm: Point = (0.0, 0.0, 0.0)  # centre of a magnified image
-    window: str = next(iter(WINDOWS_HU))
+    window: str = "spheres"  # to be judged first, as long as there is no target
     turn_deg: float = 0.0
     way: str = "T1"  # the one being edited
+    large: View = View.AXIAL
+    measured_mm: tuple[Point, ...] = ()  # ends of the measured distance, as far as they are clicked
     _bounds: tuple[Array, Array] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -197,6 +197,18 @@ class PageView:
         turn = math.radians(self.turn_deg)
         turned = math.cos(turn) * right + math.sin(turn) * np.cross(down, right)
         return Cut((entry + target) / 2.0, turned, down, self.step_mm)
+
+    def open_on(self, ways: Sequence[DraftTrajectory]) -> None:
+        """Begin at the first target, with the brain visible, if there is any."""
+        way = next((item for item in ways if item.target_mm is not None), None)
+        if way is not None and way.target_mm is not None:
+            self.way, self.window = way.identifier, "brain"
+            self.go_to(way.target_mm)
+
+    def measure(self, place_mm: Point) -> None:
+        """Set one end of the measured distance, or begin anew after both."""
+        known = () if len(self.measured_mm) == 2 else self.measured_mm
+        self.measured_mm = (*known, place_mm)
 
     def go_to(self, place_mm: Point) -> None:
         """Move the crosshair to a position within the scan."""

@@ -225,7 +225,7 @@ def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
 def _diagnose_refusal(line: LineState) -> Finding:
     endpoint = line.endpoint
     if line.opening is Opening.MISSING:
-        advice = "Is the adapter plugged in? The ports that exist are listed above."
+        advice = "Is the adapter plugged in? doctor --all lists the ports that exist."
         return False, f"{endpoint.path} does not exist", advice
     if line.opening is Opening.FORBIDDEN:
         return False, f"permission denied: {endpoint.path}", advise_on_permission(endpoint.path)

@@ -109,7 +109,7 @@ class PolarisOptions(Strict):
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
         """Read all tool definitions, with paths relative to `folder`; raises NDI-011 to NDI-013."""
         tools = {tool.name: tool.definition(folder) for tool in self.tools}
-        check_distinct(tools)
+        check_distinct(tools, {tool.name: tool.rom for tool in self.tools})
         return tools
 
     def limits_s(self) -> dict[str, float]:

@@ -17,6 +17,7 @@ from ronna_hw.wire import polaris_rom as layout
 SEGMENT_TOLERANCE_MM = 3.5
 TRIANGLE_TOLERANCE_MM = 2.0  # triangles within this are the same to the unit: such tools are refused
 TRIANGLE_CORNERS = 3
+NO_FILES: Mapping[str, str] = {}
 PER_MARKER = ("markers_mm", "normals", "faces", "face_normals")
 CHECKSUM_BYTES = 2
 
@@ -147,14 +148,19 @@ def find_alike(
     return (*within, *between)
 
 
-def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
-    """Raise NDI-012 if any two tools share a triangle of markers."""
+def check_distinct(tools: Mapping[str, ToolDefinition], files: Mapping[str, str] = NO_FILES) -> None:
+    """Raise NDI-012 if any two tools share a triangle of markers; `files` are their definitions by name."""
     for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
         if shares_triangle(tool, other):
             raise SameGeometry(
-                f"tools {name} and {other_name} share a triangle of markers",
+                f"tools {_with_file(name, files)} and {_with_file(other_name, files)} share a triangle of "
+                "markers",
                 limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",
             )
+
+
+def _with_file(name: str, files: Mapping[str, str]) -> str:
+    return f"{name} ({files[name]})" if name in files else name
 
 
 def shares_triangle(

@@ -24,9 +24,8 @@ DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated re
 
 
 def options_of(theatre_file: Path) -> str:
-    """Return the command options that read a theatre file and write the new record into it."""
-    file = shlex.quote(str(theatre_file))
-    return f"--config {file} --write {file}"
+    """Return the command options that read a theatre file and put the new record into it."""
+    return f"--config {shlex.quote(str(theatre_file))} --update"
 
 
 def require_valid(

@@ -315,7 +315,11 @@ def open_plan(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option("--config", metavar="FILE", help="Theatre file: its arm is checked while you plan."),
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="Theatre file: its arm is checked while you plan. The page also lists those of this folder.",
+        ),
     ] = None,
     strategy: StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: HeadOption = None,
@@ -324,17 +328,19 @@ def open_plan(
 ) -> None:
     """Plan in the browser: slices, markers, trajectories, checked while they are drawn. Runs until Ctrl-C.
 
+    Without --robot-from-ct the reach is checked from the cart's proposed place, place.json next to the plan.
     The page's address, which includes a key, is printed on standard error.
     """
     from procedures.runs.console_link import check_console
 
-    require_theatre_options(config, robot_from_ct, home, strategy)
+    require_theatre_options(config, robot_from_ct, home, strategy, chosen_later=True)
     check_console()
     if not series_dir.is_dir():
         raise PathProblem(f"{series_dir} does not exist", expected="the folder of a CT series")
     request = {
         "series": str(series_dir.resolve()),
         "plan": str((plan_file or series_dir.resolve().parent / "plan.toml").resolve()),
+        "folder": str(Path.cwd()),
         "port": port,
         "config": config and str(config.resolve()),
         "strategy": strategy,

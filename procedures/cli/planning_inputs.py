@@ -76,27 +76,35 @@ def load_theatre_arm(
 
 
 def require_theatre_options(
-    config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
+    config: Path | None,
+    robot_from_ct: SixNumbers | None,
+    home_deg: SixNumbers | None,
+    strategy: str,
+    *,
+    chosen_later: bool = False,
 ) -> None:
-    """Raise CLI-001 for conflicting options, STR-002 for an invalid strategy."""
+    """Raise CLI-001 for conflicting options, STR-002 for an invalid strategy.
+
+    With `chosen_later` theatre file and pose may come from the planner's page.
+    """
     from procedures.strategies.catalogue import find_strategy
     from ronna_hw.plausible import are_degrees
 
     find_strategy(strategy)
-    if config is None and strategy != DEFAULT_STRATEGY:
+    if config is None and strategy != DEFAULT_STRATEGY and not chosen_later:
         raise UsageMistake(
             f"--strategy {strategy} needs --config and --robot-from-ct: it orients an arm's stereo head"
         )
     if config is None and robot_from_ct is None and home_deg is None:
         return
-    if config is None or robot_from_ct is None:
+    if (config is None or robot_from_ct is None) and not chosen_later:
         raise UsageMistake("checking the motions needs both --config and --robot-from-ct")
-    for option, numbers in (("--robot-from-ct", robot_from_ct), ("--home", home_deg or ())):
+    for option, numbers in (("--robot-from-ct", robot_from_ct or ()), ("--home", home_deg or ())):
         if not all(math.isfinite(value) for value in numbers):
             raise UsageMistake(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
-    if 0.0 < (gap_mm := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
+    if robot_from_ct is not None and 0.0 < (gap_mm := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
         raise UsageMistake(
             f"--robot-from-ct: X Y Z puts the origin of the CT {gap_mm:.3g} mm from the centre of the base",
             expected=f"at least {NEAREST_CT_MM:g} mm",

@@ -12,6 +12,7 @@ from procedures.cli.calibrating.mount import app as calibrate_app
 from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
+from procedures.cli.theatre_history import theatre_history
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
@@ -111,6 +112,9 @@ def doctor_command(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also list the checks without a finding.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
@@ -128,12 +132,13 @@ def doctor_command(
 
     with progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress, out=out)
-    show(report, as_json=as_json)
+    show(report, as_json=as_json, everything=everything)
 
 
 add_commands(app)
 app.add_typer(calibrate_app, name="calibrate")
 app.command("new-theatre")(new_theatre)
+app.command("theatre-history")(theatre_history)
 
 
 def main() -> None:

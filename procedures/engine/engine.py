@@ -116,7 +116,7 @@ class Engine:
         self.running = key
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
-            self.events.publish(StepState(step=str(key), state="begun"))
+            self.events.publish(StepState(step=str(key), title=spec.title, state="begun"))
             _log.info("step begins", step=self._redact(str(key)))
             self.setting.room.announce(str(key))
             self.checkpoint.here(f"before {key}")
@@ -144,7 +144,13 @@ class Engine:
             self.find(f"{trajectory} was left out: {reason}")
         _log.info("step done", step=self._redact(str(key)), summary=self._redact(outcome.summary))
         self.events.publish(
-            StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
+            StepState(
+                step=str(key),
+                title=spec.title,
+                state="done",
+                summary=outcome.summary,
+                record=stored.record.identifier,
+            )
         )
         self._recheck_tool()
         self._finish_if_over()
@@ -381,7 +387,8 @@ class Engine:
         _log.error("step failed", step=self._redact(str(key)), error=code)  # its words are in the journal
         advice = problem.advice if isinstance(problem, RonnaError) else ""
         self.events.publish(Fault(code=code, what=str(problem), advice=advice))
-        self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
+        title = self.order.spec(key).title
+        self.events.publish(StepState(step=str(key), title=title, state="failed", summary=str(problem)))
         self._show_state(str(problem))
         with suppress(JournalNotWritable):  # the step's own error is reported
             self.faults.doubt_results()

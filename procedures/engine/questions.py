@@ -116,14 +116,22 @@ class Questions:
         if (place := instrument.inside) is None:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
-        self.perform_task(Task(OUT, removal_words(place), trajectory))
-        done = f"the {_instrument_name(place)} is out of {place} and out of the guide"
+        is_in_doubt = self._setting.workcell.place.assumed
+        look = (
+            f"look whether one is there; if so, {removal_words(place)}"
+            if is_in_doubt
+            else removal_words(place)
+        )
+        self.perform_task(Task(OUT, look, trajectory))
+        asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide?"
         if place == IN_DIVOT:
-            done = f"{place} is lowered, and hands are clear of it and of the guide"
+            asked = f"Is {place} lowered, and are hands clear of it and of the guide?"
+        doubt = "the journal does not say whether one went in; " if is_in_doubt else ""
         question = Question(
             Topic.INSTRUMENT_OUT,
-            done,
-            "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
+            asked,
+            f"{doubt}nothing moves while it is inside; afterwards the arm may move: stand clear before you "
+            "answer",
             (IS_OUT, INSIDE),
             trajectory,
             timeout_s=None,

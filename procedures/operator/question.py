@@ -273,6 +273,12 @@ class Operator(Protocol):
         ...
 
 
+def pick_answer(typed: str, answers: Sequence[str]) -> str | None:
+    """Return the answer that was typed, or None: in full, in upper or lower case, with or without quotes."""
+    word = " ".join(typed.split()).strip("'").casefold()
+    return next((answer for answer in answers if answer.casefold() == word), None)
+
+
 def join_answers(answers: Sequence[str]) -> str:
     """Join answers for display, such as `yes or no`, quoting answers of several words."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]

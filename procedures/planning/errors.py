@@ -1,4 +1,4 @@
-"""Errors in plans, PLAN-001 to PLAN-029, and in tool records, TOOL-002 and TOOL-003.
+"""Errors in plans, PLAN-001 to PLAN-032, and in tool records, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -192,7 +192,7 @@ class PlanInUse(RefusedError):
     """The plan is used by a running case, part of a run folder, or open in another planner."""
 
     code = "PLAN-026"
-    action = "You can still view it; save it when the case has ended, or under another --plan."
+    action = "You can still view it; save it when the case has ended or the other planner is closed."
 
 
 class NearStructure(PlanError):
@@ -223,6 +223,23 @@ class MarkersAdhesive(PlanError):
     action = (
         "Implant screws with spheres or the x-shaped frame, scan again, and plan on that CT. Adhesive "
         "markers move with the skin, and neither the tracker nor the stereo head sees them."
+    )
+
+
+class AcPcUnfit(PlanError):
+    """The points given as AC, PC and midline do not define an AC-PC frame."""
+
+    code = "PLAN-031"
+    action = "Click the centres of the anterior and the posterior commissure, then a point of the midline."
+
+
+class HeadPlaceUnknown(RefusedError):
+    """Reach cannot be checked without the pose of the head relative to the arm."""
+
+    code = "PLAN-032"
+    action = (
+        "Have the place for the cart found first, as described in the guide to the cart's place, and keep "
+        "place.json next to the plan. Then check reach again."
     )
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from procedures.planning.head_in_ct import HeadEllipsoid
     from procedures.planning.line_of_sight import StereoSight
     from procedures.planning.motions import PreviewedMotion
-    from procedures.planning.visits import ArmSetting, PathCheck
+    from procedures.planning.visits import ArmSetting, PathCheck, Unmet
     from procedures.strategies.strategy import Strategy
     from procedures.strategies.trajectory import Trajectory
 
@@ -64,7 +64,8 @@ class PlanCheck:
     """Result of a plan check. Any of the `findings` rejects the plan; `warnings` are left to the surgeon.
 
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
-    each trajectory's turn about its axis, and `paths` the joints. `distances` are from every trajectory to
+    each trajectory's turn about its axis, and `paths` the joints; otherwise `unmet` names what it does not
+    reach. `distances` are from every trajectory to
     every structure; `head` tells the sides of trajectories.
     """
 
@@ -74,6 +75,7 @@ class PlanCheck:
     motions: tuple[PreviewedMotion, ...] = ()
     turns_rad: tuple[tuple[str, float], ...] = ()
     paths: PathCheck | None = None
+    unmet: tuple[Unmet, ...] = ()
     distances: tuple[StructureDistance, ...] = ()
     head: HeadEllipsoid | None = None
 
@@ -297,8 +299,9 @@ def _check_arm(
                 if one.identifier in unreached_reasons
             }
         action_text = advice(alternatives_by_trajectory)
-        unmet = (NotReachable(f"{one.pose}: {one.reason}", action=action_text) for one in turned.check.unmet)
-        return replace(check, findings=tuple(unmet))
+        unmet = turned.check.unmet
+        findings = (NotReachable(f"{one.pose}: {one.reason}", action=action_text) for one in unmet)
+        return replace(check, findings=tuple(findings), unmet=unmet)
     motions: tuple[PreviewedMotion, ...] = ()
     if arm.scene is not None:
         motions = preview_motions(arm, arm.scene, turned.check, turned.axes.targeted)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from procedures.planning.errors import (
+    AcPcUnfit,
     AlteredPlan,
     BadTrajectoryGeometry,
     DuplicateTrajectory,
@@ -53,6 +54,10 @@ LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
 # Noun for an item of a list, and the key of its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
+GEOMETRY_ERRORS: dict[str, type[PlanError]] = {
+    "trajectory_geometry": BadTrajectoryGeometry,
+    "ac_pc_geometry": AcPcUnfit,
+}
 # Keys that plans of earlier versions lack, with advice.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
@@ -94,7 +99,7 @@ def parse_plan_bytes(content: bytes, name: str) -> Plan:
 
 
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
-    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023, listing every mistake.
+    """Check the content of a plan. Raises PLAN-002, 004, 005, 023 and 031, listing every mistake.
 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
@@ -108,7 +113,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
     except ValidationError as error:
         lines = describe_mistakes(error, Plan)
         for mistake, line in zip(mistakes_in(error), lines, strict=False):
-            kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
+            kind = GEOMETRY_ERRORS.get(mistake["type"], PlanMistakes)
             message = _name_item(line, mistake["loc"], content) + _advise_missing_key(mistake)
             found.append(kind(message))
     found += [

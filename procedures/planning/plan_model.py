@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from procedures.planning.ac_pc import AcPcFrame
+from procedures.planning.errors import AcPcUnfit
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
@@ -133,6 +135,22 @@ class Structure(Strict):
     )
 
 
+class AcPcPoints(Strict):
+    """Points that define the AC-PC frame, in CT coordinates (LPS, mm). They decide nothing in a case."""
+
+    ac_mm: Point = Field(description="Centre of the anterior commissure.")
+    pc_mm: Point = Field(description="Centre of the posterior commissure.")
+    midline_mm: Point = Field(description="Point of the midline, at least 10 mm off the line through both.")
+
+    @model_validator(mode="after")
+    def _check_frame(self) -> AcPcPoints:
+        try:
+            AcPcFrame.from_points(self.ac_mm, self.pc_mm, self.midline_mm)
+        except AcPcUnfit as unfit:
+            raise PydanticCustomError("ac_pc_geometry", "{what}", {"what": unfit.summary}) from None
+        return self
+
+
 def _check_count(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
     # Not a length constraint on the field, whose message would suspect a decimal comma.
     if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
@@ -185,6 +203,9 @@ class Plan(Strict):
     )
     structures: Annotated[tuple[Structure, ...], Field(min_length=1, max_length=MOST_STRUCTURES)] | None = (
         Field(default=None, description="Structures that the trajectories avoid.")
+    )
+    ac_pc: AcPcPoints | None = Field(
+        default=None, description="Points of the AC-PC frame, if coordinates are read in it."
     )
     seal: Seal | None = Field(
         default=None, description="Seal of the planner; remove it to edit the file by hand."

@@ -10,7 +10,9 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform
 
+from procedures.planning.cart_place import CartMove
 from procedures.planning.errors import PlaceUnfit
 from ronna_hw.arm.pose import Pose
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
@@ -66,11 +68,8 @@ class ProposedPlace(Strict):
 
     def drift(self, robot_from_ct: Transform) -> ProposalDeviation:
         """Return the cart's deviation, given the pose ROBOT <- CT at its actual position."""
-        assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
-        assumed_ct = Transform.of(
-            Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
-        )
-        moved = assumed_ct.rigid * robot_from_ct.rigid.inv()  # the current base in the base assumed then
+        # the current base in the base assumed then
+        moved = self._assumed * robot_from_ct.rigid.inv()
         x_mm, y_mm, z_mm = moved.translation.tolist()
         axes = moved.rotation.as_matrix()
         turned_deg = math.degrees(math.atan2(axes[1, 0], axes[0, 0]))
@@ -82,6 +81,12 @@ class ProposedPlace(Strict):
             head_deg=math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0)))),
         )
 
+    @property
+    def robot_from_ct(self) -> tuple[float, float, float, float, float, float]:
+        """Pose of the CT in $ROBROOT with the cart where it is proposed: X Y Z A B C in mm and deg."""
+        moved = CartMove(*self.best_mm, math.radians(self.turned_deg)).to_cart_frame(self._assumed)
+        return Pose.from_matrix(moved.as_matrix().tolist()).to_kuka()
+
     def allows(self, drift: ProposalDeviation) -> bool:
         """Return whether a deviation is within the position tolerance and the examined rotations."""
         most_negative_deg, most_positive_deg = self.turns_deg
@@ -90,6 +95,13 @@ class ProposedPlace(Strict):
         return drift.off_mm <= free_mm and (
             not turned or -most_negative_deg <= drift.turned_deg <= most_positive_deg
         )
+
+    @property
+    def _assumed(self) -> RigidTransform:
+        assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
+        return Transform.of(
+            Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
+        ).rigid
 
 
 @dataclass(frozen=True)

@@ -40,10 +40,11 @@ from procedures.reporting.calibration_figures import (
     TipFigures,
     write_figures,
 )
-from procedures.runs.calibration_files import write_records, write_theatre
+from procedures.runs.calibration_files import update_theatre, write_records
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.reopening import close_completed_run
 from procedures.runs.request import RunRequest
+from procedures.runs.theatre_history import Signature
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import ObservedBall
 from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -138,12 +139,13 @@ def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunReques
 def write_calibration_files(
     kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks, result: Result, folder: Path
 ) -> None:
-    """Write the result files of a calibration and, if requested, an updated theatre file."""
+    """Write the result files of a calibration and, if requested, update the theatre file."""
     kind.keep(looks, result, folder)
     write_records(kind.records_of(result), folder)
     write_figures(kind.figures(result), folder)
-    if request.calibration.write is not None and request.config is not None:
-        write_theatre(request.config, request.calibration.write, kind.records_of(result), looks.created)
+    if request.calibration.update and request.config is not None:
+        signature = Signature(f"calibration {kind.name}", source=str(folder.resolve()))
+        update_theatre(request.config, kind.records_of(result), looks.created, signature)
 
 
 def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Case, folder: Path) -> None:

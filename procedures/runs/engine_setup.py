@@ -38,7 +38,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files
+from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files, sha256_of
 from ronna_hw.host.processor import name_processor
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, tape_device
@@ -148,6 +148,7 @@ def build_engine(
         **opening,
         **hash_truth_files(folder),
         inputs=theatre_inputs(folder, previous),
+        theatre_sha256=sha256_of(file),
         run=case.run,
         software=str(identify_software()),
         processor=name_processor(),

@@ -96,6 +96,12 @@ class InterruptedRun:
         return str(hashes[-1]) if hashes else None
 
     @property
+    def theatre_sha256(self) -> str | None:
+        """Hash of the theatre file when the run was first opened, or None if not recorded."""
+        first = self.run.journal[0] if self.run.journal else {}
+        return None if first.get("theatre_sha256") is None else str(first["theatre_sha256"])
+
+    @property
     def begun(self) -> StepKey | None:
         """Step that was running when the program was killed, or None."""
         course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]

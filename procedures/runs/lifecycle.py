@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import shutil
 import signal
 import threading
@@ -25,6 +26,7 @@ from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measure
 from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.command_line.messages import fail_with, tell
+from ronna_hw.control_port import VARIABLE
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import SCENE_FILE
@@ -122,7 +124,7 @@ def open_engine(
         simulated, not_home = None, None
         if request.config is not None:
             file = request.config
-            not_home, room = _hold_configured_theatre(file, folder, observers, resumption, stack)
+            not_home, room = _hold_configured_theatre(request, file, folder, observers, resumption, stack)
         else:
             simulated, room = _start_simulated(request, folder, observers, resumption, phantom, stack)
             file = simulated.theatre.file
@@ -160,13 +162,14 @@ def open_engine(
             ended_by = problem if isinstance(problem, RonnaError) else None
             raise
         finally:
-            if engine.instrument_in is not None:
-                tell(f"an instrument is still in {engine.instrument_in}: the arm does not move")
+            if (instrument := engine.setting.workcell.place.instrument_description) is not None:
+                tell(f"{instrument}: the arm does not move")
             with defer_interruption():
                 engine.close(outcome, ended_by)
 
 
 def _hold_configured_theatre(
+    request: RunRequest,
     file: Path,
     folder: Path,
     observers: RunObservers,
@@ -182,7 +185,10 @@ def _hold_configured_theatre(
     only_leaving = resumption is not None and resumption.only_leaving
     note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
     not_home = arm_not_home(note, folder)
-    room = observers.staff(is_simulated(read_theatre_file(file)))
+    if request.ask and (control := os.environ.get(VARIABLE)):  # it is not needed to acknowledge a fault
+        room = observers.by_word(SimulatedRoom(control))
+    else:
+        room = observers.staff(is_simulated(read_theatre_file(file)))
     return not_home, room if observers.executor is None else observers.executor.staff(room)
 
 
@@ -223,9 +229,12 @@ def _start_simulated(
     simulated.await_theatre()
     control = simulated.theatre.control
     observers.announce(f"control port {control}")
-    room = SimulatedRoom(control)
-    stack.push(room.tell_missed_faults(observers.announce))
-    return simulated, room
+    staff = SimulatedRoom(control)
+    stack.push(staff.tell_missed_faults(observers.announce))
+    if not request.ask:
+        return simulated, staff
+    room = observers.by_word(staff)
+    return simulated, room if observers.executor is None else observers.executor.staff(room)
 
 
 def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:

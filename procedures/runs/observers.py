@@ -37,6 +37,10 @@ NOBODY_ACCEPTS = (
     "warning: standard input is not a terminal, so nobody can accept what was found: run at a terminal, "
     "with --accept, or with --answers FILE"
 )
+ASKED = "every question of a real case is asked here; manual work is done by the word that is asked for"
+ASKED_AT_CONSOLE = (
+    "questions are asked at the console; manual work is done here, by the word that is asked for"
+)
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
@@ -78,6 +82,7 @@ class RunObservers:
     opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
     person: Operator = field(default_factory=SilentOperator)  # at the terminal
     staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre
+    by_word: Callable[[Room], Room] = lambda staff: staff  # of a simulated theatre, told by a person's words
     held: HeldPrompt | None = None  # without one a held case ends
     at_pause: Operator | None = None  # who answers a pause, if not the person
     executor: OrderExecutor | None = None  # of a console that operates the case
@@ -93,6 +98,10 @@ def operator_selection(
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
     configured = request.config is not None
+    if request.ask:
+        observers.announce(ASKED if observers.executor is None else ASKED_AT_CONSOLE)
+    elif not request.has_person:
+        observers.announce(_describe_script(request, observers, resumption))
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     accepted = resumption is not None and resumption.accepted
     file_answers_all = answers is not None and is_rehearsal(request.config)
@@ -115,7 +124,7 @@ def operator_selection(
             (prompt, {Topic.PAUSE}, True),
             (script, {Topic.RESUME}, accepted),
             (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, configured),
+            (person, ALL_TOPICS, request.has_person),
             (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
             (script, ALL_TOPICS, True),  # in a simulated theatre of its own
         )
@@ -129,6 +138,14 @@ def operator_selection(
         return operator
     person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
     return observers.executor.operator(operator, script_at_pause=not person_present)
+
+
+def _describe_script(request: RunRequest, observers: RunObservers, resumption: Resumption | None) -> str:
+    """Return the first line of a rehearsal without a person: who answers in it."""
+    by_file = "" if request.answers is None else " that the file of answers leaves"
+    until = "" if observers.executor is None else " until somebody takes the operator's seat"
+    hint = "; --ask asks you" if resumption is None else ""
+    return f"a script answers the questions{by_file} and does the manual work{until}{hint}"
 
 
 def _apply_rules(rules: Iterable[Rule]) -> Operator:

@@ -20,6 +20,8 @@ from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.request_file import read_request
+from procedures.runs.theatre_history import describe_updates_since, find_state, read_states
 from procedures.runs.theatre_note import NOT_KNOWN
 from procedures.runs.way_out import (
     MOVED_SINCE,
@@ -36,6 +38,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
+from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, TipReadings.kind)  # steps in which the guide is mounted
@@ -135,6 +138,8 @@ def _restore_arm(
         comparison.warn(f"an instrument is in {inside}, as the journal says")
     begun = _has_exchange_begun(engine, previous)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
+    if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
+        comparison.refuse(updates)
     _compare_last_to_move(engine, comparison)
     if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
         axis, travel_mm = found
@@ -150,6 +155,25 @@ def _restore_arm(
         comparison.warn("the guide is at the divot, which is assumed to be raised")
     if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
         workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
+
+
+def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
+    """Describe the theatre file's updates since a run, and the command that undoes them, as far as known."""
+    recorded = previous.theatre_sha256
+    config = None if recorded is None else read_request(previous.folder).config
+    if config is None or recorded is None:
+        return None
+    try:
+        updates = describe_updates_since(config, recorded)
+        number = find_state(read_states(config), recorded)
+    except (OSError, RonnaError):  # it explains the differences, which are said in any case
+        return None
+    if updates is None or number is None:
+        return updates
+    command = (
+        f"ronna-procedure theatre-history {shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
+    )
+    return f"{updates}; {command} puts the former records back"
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:

@@ -110,7 +110,7 @@ class CalibrationProcedure:
 
     recipe: Mapping[str, JsonValue]  # as `Recipe` writes it
     days: int
-    write: Path | None = None  # the theatre file with the new records
+    update: bool = False  # the theatre file, with the new records
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +136,12 @@ class RunRequest:
     speed: str = "max"
     faults: Path | None = None
     answers: Answers | None = None  # of a scripted operator
+    ask: bool = False  # a person does the manual work of a simulated theatre by a word, and is asked all
+
+    @property
+    def has_person(self) -> bool:
+        """Whether a person, not a script, answers what no file does."""
+        return self.ask or self.config is not None
 
     @property
     def seed(self) -> int | None:

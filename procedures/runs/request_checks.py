@@ -6,7 +6,9 @@ imported while that is under way.
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,8 +17,10 @@ from procedures.journal.free_space import describe_shortage
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
+from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import read_theatre_file
-from ronna_hw.theatre_kind import require_one_kind
+from ronna_hw.control_port import VARIABLE
+from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
     from procedures.runs.request import RunRequest, SceneChoice
@@ -29,8 +33,9 @@ _TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
 def check_theatre(request: RunRequest) -> None:
     """Check theatre file and records before anything is opened. Raises CFG-001, CAL-001, CAL-005.
 
-    PRO-043 while another run has its devices.
+    PRO-043 while another run has its devices, CLI-001 if nobody can be asked.
     """
+    check_asking(request)
     if request.choice.records:
         from procedures.runs.calibration_files import require_records
 
@@ -43,6 +48,32 @@ def check_theatre(request: RunRequest) -> None:
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
         require_free_theatre(request.config)
+
+
+def check_asking(request: RunRequest) -> None:
+    """Raise CLI-001 if a run with --ask has no terminal, or its theatre no staff who can be told by words."""
+    if not request.ask:
+        return
+    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+        raise UsageMistake(
+            "--ask needs a terminal, where a person is asked and answers",
+            got="standard input or standard error is not a terminal",
+            action="Run it at a terminal; --answers FILE answers without one, in a run begun without --ask.",
+        )
+    if request.config is None:
+        return
+    if not is_simulated(read_theatre_file(request.config)):
+        raise UsageMistake(
+            "--ask is for a simulated theatre",
+            got=str(request.config),
+            action="Omit it: on real devices every question is asked, and people do the manual work.",
+        )
+    if not os.environ.get(VARIABLE):
+        raise UsageMistake(
+            f"--ask needs the control port of the theatre in {VARIABLE}, where manual work is done by a word",
+            action='Type eval "$(ronna-sim env THEATRE-FOLDER)"; a new run may omit --ask, and the work is '
+            "done with ronna-sim.",
+        )
 
 
 def check_case(request: RunRequest, out: Path) -> None:

@@ -31,7 +31,7 @@ class CalibrationFile(BaseModel):
 
     recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
     days: int = Field(ge=1, description="Validity of its records.")
-    write: Path | None = Field(default=None, description="Theatre file to write, with the new records.")
+    update: bool = Field(default=False, description="Whether its records go into the theatre file.")
 
 
 class RequestFile(BaseModel):
@@ -60,6 +60,7 @@ class RequestFile(BaseModel):
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
+    ask: bool = Field(default=False, description="Whether a person answers, and does manual work by words.")
     answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
     calibration: CalibrationFile | None = Field(
         default=None, description="What to calibrate, if it is not a case."
@@ -86,6 +87,7 @@ def _theatre(request: RunRequest) -> dict[str, Any]:
         records=tuple(folder.resolve() for folder in choice.records),
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
+        ask=request.ask,
         config=request.config and request.config.resolve(),
         answers=None if request.answers is None else request.answers.model_dump(mode="json"),
     )
@@ -102,8 +104,8 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
                 case=case.case and case.case.resolve(),
                 plan=case.plan and case.plan.resolve(),
             )
-        case CalibrationProcedure(recipe=recipe, days=days, write=write):
-            file = CalibrationFile(recipe=dict(recipe), days=days, write=write and write.resolve())
+        case CalibrationProcedure(recipe=recipe, days=days, update=update):
+            file = CalibrationFile(recipe=dict(recipe), days=days, update=update)
             return {"calibration": file}
         case _:
             raise AssertionError("only cases and calibrations are resumed")
@@ -125,7 +127,7 @@ def read_request(folder: Path) -> RunRequest:
     procedure: CaseProcedure | CalibrationProcedure
     if (calibration_file := content.calibration) is not None:
         procedure = CalibrationProcedure(
-            recipe=calibration_file.recipe, days=calibration_file.days, write=calibration_file.write
+            recipe=calibration_file.recipe, days=calibration_file.days, update=calibration_file.update
         )
     elif content.strategy is not None:
         procedure = CaseProcedure(
@@ -144,6 +146,7 @@ def read_request(folder: Path) -> RunRequest:
         choice=SceneChoice(**{one.name: getattr(content, one.name) for one in fields(SceneChoice)}),
         speed=content.speed,
         faults=content.faults,
+        ask=content.ask,
         answers=None if content.answers is None else _answers(path, content.answers),
     )
 

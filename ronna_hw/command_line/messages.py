@@ -126,6 +126,7 @@ def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[i
     return widths
 
 
+BAR_WIDTH = 24  # beside a description of 45 characters in a line of 80
 PROGRESS_DELAY_S = 2.0  # no bar for shorter work
 Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
@@ -154,12 +155,12 @@ class ProgressBar:
         self._task = None if self._bar is None else self._bar.add_task(description, total=1.0)
         self._started = False
 
-    def __call__(self, share: float) -> None:
-        """Report the completed fraction, 0 to 1."""
+    def __call__(self, share: float, description: str = "") -> None:
+        """Report the completed fraction, 0 to 1, of what was described last."""
         if self._bar is None or self._task is None:
             return
         with self._writing:
-            self._bar.update(self._task, completed=share)
+            self._bar.update(self._task, completed=share, description=printable(description) or None)
             if not self._started and not self._is_hidden and self._now_s() > self._began_s + PROGRESS_DELAY_S:
                 self._started = True
                 self._bar.start()
@@ -193,7 +194,7 @@ class ProgressBar:
 
         return Bar(
             TextColumn("{task.description}", markup=False),
-            BarColumn(),
+            BarColumn(BAR_WIDTH),
             TimeElapsedColumn(),
             console=message_console(),
             transient=True,

@@ -41,6 +41,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 class Diagnostic:
     """Doctor finding: subject, verdict, observation, advice.
 
+    `command` is one that a person can copy, and that solves the problem or says more about it.
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
     JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
     endpoint; None where nothing did.
@@ -53,6 +54,7 @@ class Diagnostic:
     section: str = ""
     document: Mapping[str, Any] | None = None
     serials: Mapping[str, str | None] = field(default_factory=dict)
+    command: str = ""
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+
 CAMERAS = 2
 FAULTS_OF = ("camera", "room")  # devices whose faults this simulator can have alone
 
@@ -23,6 +25,7 @@ def basler(
     ] = None,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
 ) -> None:
     """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
@@ -31,6 +34,9 @@ def basler(
     from sim.basler.server import CameraPair
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
+    if detach and not IN_BACKGROUND:
+        start_in_background("basler")
+        return
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):
         raise typer.BadParameter("give two addresses, left then right, or none", param_hint="--address")

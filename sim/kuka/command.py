@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+
 if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
 
@@ -64,6 +66,7 @@ def kuka(
     ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated.
@@ -86,6 +89,9 @@ def kuka(
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
+        return
+    if detach and not IN_BACKGROUND:
+        start_in_background("kuka")
         return
     parameters = parse_parameters(parameter or ())
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+
 SERIAL_PTY = "serial-pty"
 FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can have
 
@@ -38,6 +40,7 @@ def polaris(
         bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
     ] = False,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
@@ -55,6 +58,9 @@ def polaris(
     if list_parameters:
         for name, value, meaning in rows(UnitBehaviour):
             typer.echo(f"{name}={value}  {meaning}")
+        return
+    if detach and not IN_BACKGROUND:
+        start_in_background("polaris")
         return
     address = None if endpoint == SERIAL_PTY else parse_endpoint(endpoint, listening=True).require("tcp")
     behaviour = parse_behaviour(setting or [])

@@ -11,7 +11,8 @@ import typer
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
-from ronna_hw.control_port import ask_control_port
+from ronna_hw.control_port import VARIABLE, ask_control_port
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
 from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
@@ -19,8 +20,10 @@ if TYPE_CHECKING:
 
     from sim.theatre.launch import Theatre
 
-CONTROL = "RONNA_CONTROL"  # in the environment; on the command line every user here could read the token
-ControlOption = Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")]
+CONTROL = VARIABLE  # on the command line every user here could read the token
+ControlOption = Annotated[
+    str, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
+]
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
@@ -98,6 +101,7 @@ def theatre(
             help="Change a parameter of the robot or the tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
+    detach: DetachOption = False,
 ) -> None:
     """Simulate a whole theatre and write its theatre.toml, until terminated."""
     import threading
@@ -110,6 +114,9 @@ def theatre(
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
+    if detach and not IN_BACKGROUND:
+        start_in_background("theatre")
+        return
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
     scene_source = str(saved_scene) if continued and saved_scene.exists() else scene
     if scene_source == str(saved_scene):
@@ -235,7 +242,7 @@ def move(
         bool, typer.Option("--anyway", help="Move it even with an instrument in the guide.")
     ] = False,
     control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
     ] = None,
 ) -> None:
     """Wheel the cart of an arm to another place in a running theatre, as the staff would."""
@@ -260,8 +267,8 @@ def _require_control(control: str | None, purpose: str) -> str:
         raise UsageMistake(
             f"no control port {purpose}",
             expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
-            action="Copy it from the output of ronna-procedure run --sim or step --sim, or from the READY "
-            "line.",
+            action='Run eval "$(ronna-sim env CELL)", as ronna-sim list names it; ronna-procedure run --sim '
+            "and step --sim print theirs.",
         )
     return control
 
@@ -289,7 +296,7 @@ def fault(
         ),
     ] = None,
     control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
     ] = None,
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:

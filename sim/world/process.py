@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 
@@ -18,9 +18,11 @@ from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
 from ronna_hw.host.process import PARENT, resume_garbage_collection
 from sim.errors import BadScene
+from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import DEVICES, read_faults
 from sim.world.options import Carrier
+from sim.world.running import register
 from sim.world.scene.model import ArmResidual, Scene, read_scene
 from sim.world.scene.named_scenes import SCENES, draw_scene
 from sim.world.world import World
@@ -38,11 +40,23 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
         content["endpoint"] = endpoint
     if control is not None:
         content["control"] = control
-    print("READY " + json.dumps({**content, **more}), flush=True)  # noqa: T201 - this line is the contract
+    content |= more
+    if _has_control_port(content):  # else it is a device of a theatre
+        if IN_BACKGROUND:
+            hand_over()
+        register(content, in_background=IN_BACKGROUND)
+    print("READY " + json.dumps(content), flush=True)  # noqa: T201 - this line is the contract
+    if IN_BACKGROUND:
+        leave_output()
+
+
+def _has_control_port(content: Mapping[str, object]) -> bool:
+    endpoints = content.get("endpoints")
+    return "control" in content or (isinstance(endpoints, Mapping) and "control" in endpoints)
 
 
 def end_with_parent(end: Callable[[], None]) -> None:
-    """Call `end` on SIGTERM or SIGINT, or when the parent process has ended.
+    """Call `end` on SIGTERM or SIGINT, or when the parent process has ended before a hand-over.
 
     `end` must make the process leave its main loop; if it still runs 1.5 s later, it is killed with its
     descendants.
@@ -62,7 +76,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
         leave()
 
     def watch() -> None:
-        while not PARENT.is_gone:
+        while Handover.done or not PARENT.is_gone:
             time.sleep(PARENT_CHECK_S)
         with contextlib.suppress(OSError):  # there may be no reader left
             sys.stderr.write(PARENT_GONE)

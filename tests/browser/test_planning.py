@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import shutil
 import subprocess
 import tomllib
@@ -36,6 +38,7 @@ from page_reading import (
     without_name,
 )
 from painted_ct import write_series
+from recording_cell import mini_theatre_file
 from waiting import eventually
 
 from console.planning.slice_panel import CHOSEN
@@ -43,6 +46,11 @@ from procedures.planning.plan_lock import lock_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]
+FIRST_PICTURE_LIMIT_S = 1.5
+FIRST_PICTURE_OWN_S = 0.75  # of processor in the page: a computer with nothing else to do shows it in time
+DRAWN_S = """
+() => document.querySelector("[data-plane=axial] img")?.naturalWidth > 1 && performance.now() / 1000
+"""
 CENTRE_OF = """
 which => {
   const box = document.querySelector(which)?.getBoundingClientRect();
@@ -177,14 +185,19 @@ def test_an_end_can_be_dragged_and_the_whole_drag_undone_or_set_from_the_keyboar
     assert page.locator(".scenebox >> text=WebGL").count() > 0
 
 
-def test_no_address_title_or_message_of_the_planner_names_the_patient(page: Any, tmp_path: Path) -> None:
+def test_the_head_of_the_page_names_the_patient_and_no_address_title_or_message_does(
+    page: Any, tmp_path: Path
+) -> None:
     voxels = np.full((30, 40, 40), -1000, dtype=np.int16)
     voxels[5:25, 10:30, 10:30] = 40
     series = write_series(tmp_path / "ct", voxels, (3.0, 3.0, 3.0))
     with open_planner(tmp_path, series) as addresses:
         enter_planner(page, addresses["url"])
         page.wait_for_selector(".said[data-code^=CT-]")  # no spheres
-        said_by_page = (page.title(), page.url, *page.requested, page.content())
+        assert "Secret Name identifier SECRET-ID" in page.locator(".head .patient").inner_text()
+        page.evaluate("document.querySelector('.patient').remove()")
+        body = page.locator("body").inner_text()
+        said_by_page = (page.title(), page.url, *page.requested, body)
     for shown in (*said_by_page, (tmp_path / "planner-errors").read_text()):
         assert "secret" not in shown.lower()
 
@@ -237,14 +250,50 @@ def test_structures_can_be_drawn_and_imported_and_reject_a_trajectory_that_comes
     assert page.complaints == []
 
 
-def test_the_planner_has_readable_text_and_named_controls_reachable_by_tab_in_light_and_dark(
-    opened: Open, page: Any, plan: Path
+def test_the_planner_opens_on_its_target_within_a_moment_and_enlarges_measures_and_is_read_by_tab_and_eye(
+    page: Any, patient: Path, plan: Path, tmp_path: Path
 ) -> None:
-    enter_planner(page, opened(plan)["url"])
-    await_judged(page)
-    page.get_by_label("crosshair to the target").click()
-    click_picture(page, "axial", 0.5, 0.2)
-    page.get_by_role("button", name="draw a structure").click()
+    theatre = mini_theatre_file(tmp_path, simulated=True)
+    options = ("--plan", plan, "--config", theatre)
+    with open_planner(tmp_path, patient / "ct", *options) as addresses:
+        enter_planner(page, addresses["url"])
+        await_judged(page)
+        assert "S 820.1" in page.locator(".large .slicehead").inner_text()
+        wall_s, own_s = first_picture_s(page)
+        assert own_s < FIRST_PICTURE_OWN_S
+        assert wall_s < FIRST_PICTURE_LIMIT_S or is_busy()
+        click_picture(page, "coronal", 0.5, 0.5)
+        page.wait_for_selector(".large [data-plane=coronal]")
+        assert page.locator(".board > .small").count() == 3
+        page.get_by_role("button", name="measure").click()
+        picture = page.locator("[data-plane=coronal]")
+        for key in ("Enter", "Shift+ArrowRight", "Enter"):
+            picture.press(key)
+        page.wait_for_selector(".hint >> text=/Distance [1-9]/")
+        page.locator("[data-do=reach]").click()
+        assert not re.search("ronna-|--[a-z]|/", said(page, "PLAN-032"))
+        page.locator("[data-do=help]").click()
+        page.wait_for_selector("text=not a certified medical device")
+        page.get_by_role("button", name="draw a structure").click()
+        assert_read_by_tab_and_eye(page)
+
+
+def first_picture_s(page: Any) -> tuple[float, float]:
+    """From asking for the page to its large picture: time, and processor of the page's own thread."""
+    session = page.context.new_cdp_session(page)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
+    page.reload()
+    wall_s = float(page.wait_for_function(DRAWN_S).json_value())
+    figures = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
+    return wall_s, float(figures["TaskDuration"])
+
+
+def is_busy() -> bool:
+    """Whether other programs want the processors: a browser of lowest priority then waits for them."""
+    return os.getloadavg()[0] > 1.5 * len(os.sched_getaffinity(0))
+
+
+def assert_read_by_tab_and_eye(page: Any) -> None:
     assert low_contrast_by_scheme(page) == {}
     assert without_name(page) == []
     assert not_reached_by_tab(page) == []

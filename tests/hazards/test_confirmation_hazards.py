@@ -15,8 +15,9 @@ from typing import cast
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.operators import Alarms, TerminalOperator, TerminalRoom
+from procedures.cli.case.operators import Alarms, TerminalOperator
 from procedures.cli.case.prompt import Prompt
+from procedures.cli.case.staff import TerminalRoom
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions

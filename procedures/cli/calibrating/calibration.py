@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.case_view import EventFollower
-from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
-from procedures.engine.events import Event, Progress
+from procedures.cli.case.operators import WritePrompt, write_prompt
+from procedures.cli.case.staff import terminal_observers
+from procedures.engine.events import Event, Progress, StepState
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
-from procedures.runs.calibration_files import read_finished_figures, require_same_folder
+from procedures.runs.calibration_files import read_finished_figures
 from procedures.runs.calibrations import (
     KINDS,
     CalibrationKind,
@@ -31,6 +32,8 @@ from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import prepare_folder, require_free_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.request_checks import check_asking
+from procedures.runs.theatre_lock import require_free_theatre
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import ProgressBar
@@ -57,13 +60,13 @@ def calibrate(
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
-    if command_options.write is not None and theatre.config is not None:
-        require_same_folder(theatre.config, command_options.write)  # before anything is measured
     procedure = CalibrationProcedure(
-        recipe=recipe.model_dump(mode="json"), days=command_options.days, write=command_options.write
+        recipe=recipe.model_dump(mode="json"), days=command_options.days, update=command_options.update
     )
     request = replace(theatre, procedure=procedure)
     if command_options.recorded is not None:
+        if command_options.update and theatre.config is not None:
+            require_free_theatre(theatre.config)  # a run would find its records changed
         recorded = kind.read_looks(command_options.recorded)
         result = compute_calibration(kind, request, recorded)
         folder = new_run_folder(None, command_options.out, kind.name)
@@ -75,9 +78,8 @@ def calibrate(
         folder = new_run_folder(request, command_options.out, kind.name)
         with hold_run(folder), finalize_run(folder, with_truth=False):
             _measure(kind, request, folder)
-    show(
-        read_finished_figures(folder), folder, written=command_options.write, as_json=command_options.as_json
-    )
+    updated = theatre.config if command_options.update else None
+    show(read_finished_figures(folder), folder, updated=updated, as_json=command_options.as_json)
 
 
 def resume_calibration(
@@ -96,6 +98,7 @@ def resume_calibration(
     else:
         complete = has_every_look(request, interrupted)
         if not complete:
+            check_asking(request)
             require_free_devices(request)
         prepare_folder(interrupted)
         with finalize_run(folder, interrupted, with_truth=False):
@@ -103,7 +106,8 @@ def resume_calibration(
                 finish_calibration(kind, request, interrupted)
             else:
                 _measure(kind, request, folder, Resumption(interrupted, accepted))
-    show(read_finished_figures(folder), folder, written=request.calibration.write, as_json=as_json)
+    updated = request.config if request.calibration.update else None
+    show(read_finished_figures(folder), folder, updated=updated, as_json=as_json)
 
 
 def _measure(
@@ -166,35 +170,46 @@ def check_calibration(
 
 
 def bar_observers(bar: ProgressBar) -> RunObservers:
-    """Return observers that show progress in `bar` and hide it during questions."""
+    """Return observers that show each step's own progress in `bar` and hide it during questions.
 
-    def advance(events: Sequence[Event]) -> None:
-        for event in events:
-            if isinstance(event.what, Progress):
-                bar(event.what.share)
+    Steps take seconds or an hour, so their number says nothing about the time left.
+    """
+
+    def follow(engine: Engine) -> None:
+        numbers = {str(key): number for number, key in enumerate(engine.order.sequence, 1)}
+
+        def advance(events: Sequence[Event]) -> None:
+            for event in events:
+                match event.what:
+                    case StepState(state="begun", step=step, title=title):
+                        bar(0.0, f"{numbers[step]} of {len(numbers)}: {title}")
+                    case Progress(share=share):
+                        bar(share)
+                    case _:
+                        pass
+
+        EventFollower(engine.events, advance).start()
 
     @contextmanager
     def asking() -> Iterator[WritePrompt]:
         with bar.hidden():  # it would write over the question
             yield write_prompt
 
-    return terminal_observers(asking, lambda engine: EventFollower(engine.events, advance).start())
+    return terminal_observers(asking, follow)
 
 
-def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json: bool) -> None:
-    """Show the figures of a finished calibration and the path of the `written` theatre file."""
+def show(figures: RecordFigures, folder: Path, *, updated: Path | None, as_json: bool) -> None:
+    """Show the figures of a finished calibration and the theatre file that was `updated`."""
     if as_json:
         terminal.print_json({**figures.as_json(), "folder": str(folder)})
         return
     rows = [[one.name, one.value, one.spread] for one in figures.table()]
     terminal.print_table(f"calibration {figures.calibration}", ["", "value", "standard error"], rows)
     record_files = (
-        f"written to {written}"
-        if written
-        else (
-            "copy calibration.toml into the theatre file, or use --write; with --sim use "
-            f"--calibration {folder}"
-        )
+        f"now in force in {updated}"
+        if updated
+        else f"not yet in force: repeat with --from {folder} --config FILE --update; with --sim use "
+        f"--calibration {folder}"
     )
     terminal.tell(f"records in {folder}: {record_files}")
     for warning in figures.warnings():

@@ -18,7 +18,7 @@ from ronna_hw.command_line.terminal import JsonOption
 if TYPE_CHECKING:
     from ronna_hw.calibration import Numbers3
 
-USED_TO_RECOMPUTE = frozenset({"recorded", "config", "write", "days", "out", "as_json"})
+USED_TO_RECOMPUTE = frozenset({"recorded", "config", "update", "days", "out", "as_json"})
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,12 @@ class CalibrationOptions(MeasuringOptions):
         typer.Option("--from", metavar="FOLDER", help="Recompute from the measurements in this folder."),
     ] = None
     days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the records, in days.")] = 30
-    write: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the theatre file with the new records, next to --config."),
-    ] = None
+    update: Annotated[
+        bool,
+        typer.Option(
+            "--update", help="Put the new records into the theatre file --config; it keeps a history."
+        ),
+    ] = False
 
     def source(self, context: typer.Context) -> RunRequest:
         """Return the run request for a theatre to measure in, or for recomputing from recorded measurements.
@@ -53,8 +55,8 @@ class CalibrationOptions(MeasuringOptions):
         has_no_source = self.recorded is None and not self.sim and self.config is None
         if has_no_source or (self.recorded is not None and self.sim):
             raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
-        if self.write is not None and self.config is None:
-            raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+        if self.update and self.config is None:
+            raise UsageMistake("--update needs the theatre file to put the records into: --config FILE")
         if self.recorded is not None and (idle := _list_other_options(context, USED_TO_RECOMPUTE)):
             raise UsageMistake(
                 f"{idle} and --from cannot be combined",

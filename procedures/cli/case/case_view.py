@@ -60,21 +60,26 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
         case StepState(step=step, state="superseded", record=record, summary=reason):
             how = f"no longer holds: {reason}" if reason else f"is superseded by a new {step}"
             return Entry(*MARKS["superseded"], f"{record} {how}")
-        case StepState(step=step, state="failed", summary=summary) if not errors:
-            return Entry(*FAILED, f"{step:<26} {_code_of(summary)}")
-        case StepState(step=step, state=state, summary=summary):
-            return Entry(*MARKS.get(state, FAILED), f"{step:<26} {summary}")
+        case StepState(state="failed", summary=summary) as step if not errors:
+            return Entry(*FAILED, f"{_name_step(step)}: {_code_of(summary)}")
+        case StepState(state=state, summary=summary) as step:
+            return Entry(*MARKS.get(state, FAILED), f"{_name_step(step)}: {summary}")
         case Advisory(text=text):
             return Entry("!", "yellow", text)
         case _:
             return None
 
 
+def _name_step(step: StepState) -> str:
+    """Name a step in words, with its code beside."""
+    return f"{step.title} ({step.step})" if step.title else step.step
+
+
 def plain_line_of(event: Event) -> str | None:
     """Return a plain line for a finished step, voided result or finding, or None for other events."""
     match event.what:
-        case StepState(step=step, state="done", summary=summary):
-            return f"done {step}: {summary}"
+        case StepState(step=step, title=title, state="done", summary=summary):
+            return f"done {step} ({title}): {summary}"  # scripts await its code
         case StepState(state="superseded", record=record, summary=reason) if reason:
             return f"note: {record} no longer holds: {reason}"
         case Advisory(text=text):

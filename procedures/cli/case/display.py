@@ -20,8 +20,9 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.case_view import EventFollower, Show, plain_line_of
-from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
+from procedures.cli.case.operators import WritePrompt, write_prompt
 from procedures.cli.case.prompt import Prompt
+from procedures.cli.case.staff import terminal_observers
 from procedures.engine.events import Event
 from procedures.runs.case_outcome import build_unfinished_outcome, run_case
 from procedures.runs.finishing import Finalized, finalize_run
@@ -220,7 +221,7 @@ def follow_case(
     """Run and show a case in a new folder in `out`. With `as_json`, always print exactly one object."""
     check_case(request, out)
     with run_folder(request, out) as folder, hold_run(folder):
-        waits = request.config is not None
+        waits = request.has_person
         follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)
 
 

@@ -1,33 +1,28 @@
-"""The operator at the terminal: answering questions, acting in the room and typing readings."""
+"""The operator at the terminal: answering questions, in words that count only in full."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import select
 import sys
 import termios
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
 from typer import style
 
 from procedures.operator.question import (
     MOST_MISREAD,
-    YES,
     Answer,
     Question,
-    Task,
     join_answers,
-    misread,
+    pick_answer,
     tries_left,
 )
-from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.runs.observers import RunObservers
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
-from ronna_hw.text import parse_typed_number, printable, printable_lines
+from ronna_hw.text import printable, printable_lines
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -36,10 +31,8 @@ LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
 ADVICE = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
 WritePrompt = Callable[[str], None]  # a prompt
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
-AGAIN = "again"
-CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
-UNIT = "mm"  # of every reading; it may be typed with the number
-SMALL_MM = 0.01  # as a dial shows it
+HELP = "help"  # at a question: what can be typed
+RULE = f"Answers count in full, in upper or lower case; {HELP} explains those of a question."
 
 
 class Alarms:
@@ -111,23 +104,6 @@ def plain_prompt() -> AbstractContextManager[WritePrompt]:
     return nullcontext(write_prompt)
 
 
-def terminal_observers(
-    asking: Asking = plain_prompt, opened: Callable[[Engine], None] = lambda _engine: None
-) -> RunObservers:
-    """Return observers for an operator at the terminal, with device alarms shown at each question."""
-    alarms = Alarms()
-
-    def attach_alarms(engine: Engine) -> None:
-        alarms.attach(engine)
-        opened(engine)
-
-    return RunObservers(
-        opened=attach_alarms,
-        person=TerminalOperator(asking, alarms),
-        staff=lambda simulated: TerminalRoom(asking, simulated=simulated, alarms=alarms),
-    )
-
-
 class TerminalOperator:
     """Operator who answers at the terminal; without a terminal, questions go unanswered.
 
@@ -138,6 +114,7 @@ class TerminalOperator:
     def __init__(self, asking: Asking = plain_prompt, alarms: Alarms | None = None) -> None:
         self._asking = asking
         self._alarms = Alarms() if alarms is None else alarms
+        self._knows_rule = False
 
     def ask(self, question: Question) -> Answer:
         """Show a question and wait until one of its answers is typed in full, repeating after other input.
@@ -150,16 +127,22 @@ class TerminalOperator:
         deadline_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking() as write:
+            if not self._knows_rule:
+                say_line(RULE)
+                self._knows_rule = True
             sys.stderr.write(_describe_question(question))
             self._alarms.begin()
             misread_before = 0
-            while typed := _read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
-                if (word := typed.lower().strip("'")) not in question.answers:
-                    _say(f"{typed!r} is not an answer: type {join_answers(question.answers)} in full.")
+            while typed := read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
+                if (word := pick_answer(typed, question.answers)) is None:
+                    if pick_answer(typed, (HELP,)) is not None:
+                        _explain(question)
+                        continue
+                    say_line(f"{typed!r} is not an answer: type {join_answers(question.answers)} in full.")
                     continue
                 if word != question.answers[0] or read_back is None:
                     return Answer(word)
-                if not (typed := _read_typed(write, read_back.what, deadline_s, self._alarms)):
+                if not (typed := read_typed(write, read_back.what, deadline_s, self._alarms)):
                     break
                 if read_back.fits(typed):
                     return Answer(word, typed)
@@ -167,117 +150,32 @@ class TerminalOperator:
                 misread_before += 1
                 wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
                 if misread_before == MOST_MISREAD:
-                    _say(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
+                    say_line(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
                     return silence
-                _say(
+                say_line(
                     f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop; "
                     f"{tries_left(misread_before)}."
                 )
             if deadline_s is not None and time.monotonic() >= deadline_s:
                 sys.stderr.write("\n")  # the prompt is still there
-                _say(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
+                say_line(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
             return silence
 
 
-class TerminalRoom:
-    """Room staff, represented by the person at the terminal."""
-
-    def __init__(
-        self,
-        asking: Asking = plain_prompt,
-        *,
-        simulated: bool = False,
-        alarms: Alarms | None = None,
-    ) -> None:
-        """Set up the prompts; in a `simulated` theatre they show the command that does the work."""
-        self._asking = asking
-        self._alarms = Alarms() if alarms is None else alarms
-        self._simulated = simulated
-
-    def announce(self, step: str) -> None:
-        """Do nothing: progress is already visible."""
-
-    def change_tool(self, number: int, description: str) -> None:
-        """Ask for a tool to be mounted; the step confirms and records it."""
-        with self._asking():
-            sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
-            self._hint(f"mount {number}")
-
-    def prepare_stand(self, holds: str) -> None:
-        """Ask for an object to be put on the calibration stand; the step confirms it."""
-        with self._asking():
-            _say(f"Put the {holds} on the calibration stand.")
-            self._hint(f"stand {holds}")
-
-    def _hint(self, command: str) -> None:
-        """Show the command that does the work in a simulated room."""
-        if self._simulated:
-            control = "" if os.environ.get(CONTROL) else " --control 'ENDPOINT FROM READY'"
-            sys.stderr.write(f"In the simulated room: ronna-sim {command}{control}\n")
-        sys.stderr.flush()
-
-    def work(self, task: Task) -> tuple[float, ...]:
-        """Ask for a task to be done and return the typed readings; empty without a terminal."""
-        with self._asking() as write:
-            sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
-            numbers = "".join(f" {number:g}" for number in task.numbers)
-            trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
-            self._hint(f"work {task.name}{numbers}{trajectory}")
-            self._alarms.begin()
-            return _read_values(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
-
-
-def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """Read and return the task's values, confirmed if there are several; empty if none are entered."""
-    while True:
-        readings: list[float] = []
-        for what in task.reads:
-            if (
-                number := _read_plausible_number(write, what, task.plausible_mm, alarms, bool(readings))
-            ) is None:
-                return ()
-            readings.append(number)
-        if len(readings) == 1:
-            return tuple(readings)
-        for what, number in zip(task.reads, readings, strict=True):
-            _say(f"  {what}: {number:g}")
-        while (typed := _read_typed(write, join_answers((YES, AGAIN)), None, alarms).lower()) != AGAIN:
-            if typed == YES or not typed:
-                return tuple(readings) if typed else ()
-            _say(
-                f"{typed!r} is not an answer: {YES} if these are the readings, {AGAIN} to "
-                "type them all again."
-            )
-
-
-def _read_plausible_number(
-    write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
-) -> float | None:
-    """Prompt until a plausible number is typed; return None if no reading is available or input ends.
-
-    `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
-    """
-    while (typed := _read_typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
-        ahead = False
-        with suppress(ValueError):
-            number = parse_typed_number(typed, UNIT)
-            if not (wrong := misread(number, plausible)):
-                return number
-            _say(f"{wrong}; type {_number_hint(plausible)}")
-            continue
-        _say(f"{typed!r} is not a reading: type {_number_hint(plausible)}")
-    return None
-
-
-def _number_hint(plausible: tuple[float, float] | None) -> str:
-    """Return the expected format of a reading, with a plausible example."""
-    low, high = plausible or (0.0, SMALL_MM)
-    example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
-    return f"one number in mm, such as {example:g} or {example:g} mm, or {NOBODY_READS!r} to end the step."
-
-
-def _say(line: str) -> None:
+def say_line(line: str) -> None:
+    """Write a line beside the prompts."""
     sys.stderr.write(f"{printable(line)}\n")
+
+
+def _explain(question: Question) -> None:
+    """Write what can be typed at a question, and what counts without an answer."""
+    say_line(f"Type {join_answers(question.answers)}.")
+    if question.read_back is not None:
+        say_line(f"After {question.answers[0]!r}, type {question.read_back.what}.")
+    if question.timeout_s is None:
+        say_line(f"It waits until it is answered; the end of the input counts as {question.silence!r}.")
+    else:
+        say_line(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
 
 
 def _describe_question(question: Question) -> str:
@@ -305,7 +203,7 @@ def _describe_question(question: Question) -> str:
     return text
 
 
-def _read_typed(
+def read_typed(
     write: WritePrompt, what: str, deadline_s: float | None, alarms: Alarms, ahead: bool = False
 ) -> str:
     """Read a typed line without surrounding space; ask again after a blank line.
@@ -318,7 +216,7 @@ def _read_typed(
         forget_typed()
     while True:
         for fault_line in news:
-            _say(fault_line)
+            say_line(fault_line)
         write(f"Type {what}{alarms.note}: ")
         ready, news = await_input(alarms, deadline_s)
         if news:
@@ -326,4 +224,4 @@ def _read_typed(
         line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
             return line.strip()
-        _say("Nothing was typed.")
+        say_line("Nothing was typed.")

@@ -74,6 +74,14 @@ class TheatreOptions:
             help="With --sim: records from a calibration, instead of the theatre's own; repeatable.",
         ),
     ] = None
+    ask: Annotated[
+        bool,
+        typer.Option(
+            "--ask",
+            help="In a simulated theatre: ask every question of a real case at this terminal, where manual "
+            "work is done by a word, such as mount 2. Without it --sim is answered by a script.",
+        ),
+    ] = False
     answers: Annotated[
         Path | None, typer.Option(help="TOML file that answers the questions: a scripted operator.")
     ] = None
@@ -105,7 +113,9 @@ class TheatreOptions:
         from procedures.runs.request_checks import check_theatre
 
         self.check()
-        request = RunRequest(config=self.config, choice=self.choice, answers=self.read_answer_file())
+        request = RunRequest(
+            config=self.config, choice=self.choice, answers=self.read_answer_file(), ask=self.ask
+        )
         check_theatre(request)
         return request
 
@@ -239,6 +249,7 @@ class CaseOptions(TheatreOptions):
             choice=self.choice,
             speed=self.speed.value,
             faults=self.faults,
+            ask=self.ask,
             answers=self.read_answer_file(),
         )
 

@@ -50,7 +50,7 @@ class PipedLines:
         for line in chain(lines_from(sys.stdin.fileno()), [""]):
             with self._changed:
                 self._changed.wait_for(lambda: len(self._lines) < READ_AHEAD)
-                is_overtaking = line.strip() == STOP and not (self._idle and not self._lines)
+                is_overtaking = line.strip().lower() == STOP and not (self._idle and not self._lines)
                 if not is_overtaking:
                     self._lines.append(line)
                     self._changed.notify_all()

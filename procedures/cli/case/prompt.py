@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import Say, carry_out, continue_hint, read_command, why_not_skipped
 from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_input, forget_typed, plain_prompt
+from procedures.cli.case.staff import WORDS
 from procedures.engine.errors import UnknownStep
 from procedures.engine.states import ABORTED
 from procedures.engine.states import HELD as MACHINE_HELD
@@ -103,7 +104,8 @@ class Prompt:
                     self._print_resume_hint(engine)
                     return False
                 self._say(
-                    f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
+                    f"{engine.setting.workcell.place.instrument_description}: home asks whether it is out, "
+                    "then parks"
                 )
             elif self._resumes and (order is Resume or (order is Next and engine.upcoming is None)):
                 return True  # with nothing upcoming, the way home is next
@@ -145,13 +147,10 @@ class Prompt:
                 return f"there is no command 'skip': {why_not_skipped(self._engine, argument)}"
             except RonnaError as mistake:
                 return f"there is no command 'skip': {mistake}"
+        if name in WORDS:
+            return f"{name!r} is manual work, which is typed when the case asks for it; {choices}"
         words = list(known)
-        typed_name = name.lower()
-        suggestions = (
-            [SYNONYMS[typed_name]]
-            if SYNONYMS.get(typed_name) in words
-            else get_close_matches(typed_name, words, n=1)
-        )
+        suggestions = [SYNONYMS[name]] if SYNONYMS.get(name) in words else get_close_matches(name, words, n=1)
         message = f"there is no command {name!r}" if name else "nothing was typed"
         return f"{message}; did you mean {suggestions[0]}?" if suggestions else f"{message}; {choices}"
 
@@ -228,8 +227,9 @@ class Prompt:
 
 
 def _command_of(line: str) -> tuple[str, str]:
-    """Split a line into command and argument."""
+    """Split a line into command, in lower case, and argument."""
     name, _, argument = line.strip().partition(" ")
+    name = name.lower()
     return "quit" if name == "q" else name, argument.strip()
 
 

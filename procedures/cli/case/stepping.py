@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.case_view import EventFollower
 from procedures.cli.case.display import pause_on_interrupt, write_lines
-from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
+from procedures.cli.case.staff import terminal_observers
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.lifecycle import open_run
@@ -88,7 +88,7 @@ def _executor(request: RunRequest, piped: PipedLines | None) -> OrderExecutor:
     from procedures.runs.operator_station import OperatorStation
     from procedures.runs.order_executor import OrderExecutor
 
-    station = OperatorStation(waits=request.config is not None)
+    station = OperatorStation(waits=request.has_person)
     if piped is None:
         return OrderExecutor(station, runs=False)
     return OrderExecutor(station, runs=False, input_ready=piped.wait_for_line)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -37,24 +39,35 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         return
     records = theatre.calibration.records
     for name, record in ((name, records[name]) for name in MADE_BY_COMMAND if name in records):
-        subject, renewal = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} {options_of(path)}."
+        subject, command = f"calibration {name}", f"{MADE_BY_COMMAND[name]} {options_of(path)}"
+        renewal = "Calibrate again."
         if name == "tool_tip" and theatre.tools:
             renewal += f" Afterwards: {RENEW}"
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:
-            advice = error.advice if record.created > now else renewal
-            yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
+            is_in_future = record.created > now  # a clock is wrong, not a record
+            yield Diagnostic(
+                subject,
+                False,
+                f"{error.code} {error.summary}",
+                error.advice if is_in_future else renewal,
+                command="" if is_in_future else command,
+            )
             continue
         if name == "arm":
             try:
                 require_consistent_arm(theatre.calibration, options_of(path))
             except (ArmOlderThanHead, OfAnotherTheatre) as error:
-                yield refusal(subject, error)
+                yield replace(refusal(subject, error), command=command)
                 continue
-        soon = renewal if record.expires - now < EXPIRY_NOTICE else ""
+        expires_soon = record.expires - now < EXPIRY_NOTICE
         yield Diagnostic(
-            subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
+            subject,
+            True,
+            f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}",
+            renewal if expires_soon else "",
+            command=command if expires_soon else "",
         )
 
 
@@ -76,14 +89,16 @@ def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     )
 
 
-def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
+def tool_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
     """Report whether the tool records are valid and match the flange and the calibrated tip."""
     if theatre.calibration is None:
         return
     try:
         ToolRecords.of(theatre).check(theatre.calibration, now)
     except RonnaError as error:
-        yield refusal("tool records", error)
+        options = f"--config {shlex.quote(str(path))} --by 'YOUR NAME' --gauge-mm DIALS_FILE"
+        command = f"ronna-tool renew {GUIDE} {options}" if RENEW in error.advice else ""
+        yield replace(refusal("tool records", error), command=command)
     else:
         guide = theatre.tools.get(GUIDE)
         advice = "" if guide is None else " ".join(_guide_advice(guide, theatre.calibration))

@@ -161,14 +161,7 @@ def _check_records(
     """Check that the records belong to this device and, on an arm, that the stereo head is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
-        markers_mm, patient_frame = device.markers_mm, theatre.procedure.patient_frame
-
-        def check_frames() -> None:
-            ToolRecords.of(theatre).check_frames(calibrations, device.tools)
-            if patient_frame is not None:
-                check_patient_frame(patient_frame, calibrations, markers_mm)
-
-        yield run_check(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
+        yield from frame_diagnostics(subject, device, calibrations, theatre)
     if isinstance(device, StereoPair):
         records = (calibrations.stereo_head.left, calibrations.stereo_head.right)
         for side, record, serial in zip(SIDES, records, device.serials, strict=True):
@@ -190,6 +183,18 @@ def _check_records(
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         mounted = MountedTool.STEREO_HEAD
         yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
+
+
+def frame_diagnostics(
+    subject: str, tracker: OpticalTracker, calibrations: Calibrations, theatre: TheatreFile
+) -> Iterator[Diagnostic]:
+    """Check every frame that the theatre file names against the tracker's tools; needs no connection."""
+    tools, patient_frame = ", ".join(tracker.tools), theatre.procedure.patient_frame
+    check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, tracker.tools)
+    yield run_check(f"{subject}frames named in records", tools, check_frames)
+    if patient_frame is not None:
+        check_patient = partial(check_patient_frame, patient_frame, calibrations, tracker.markers_mm)
+        yield run_check(f"{subject}frame of the patient", patient_frame, check_patient)
 
 
 def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
-from procedures.cli.doctor.inspection import advise_on_serials, inspection
+from procedures.cli.doctor.findings_text import findings_text
+from procedures.cli.doctor.inspection import advise_on_serials, frame_diagnostics, inspection
 from procedures.cli.doctor.theatre_checks import (
     CLOCK,
     INSTRUMENT,
@@ -23,17 +25,22 @@ from procedures.cli.doctor.theatre_checks import (
     use_diagnostics,
 )
 from procedures.runs.theatre_lock import require_free_theatre
+from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
-from ronna_hw.command_line.terminal import Progress, print_json, print_table
-from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
-from ronna_hw.registry import endpoint_probes, load_probe
+from ronna_hw.registry import endpoint_probes, load_probe, make_device
+from ronna_hw.text import format_count
 
 CASE = "case"
-STEREO = "stereo"  # the table of the cameras
+STEREO, TRACKER = "stereo", "tracker"  # tables
+PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
+FRAMES = ": frames named in records"
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 Examination = Callable[[Progress], Sequence[Diagnostic]]
 
@@ -76,6 +83,27 @@ class Report:
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
+    @property
+    def problems(self) -> tuple[Diagnostic, ...]:
+        """Failed checks that keep a case from beginning or concern a device, in display order."""
+        return tuple(one for one in self.diagnostics if self.grade(one) == PROBLEM)
+
+    @property
+    def notes(self) -> tuple[Diagnostic, ...]:
+        """Findings worth knowing that keep nothing from beginning, in display order."""
+        return tuple(one for one in self.diagnostics if self.grade(one) == NOTE)
+
+    @property
+    def replies(self) -> tuple[Diagnostic, ...]:
+        """Good findings at bare endpoints, which somebody has asked for; a theatre has verdicts instead."""
+        return () if self.verdicts else tuple(one for one in self.devices if self.grade(one) == OK)
+
+    def grade(self, one: Diagnostic) -> str:
+        """Return how a finding is shown. A case can live with the shortcomings of the computer."""
+        if not one.well and one not in self.computer:
+            return PROBLEM
+        return OK if one.well and not one.advice else NOTE
+
     def section(self, name: str) -> list[Mapping[str, Any]]:
         """Return the diagnostics of one section as plain documents."""
         return [f.document for f in self.devices if f.section == name and f.document is not None]
@@ -103,7 +131,7 @@ def examine(
         now = datetime.now(UTC)
         calibrations = (
             *calibration_diagnostics(file, config, now),
-            *tool_diagnostics(file, now),
+            *tool_diagnostics(file, config, now),
             *setting_diagnostics(file),
         )
         case = (*use_diagnostics(config), *case_diagnostics(file, out))
@@ -126,18 +154,39 @@ def examine(
         advance(1.0)
     of_devices = {name: found[name] for name in devices}
     case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices))
+    advised = partial(_with_commands, config=config)
     return Report(
-        computer, tuple(one for each in found.values() for one in each), calibrations, case, case_verdicts
+        advised(computer),
+        advised(one for each in found.values() for one in each),
+        advised(calibrations),
+        advised(case),
+        case_verdicts,
     )
 
 
-def show(report: Report, *, as_json: bool) -> None:
+def _with_commands(found: Iterable[Diagnostic], config: Path | None) -> tuple[Diagnostic, ...]:
+    return tuple(_with_command(one, config) for one in found)
+
+
+def _with_command(one: Diagnostic, config: Path | None) -> Diagnostic:
+    """Give a problem that no command solves the one that checks it again, alone if that is possible."""
+    if one.well or one.command:
+        return one
+    endpoint = (one.document or {}).get("endpoint")
+    if endpoint is not None:
+        return replace(one, command=f"ronna-procedure doctor --endpoint {shlex.quote(str(endpoint))}")
+    if config is not None:
+        return replace(one, command=f"ronna-procedure doctor --config {shlex.quote(str(config))}")
+    return one
+
+
+def show(report: Report, *, as_json: bool, everything: bool = False) -> None:
     """Print the diagnostics, then exit with an error code if a check failed.
 
     The code is 4 for a problem with a device, endpoint or calibration, or if the theatre is in use or its
     clock cannot be read; it is 3 if only something else prevents a case.
     """
-    show_findings(report, as_json=as_json)
+    show_findings(report, as_json=as_json, everything=everything)
     in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
     if not all(diagnostic.well for diagnostic in in_use + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
@@ -145,35 +194,43 @@ def show(report: Report, *, as_json: bool) -> None:
         raise SystemExit(EXIT_REFUSED)
 
 
-def show_findings(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics and any verdicts."""
+def show_findings(report: Report, *, as_json: bool, everything: bool = False) -> None:
+    """Print the problems, what is worth knowing, and any verdicts; with `everything` all checks."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
             {
                 "findings": [
-                    {"subject": f.subject, "well": f.well, "seen": f.seen, "advice": f.advice}
+                    {
+                        "subject": f.subject,
+                        "well": f.well,
+                        "seen": f.seen,
+                        "advice": f.advice,
+                        "command": f.command,
+                    }
                     for f in report.diagnostics
                 ]
             }
             | {name: report.section(name) for name in sections}
             | {"verdicts": [asdict(verdict) for verdict in report.verdicts]}
         )
-    else:
+        return
+    for line in findings_text(report):
+        say(line)
+    if everything:
+        rows = [(one.subject, report.grade(one), one.seen, one.advice) for one in report.diagnostics]
+        print_table("All checks", ("checked", "", "found", "what to do"), rows)
+    elif folded := len(report.diagnostics) - len(report.problems) - len(report.notes) - len(report.replies):
+        say(f"{format_count(folded, 'check')} without a finding; --all lists them")
+    if report.verdicts:
         print_table(
-            "Doctor",
-            ("checked", "", "found", "what to do"),
-            [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.diagnostics],
+            "Readiness",
+            ("", "", "because"),
+            [
+                (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
+                for one in report.verdicts
+            ],
         )
-        if report.verdicts:
-            print_table(
-                "Readiness",
-                ("", "", "because"),
-                [
-                    (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
-                    for one in report.verdicts
-                ],
-            )
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
@@ -204,6 +261,18 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
         yield f"endpoints of {driver}", partial(probes[driver].probe_endpoints, driver_endpoints)
 
 
+def _check_frames_offline(
+    config: DeviceConfig, theatre: TheatreFile, calibrations: Calibrations
+) -> Iterator[Diagnostic]:
+    """Check the named frames of a tracker that could not be connected, as far as its options are valid."""
+    try:
+        tracker = make_device(TRACKER, config, HostClock())
+    except Exception:  # its probe has said why
+        return
+    if isinstance(tracker, OpticalTracker):
+        yield from frame_diagnostics(f"{TRACKER}: ", tracker, calibrations, theatre)
+
+
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
     """Return the diagnostics from a driver's probe. A failed probe is itself a diagnostic."""
     try:
@@ -212,6 +281,10 @@ def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Prog
         error = as_ronna_error(problem)
         log_failure(problem, error)
         return (refusal(f"device {name}", error),)
-    if name != STEREO or theatre.calibration is None:
+    if theatre.calibration is None:
+        return found
+    if name == TRACKER and not any(one.subject.endswith(FRAMES) for one in found):
+        return (*found, *_check_frames_offline(config, theatre, theatre.calibration))
+    if name != STEREO:
         return found
     return advise_on_serials(found, config, theatre.calibration.stereo_head)

@@ -51,7 +51,12 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
-    yield Diagnostic("disk", shortage is None, found, "" if shortage is None else "Free some space.")
+    if shortage is None:
+        yield Diagnostic("disk", True, found)
+    else:
+        yield Diagnostic(
+            "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
+        )
 
 
 def _read_clock(theatre: TheatreFile) -> None:
@@ -79,12 +84,13 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
     last = read_last_note(theatre)
     if (instrument_left := find_instrument_inside(last)) is not None:
         run, inside = instrument_left
+        home = f"ronna-procedure home {shlex.quote(str(run))}"
         advice = (
             "Touch neither the tool nor the arm, and start no other run: "
-            f"ronna-procedure home {shlex.quote(str(run))} asks for the removal, then brings the arm home."
+            f"{home} asks for the removal, then brings the arm home."
         )
         seen = f"run {run.name} is unfinished: {inside}"
-        yield Diagnostic(INSTRUMENT, False, seen, advice)
+        yield Diagnostic(INSTRUMENT, False, seen, advice, command=home)
     if (away_reason := arm_not_home(last, None)) is not None:
         hint = "" if instrument_left else "A new case asks whether to take where the arm stands as its home."
         yield Diagnostic("home of the arm", False, away_reason, hint)
@@ -94,7 +100,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Adapt the advice in device diagnostics to the theatre's unfinished run."""
+    """Adapt the advice in device diagnostics to the theatre and its unfinished run."""
     run, instrument_left = resumable_run(theatre), find_instrument_inside(read_last_note(theatre))
     advised = list(found)
     for place, one in enumerate(found):
@@ -102,9 +108,11 @@ def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list
             continue
         if instrument_left is not None and one.subject.endswith(f": {TOOL}"):
             advised[place] = replace(one, advice=f"Do not touch the tool: {instrument_left[1]}.")
-        elif run is not None and one.subject.endswith(f": {MESSAGES}"):
-            name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
-            advised[place] = replace(one, advice=f"Remove its cause; then {name}.")
+        elif one.subject.endswith(f": {MESSAGES}"):
+            of = f"--config {shlex.quote(str(theatre))}" if run is None else shlex.quote(str(run))
+            command = f"ronna-procedure acknowledge {of} --by 'YOUR NAME'"
+            advice = one.advice if run is None else f"Remove its cause; then {command}."
+            advised[place] = replace(one, advice=advice, command=command)
     return advised
 
 
@@ -134,8 +142,12 @@ def _receive_buffer() -> Diagnostic:
     except OSError:
         return Diagnostic("camera receive buffer", True, "unknown on this system")
     large = size >= RECEIVE_BUFFER_WANTED
-    advice = "" if large else "sudo sysctl -w net.core.rmem_max=4194304, or use jumbo packets."
-    return Diagnostic("camera receive buffer", large, f"net.core.rmem_max {size}", advice)
+    seen = f"net.core.rmem_max {size}"
+    if large:
+        return Diagnostic("camera receive buffer", True, seen)
+    advice = "For real cameras: enlarge it, or use jumbo packets."
+    command = f"sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER_WANTED}"
+    return Diagnostic("camera receive buffer", False, seen, advice, command=command)
 
 
 def _real_time() -> Diagnostic:
@@ -143,11 +155,9 @@ def _real_time() -> Diagnostic:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     except PermissionError:
-        advice = (
-            f"For hardware: echo '{getpass.getuser()} - rtprio 80' | sudo tee {LIMITS_FILE}, then log in "
-            "again; simulators do not need it."
-        )
-        return Diagnostic("real-time priority", False, "not permitted", advice)
+        advice = "For a real arm: permit it, then log in again; simulators do not need it."
+        command = f"echo '{getpass.getuser()} - rtprio 80' | sudo tee {LIMITS_FILE}"
+        return Diagnostic("real-time priority", False, "not permitted", advice, command=command)
     return Diagnostic("real-time priority", True, "permitted")
 
 

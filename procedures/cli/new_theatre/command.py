@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,10 +23,6 @@ REHEARSAL = "REHEARSAL: EVERY DEVICE IS ON THIS COMPUTER"  # where only simulato
 
 
 def new_theatre(
-    hardware: Annotated[
-        bool,
-        typer.Option("--hardware", help="For real devices; ronna-sim theatre writes the simulated ones."),
-    ] = False,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file.")] = Path("theatre.toml"),
     name: Annotated[str | None, typer.Option(help="Name of the theatre [default: the file's].")] = None,
     interface: Annotated[
@@ -84,12 +81,6 @@ def new_theatre(
     are asked for. Exit codes: 0 written, and every device is there and ready; 2 usage; 4 written, and a
     device was not found or is not ready; 130 interrupted.
     """
-    if not hardware:
-        raise UsageMistake(
-            "new-theatre writes the file of real devices: give --hardware",
-            action="For simulated ones run ronna-sim theatre, which writes its own.",
-        )
-    require_new(out)
     from procedures.cli.new_theatre import searching, writing
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.probing import Search
@@ -98,14 +89,24 @@ def new_theatre(
     from ronna_hw.registry import load_finders
     from ronna_hw.theatre_kind import is_simulated
 
+    with searching.Mistakes() as mistakes:
+        mistakes.collect(require_new, (out,))
+        cards = mistakes.collect(lambda name: searching.find_interfaces([name]), interface or ())
+        lines = mistakes.collect(partial(searching.endpoint_of, "--serial"), searching.lines(serial))
+        controllers = mistakes.collect(partial(searching.endpoint_of, "--controller"), controller or ())
+        streams = mistakes.collect(
+            partial(searching.endpoint_of, "--stream"), () if stream is None else (stream,)
+        )
+        mistakes.collect(partial(searching.endpoint_of, "--clock"), (clock,))
     copied = writing.CopiedRecords() if records is None else writing.read_records(records)
+    if interface is None:
+        cards = (searching.find_interfaces(_ask_interfaces()),)
     search = Search(
-        interfaces=searching.find_interfaces(_ask_interfaces() if interface is None else interface),
-        lines=searching.lines(serial),
-        controllers=tuple(searching.endpoint_of("--controller", text) for text in controller or ()),
-        stream=None if stream is None else searching.endpoint_of("--stream", stream),
+        interfaces=tuple(dict.fromkeys(card for each in cards for card in each)),
+        lines=lines,
+        controllers=controllers,
+        stream=next(iter(streams), None),
     )
-    searching.endpoint_of("--clock", clock)
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(load_finders().values(), search, (left, right), _choose, advance)
     found = writing.with_options(writing.with_tools(found, copied.tools), option or ())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import Progress
@@ -12,6 +13,8 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
+A = TypeVar("A")
+T = TypeVar("T")
 Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
 
 
@@ -74,16 +77,45 @@ def endpoint_of(option: str, text: str) -> Endpoint:
         raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
 
 
-def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
-    """Return the serial lines to probe: those given, or else every serial port of this computer.
+def lines(given: Sequence[str] | None) -> Sequence[str]:
+    """Return the serial lines to probe: those given, or else every serial port of this computer."""
+    if given is not None:
+        return given
+    from serial.tools import list_ports
 
-    Raises CLI-001 for anything else.
-    """
-    if given is None:
-        from serial.tools import list_ports
+    return sorted(str(port.device) for port in list_ports.comports())
 
-        given = sorted(str(port.device) for port in list_ports.comports())
-    return tuple(endpoint_of("--serial", text) for text in given)
+
+class Mistakes:
+    """Collector of usage mistakes, so that all of them are reported at once at the end of the block."""
+
+    def __init__(self) -> None:
+        self._found: list[UsageMistake] = []
+
+    def collect(self, read: Callable[[A], T], arguments: Iterable[A]) -> tuple[T, ...]:
+        """Return what `read` makes of each argument, noting those that it refuses."""
+        outcomes = []
+        for argument in arguments:
+            try:
+                outcomes.append(read(argument))
+            except UsageMistake as mistake:
+                self._found.append(mistake)
+        return tuple(outcomes)
+
+    def __enter__(self) -> Mistakes:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Raise CLI-001 with every mistake, unless another error ends the block."""
+        if kind is not None or not self._found:
+            return
+        if len(self._found) == 1:
+            raise self._found[0]
+        every = "; ".join(
+            f"({number}) {one.what}" + (f", expected {one.expected}" if one.expected else "")
+            for number, one in enumerate(self._found, start=1)
+        )
+        raise UsageMistake(f"{len(self._found)} mistakes: {every}", action="Correct them all.")
 
 
 def search_all(

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from procedures.calibration.validity import MADE_BY_COMMAND
-from procedures.cli.new_theatre.searching import DeviceTable
+from procedures.cli.new_theatre.searching import DeviceTable, Mistakes
 from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, Calibrations, parse_theatre
@@ -202,7 +202,8 @@ def with_tools(found: Sequence[DeviceTable], tools: Sequence[Mapping[str, Any]])
 def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[DeviceTable, ...]:
     """Apply options such as `stereo.exposure_us=1500` (TOML values) to device tables. Raises CLI-001."""
     changed = list(found)
-    for text in given:
+
+    def apply(text: str) -> None:
         place, equals, value = text.partition("=")
         table, _, key = place.strip().rpartition(".")
         names = [(one.table, TABLE_NAMES.get(one.table)) for one in changed]
@@ -215,8 +216,12 @@ def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[De
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )
-        changed[number] = _apply_values(changed[number], {key: _parse_value(value)})
-        _require_fitting(text, changed[number])
+        applied = _apply_values(changed[number], {key: _parse_value(value)})
+        _require_fitting(text, applied)
+        changed[number] = applied
+
+    with Mistakes() as mistakes:
+        mistakes.collect(apply, given)
     return tuple(changed)
 
 

@@ -27,6 +27,7 @@ from procedures.runs.reopening import (
     resumable_run,
 )
 from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.request_checks import check_asking
 from procedures.runs.theatre_lock import read_last_note
 from procedures.runs.theatre_note import arm_not_home
 from ronna_hw.command_line.errors import UsageMistake
@@ -68,6 +69,7 @@ def resume(
             tell(f"{interrupted.run.name} is finished: nothing remains to be done")
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
         else:
+            check_asking(request)
             require_free_devices(request)
             prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
@@ -95,6 +97,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
                 interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json
             )
             return
+        check_asking(request)
         require_free_devices(request)
         prepare_folder(interrupted)
         with finalize_run(interrupted.folder, interrupted), observe_run(quiet=as_json) as observers:

@@ -21,10 +21,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
-WriteOption = Annotated[
-    Path,
-    typer.Option(metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."),
-]
 DaysOption = Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")]
 SixDegrees = tuple[float, float, float, float, float, float]
 GaugeFile = typer.Option(
@@ -42,7 +38,6 @@ def tool() -> None:
 def define(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
     config: ConfigOption,
-    write: WriteOption,
     purpose: Annotated[ToolPurpose, typer.Option(help="What the tool is for.")],
     number: Annotated[
         int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
@@ -74,14 +69,13 @@ def define(
     days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
-    """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
+    """Put the record of a tool into the theatre file. Its tip is that of the file's current calibration.
 
-    Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 --write is in
-    another folder, 2 usage, or the file or the record has mistakes, 3 --by is no name.
+    Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 2 usage, or the
+    file or the record has mistakes, 3 --by is no name, or a run uses the theatre.
     """
     from procedures.cli.tool.records import record_of
 
-    _require_another_file(config, write)
     signed = _identity_fields(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
     record, dropped = record_of(
@@ -104,14 +98,13 @@ def define(
             f"the former record of {name} had {', '.join(dropped)}, which the new one has not: "
             "copy what this tool still has, or the case does without"
         )
-    _write(config, write, name, record, as_json=as_json)
+    _update(config, name, record, "ronna-tool define", as_json=as_json)
 
 
 @app.command()
 def renew(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
     config: ConfigOption,
-    write: WriteOption,
     gauge_mm: Annotated[Path, GaugeFile],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
     days: DaysOption = 180,
@@ -124,16 +117,10 @@ def renew(
     """
     from procedures.cli.tool.records import renew_record
 
-    _require_another_file(config, write)
     record, remarks = renew_record(config, name, _identity_fields(name, by, days), gauge_mm)
     for remark in remarks:
         terminal.tell(remark)
-    _write(config, write, name, record, as_json=as_json)
-
-
-def _require_another_file(config: Path, write: Path) -> None:
-    if write.resolve() == config.resolve():
-        raise UsageMistake("--write names the file given to --config", action="Name another file.")
+    _update(config, name, record, "ronna-tool renew", as_json=as_json)
 
 
 def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
@@ -148,14 +135,16 @@ def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
     }
 
 
-def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_json: bool) -> None:
-    from procedures.runs.calibration_files import write_theatre_tables
+def _update(config: Path, name: str, record: dict[str, Any], command: str, *, as_json: bool) -> None:
+    from procedures.runs.theatre_history import Signature, update_tables
+    from procedures.runs.theatre_lock import require_free_theatre
 
-    write_theatre_tables(config, write, {"tools": {name: record}})
+    require_free_theatre(config)  # a run would find its records changed
+    update_tables(config, {"tools": {name: record}}, Signature(command, by=record["made_by"]))
     if as_json:
-        terminal.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
+        terminal.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(config)})
     else:
-        terminal.say(f"{record['identifier']} written to {write}; until {record['expires']:%Y-%m-%d}")
+        terminal.say(f"{record['identifier']} is now in {config}; until {record['expires']:%Y-%m-%d}")
 
 
 @app.command()

@@ -50,6 +50,7 @@ class StepState(_EventBase):
 
     kind: Literal["step"] = "step"
     step: str = Field(description="Such as `registration:T1`.")
+    title: str = Field(default="", description="What it does, of a step that begins, is done or fails.")
     state: Literal["begun", "done", "failed", "interrupted", "superseded"]
     summary: str = Field(default="", description="One line for the operator.")
     record: str | None = Field(default=None, description="Identifier of the result.")

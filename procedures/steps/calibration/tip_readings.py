@@ -88,7 +88,8 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         if len(looks) == count:
             break
         seen = watcher.take(planned, ONE_SIDE)
-        context.progress(len(looks) / count, "measuring the stand's ball")
+        is_seen = seen is not None and seen.point is not None
+        context.progress((len(looks) + is_seen) / count, f"{len(looks) + is_seen} of {count} measurements")
         if seen is None or seen.point is None:
             continue
         joints = workcell.joints_rad()
@@ -184,7 +185,7 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     reading = _Reading(context, _prepare_looks(context, stand, validation))
     for look in range(len(stand.looks)):
         reading.take(look)
-        context.progress((look + 1) / len(stand.looks), "reading the dials")
+        context.progress((look + 1) / len(stand.looks), f"{look + 1} of {len(stand.looks)} dial readings")
     workcell.go_home()
     return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
@@ -232,7 +233,8 @@ class _Reading:
         x_mm, y_mm, z_mm = self.context.perform_task(
             Task(
                 DIALS,
-                f"at orientation {look + 1} raise the divot to the tip and read the three dials",
+                f"at orientation {look + 1} of {len(self.observed.looks)} raise the divot to the tip and "
+                "read the three dials",
                 reads=READS,
                 plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
             )

@@ -94,7 +94,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             settings=context.setting.settings,
             home_rad=workcell.set_home(),
         ),
-        summary="; ".join([", ".join(identity.model for identity in identities.values()), *notices]),
+        summary="; ".join(
+            [", ".join(f"{role} {identity.model}" for role, identity in identities.items()), *notices]
+        ),
     )
 
 

@@ -46,7 +46,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     )
     return Outcome(
         MountedGuide(tool_number=mounted, calibration=calibration.identifier, link=link),
-        summary=f"tool {mounted} mounted",
+        summary=f"the surgical guide is mounted (tool {mounted})",
     )
 
 

@@ -115,7 +115,8 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
             joints_rad=found.joints_rad,
             seen_off_mm=seen_off_mm,
         ),
-        summary=f"{found.off_mm:.3f} mm and {found.tilt_deg:.3f} deg from record {identifier}",
+        summary=f"the guide is {found.off_mm:.3f} mm and {found.tilt_deg:.3f} deg from its record "
+        f"({identifier})",
     )
 
 

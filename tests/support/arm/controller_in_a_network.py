@@ -32,7 +32,7 @@ def main(file: str) -> None:
     ):
         given = ("--interface", HERE, "--no-check", "--out", file)
         done = subprocess.run(
-            (search, "new-theatre", "--hardware", *given),
+            (search, "new-theatre", *given),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

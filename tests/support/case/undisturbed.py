@@ -15,7 +15,16 @@ MINI_SEED_3 = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
 
 def undisturbed_mini(factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What seed 3 of the mini scene printed, run once for all tests."""
+    outcome: dict[str, Any] = json.loads(_run_mini(factory)[1])
+    return outcome
 
+
+def undisturbed_mini_runs(factory: pytest.TempPathFactory) -> Path:
+    """Folder of runs with that one case."""
+    return _run_mini(factory)[0]
+
+
+def _run_mini(factory: pytest.TempPathFactory) -> tuple[Path, str]:
     def run(out: Path) -> str:
         commands = Commands()
         done = commands.run("ronna-procedure", *MINI_SEED_3, "--out", str(out))
@@ -23,5 +32,4 @@ def undisturbed_mini(factory: pytest.TempPathFactory) -> dict[str, Any]:
         assert commands.await_no_survivors() == []
         return done.stdout
 
-    outcome: dict[str, Any] = json.loads(made_once(factory, "undisturbed_mini", run)[1])
-    return outcome
+    return made_once(factory, "undisturbed_mini", run)

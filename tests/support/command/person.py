@@ -1,4 +1,7 @@
-"""A person at a terminal who reads what is asked, does with simulated hands what is told, and answers."""
+"""A person at a terminal who reads what is asked, does with simulated hands what is told, and answers.
+
+With `--ask` the hands are words, which are asked for like answers.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from user_commands import Commands
 
 ASKED = re.compile(r"Type ([^:\n]+): |held> ")
+SHOWN = re.compile(r"You read off [^:\n]+: ([^\r\n]+)")  # by what a typed word has done
 TOLD = re.compile(r"In the simulated room: (ronna-sim [^\r\n]+?)(?: --control .*)?\r?\n")
 HANDS_S = 30.0
 
@@ -27,6 +31,7 @@ class Person:
     commands: Commands
     folder: Path
     patient: str  # on the wristband
+    mistakes: dict[str, list[str]] = field(default_factory=dict)  # said first, by what is asked; spent
 
     def does(
         self, line: str, *, limit_s: float = 300.0, happens: Callable[[str], None] = lambda _text: None
@@ -64,7 +69,7 @@ class Person:
                 for hand in said[done:]:  # what stands before the question is done before it is answered
                     read_off += self.hands(hand)
                 answered, done = len(asked), len(said)
-                os.write(primary, self._answer(asked[-1], text, read_off).encode() + b"\n")
+                os.write(primary, self._answer(asked[-1], text, read_off).encode())
             return process.wait(5), text
         finally:
             if process.poll() is None:
@@ -80,6 +85,12 @@ class Person:
         return done.stdout.split("\n")[:-1]
 
     def _answer(self, asked: str | None, text: str, read_off: list[str]) -> str:
+        """What is typed: a mistake, if there is one left for this question, or what is right."""
+        if mistakes := self.mistakes.get(asked or "held"):
+            return mistakes.pop(0)
+        return f"{self._right_answer(asked, text, read_off)}\n"
+
+    def _right_answer(self, asked: str | None, text: str, read_off: list[str]) -> str:
         """The first of the answers, what is read back, what was read off; a case that is held is left."""
         if asked is None:
             return "quit"
@@ -91,5 +102,7 @@ class Person:
             return "continue"  # it did not help to wait
         if " or " in asked:
             return re.split(r", | or ", asked)[0]
+        if shown := SHOWN.findall(text):
+            return f"{shown[-1]}"
         assert read_off, f"nothing was read off for: {asked}"
         return read_off.pop(0)

@@ -92,7 +92,13 @@ def one_error(stderr: str) -> Sequence[str]:
     """The lines of an error message off a terminal: one or two, no box, no trace. A simulated theatre tells
     its control port before, a case what it did.
     """
-    before = ("control port tcp://", "pendant at ", "done ", "note: ")
+    before = (
+        "a script answers",
+        "control port tcp://",
+        "pendant at ",
+        "done ",
+        "note: ",
+    )
     lines = [line for line in stderr.strip().splitlines() if not line.startswith(before)]
     assert 1 <= len(lines) <= 2, stderr
     assert "Traceback" not in stderr

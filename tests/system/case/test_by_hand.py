@@ -14,10 +14,12 @@ from user_commands import Commands, in_this_process, one_error
 from waiting import HANG_LIMIT_S
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.runs.request_file import read_request
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from sim.cli import app as ronna_sim
 
 PATIENT = "mini-4"  # scene and seed
+END_OF_INPUT = "\x04"
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,44 @@ def cell(commands: Commands, tmp_path: Path) -> Iterator[Cell]:
 
 
 @pytest.mark.slow
-def test_a_person_confirms_each_value_and_exchanges_the_tool(cell: Cell) -> None:
-    code, text = cell.by_hand("run", *cell.case)
+@pytest.mark.hazard(36)
+def test_a_simulated_case_is_driven_by_answers_and_words_alone_whatever_was_mistyped(
+    commands: Commands, tmp_path: Path
+) -> None:
+    mistakes = {
+        "yes or no": ["y\n", "help\n", "YES please\n"],
+        "'mount 2' or nobody": ["drill\n", "mount\n", "mount 9\n", "mount 1\n"],
+        "drill or nobody": ["insert\n"],
+        "skin or nobody": [END_OF_INPUT],  # the question comes next
+        "done or hold": [END_OF_INPUT],
+        "held": ["insert\n", "Resume\n"],
+    }
+    person = Person(commands, tmp_path, "mini-3", mistakes)
+    code, text = person.does("ronna-procedure run --sim --ask --scene mini --seed 3 --out runs")
     assert code == 0, text[-1500:]
-    assert "predicted error of" in text
+    assert not any(mistakes.values()), "every mistake was made"
+    said = " ".join(text.split())
+    for words in (
+        "every question of a real case is asked here",
+        "'y' is not an answer: type yes or no in full",
+        "No answer within 300 s counts as 'no'",
+        "'drill' is not due now: type 'mount 2' or nobody",
+        "mount needs the number of a tool",
+        "no tool 9",
+        "Done: tool 1 is mounted",
+        "the wrong tool is mounted: mount again",
+        "'insert' is not due now: type drill or nobody",
+        "'insert' is manual work, which is typed when the case asks for it",
+        "Work through the guide (at_target:T1): instrument within",
+        "error of the needle tip against truth",
+    ):
+        assert words in said, words
+    folder = run_folder(tmp_path / "runs")
+    assert folder is not None
+    journal = read_journal(folder / JOURNAL_FILE)
+    answered = {str(one["topic"]) for one in journal if one["entry"] == Entry.CONFIRMATION}
+    assert {"patient", "first_motion", "registration:T1", "tool_change", "drill:T1", "park"} <= answered
+    assert read_request(folder).ask, "and a resumed case asks again"
 
 
 @pytest.mark.slow

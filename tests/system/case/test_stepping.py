@@ -72,7 +72,7 @@ def stepped(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory)
 def test_steps_can_be_listed_run_and_refused_with_reasons(stepped: tuple[str, str, Path]) -> None:
     said, errors, _ = stepped
     assert "next  ct_import" in said
-    assert "done ct_import: " in said
+    assert "done ct_import (Import the CT series): " in said
     assert "positioning:T1: refused: fiducial_localization comes first" in said
     assert "PRO-001" in errors
 
@@ -96,7 +96,7 @@ def test_an_unknown_step_is_reported_and_the_case_continues(commands: Commands, 
     done = _step(commands, tmp_path, "run drilling", "to plan_check", "quit")
     assert done.returncode == 0
     assert "PRO-005" in done.stderr
-    assert "done plan_check: " in done.stdout
+    assert "done plan_check (Check the plan): " in done.stdout
 
 
 @pytest.mark.slow

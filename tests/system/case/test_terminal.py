@@ -8,6 +8,7 @@ import pytest
 from pseudo_terminal import CTRL_C, Terminal
 from user_commands import Commands
 
+IMPORTED = r"✓ Import the CT series \(ct_import\)"
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "3")
 
 
@@ -20,7 +21,7 @@ def terminal(commands: Commands, tmp_path: Path) -> Iterator[Terminal]:
 
 @pytest.mark.slow
 def test_one_ctrl_c_pauses_and_only_the_listed_words_continue(terminal: Terminal) -> None:
-    terminal.await_text("✓ ct_import")
+    terminal.await_text(IMPORTED)
     terminal.type(CTRL_C)
     terminal.await_text("Paused: Ctrl-C")
     terminal.type("\n")
@@ -35,7 +36,7 @@ def test_one_ctrl_c_pauses_and_only_the_listed_words_continue(terminal: Terminal
 
 @pytest.mark.slow
 def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
-    terminal.await_text("✓ ct_import")
+    terminal.await_text(IMPORTED)
     terminal.type(CTRL_C)
     terminal.await_text("paused> ")
     terminal.type("abort\n")

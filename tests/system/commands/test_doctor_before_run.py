@@ -159,6 +159,9 @@ TROUBLES = {
     "frame on the guide not tracked": Trouble(
         "DEV-003", change=_replaced('tool = "guide_frame"', 'tool = "pointer"')
     ),
+    "patient's frame misspelt": Trouble(
+        "DEV-003", change=_replaced("[procedure]\n", '[procedure]\npatient_frame = "clamp"\n')
+    ),
     "patient's frame of the skull's shape": Trouble(
         "TOOL-008", change=_with_the_frame_of_the_skull_on_the_clamp
     ),

@@ -18,6 +18,7 @@ from procedures.calibration import tip_calibration
 from procedures.calibration.frame_calibration import LOOKS_FILE
 from procedures.calibration.tip_calibration import LEAST_READINGS
 from procedures.cli.procedure import app
+from procedures.runs.theatre_history import history_path
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.model import Scene, read_scene
 from sim.world.scene.named_scenes import draw_scene
@@ -47,13 +48,13 @@ def test_stored_looks_are_recomputed_into_a_record_for_the_theatre_file(looks: P
 
 def test_stored_looks_can_be_written_directly_into_the_theatre_file(looks: Path, tmp_path: Path) -> None:
     scene = FrameCell.of(3, calibrated=True).scene
-    theatre, written = theatre_of(tmp_path, scene), tmp_path / "calibrated.toml"
+    theatre = theatre_of(tmp_path, scene)
     run = ("calibrate", "tracker-frame", "--from", looks, "--out", tmp_path / "out", "--json")
-    done = in_this_process(app, *run, "--config", theatre, "--write", written)
+    done = in_this_process(app, *run, "--config", theatre, "--update")
     assert done.returncode == 0, done.stderr
-    frame = tomllib.loads(written.read_text())["calibration"]["tracker_frame"]
+    frame = tomllib.loads(theatre.read_text())["calibration"]["tracker_frame"]
     assert frame["identifier"] == json.loads(done.stdout)["calibration"]
-    again = in_this_process(app, *run, "--config", written, "--write", written)
+    again = in_this_process(app, *run, "--config", theatre, "--update")
     assert again.returncode == 0, again.stderr
 
 
@@ -68,14 +69,14 @@ def theatre_of(folder: Path, scene: Scene) -> Path:
 def test_measurements_of_another_theatre_are_refused_and_nothing_is_written(
     request: pytest.FixtureRequest, tmp_path: Path, stored: str, command: str
 ) -> None:
-    theatre, written = theatre_of(tmp_path, draw_scene("default", seed=4)), tmp_path / "calibrated.toml"
+    theatre = theatre_of(tmp_path, draw_scene("default", seed=4))
     run = ("calibrate", command, "--from", request.getfixturevalue(stored), "--config", theatre)
-    done = in_this_process(app, *run, "--write", written, "--out", tmp_path / "out")
+    done = in_this_process(app, *run, "--update", "--out", tmp_path / "out")
     (error, *_) = one_error(done.stderr)
     assert error.startswith("CAL-020")
     assert "[calibration.stereo_head]" in error
     assert "expected stereo-head-default-4, got stereo-head-default-3" in error
-    assert not written.exists()
+    assert not history_path(theatre).exists()
     assert not (tmp_path / "out").exists()
 
 
@@ -86,12 +87,12 @@ def test_readings_of_a_tip_that_was_edited_since_are_refused(readings: Path, tmp
     stored["start"]["flange_from_tool"]["translation_mm"][0] += 0.5
     (readings / tip_calibration.LOOKS_FILE).write_text(json.dumps(stored))
     run = ("calibrate", "tool-tip", "--from", readings, "--config", theatre, "--out", tmp_path / "out")
-    done = in_this_process(app, *run, "--write", tmp_path / "calibrated.toml")
+    done = in_this_process(app, *run, "--update")
     (error, *_) = one_error(done.stderr)
     assert error.startswith("CAL-020")
     assert "[calibration.tool_tip]" in error
     assert "with other numbers" in error
-    assert not (tmp_path / "calibrated.toml").exists()
+    assert not history_path(theatre).exists()
 
 
 def test_a_record_in_metres_is_recognized_by_its_magnitude_and_refused(looks: Path, tmp_path: Path) -> None:
@@ -196,14 +197,3 @@ def test_the_page_about_the_reference_frame_works(commands: Commands, tmp_path: 
     run_all(lines, commands, tmp_path)
     (folder,) = (tmp_path / "calibrations").iterdir()
     assert (folder / "report.html").is_file()
-
-
-def test_a_theatre_file_to_be_written_in_another_folder_is_refused_before_anything_is_measured(
-    tmp_path: Path,
-) -> None:
-    theatre = theatre_of(tmp_path, draw_scene("mini", seed=3))
-    elsewhere = tmp_path / "elsewhere" / "new.toml"
-    run = ("calibrate", "tracker-frame", "--config", theatre, "--write", elsewhere)
-    done = in_this_process(app, *run, "--out", tmp_path / "out")
-    assert "is not in the folder of theatre.toml" in " ".join(one_error(done.stderr))
-    assert not (tmp_path / "out").exists()

@@ -51,7 +51,7 @@ def addresses(cell: dict[str, Any]) -> list[str]:
 def test_devices_are_found_written_to_the_file_and_assessed(cell: dict[str, Any], tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     given = (*addresses(cell), "--clock", cell["endpoints"]["clock"], "--records", cell["file"])
-    done = in_this_process(app, "new-theatre", "--hardware", *given, "--out", lab, "--json")
+    done = in_this_process(app, "new-theatre", *given, "--out", lab, "--json")
     assert done.returncode == EXIT_DONE, done.stderr
     file, of_cell = read_theatre_file(lab), read_theatre_file(Path(cell["file"]))
     assert file.banner.startswith("REHEARSAL")
@@ -78,7 +78,7 @@ def test_a_controller_in_use_is_written_to_the_file_with_the_reason(
     lab = tmp_path / "lab.toml"
     ask_control_port(cell["endpoints"]["control"], "fault", line="robot eki taken")
     try:
-        done = in_this_process(app, "new-theatre", "--hardware", *addresses(cell), "--no-check", "--out", lab)
+        done = in_this_process(app, "new-theatre", *addresses(cell), "--no-check", "--out", lab)
     finally:
         ask_control_port(cell["endpoints"]["control"], "clear_faults")
     assert done.returncode == EXIT_DONE
@@ -95,7 +95,7 @@ def test_no_controller_is_found_where_none_answers(
     for controller in (refused, not_ours):
         given = ("--controller", controller, "--interface", "lo", "--left", addresses(cell)[5])
         given += ("--right", addresses(cell)[7], "--serial", "/dev/null")
-        done = in_this_process(app, "new-theatre", "--hardware", *given, "--no-check", "--out", lab)
+        done = in_this_process(app, "new-theatre", *given, "--no-check", "--out", lab)
         assert done.returncode == EXIT_NOT_FOUND
         assert read_theatre_file(lab).robot == {}
         lab.unlink()
@@ -107,7 +107,7 @@ def test_no_controller_is_found_where_none_answers(
 def test_a_line_without_a_tracker_leaves_an_example(cell: dict[str, Any], tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     given = ["/dev/null" if text.startswith("/dev/pts") else text for text in addresses(cell)]
-    done = in_this_process(app, "new-theatre", "--hardware", *given, "--no-check", "--out", lab)
+    done = in_this_process(app, "new-theatre", *given, "--no-check", "--out", lab)
     assert done.returncode == EXIT_NOT_FOUND
     assert "# tracker: NOT FOUND" in lab.read_text()
     assert read_theatre_file(lab).tracker is None

@@ -26,6 +26,7 @@ from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import NOT_COMPARED
 from procedures.cli.stereo.command import app
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.runs.theatre_history import history_path
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
@@ -121,9 +122,8 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     theatre = theatre_file(head, tmp_path)
     before = read_theatre_file(theatre).calibration
     assert before is not None
-    new = tmp_path / "theatre.calibrated.toml"
     looks = recorded(head, tmp_path, tool_tip=before.tool_tip.model_copy(update={"expires": NEVER}))
-    options = ("--out", tmp_path / "out", "--days", "7", "--config", theatre, "--write", new, "--json")
+    options = ("--out", tmp_path / "out", "--days", "7", "--config", theatre, "--update", "--json")
     said = stereo("calibrate", "--from", looks, *options)
     assert said.code == 0, said.errors
     folder = Path(said.content["folder"])
@@ -134,7 +134,7 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
         <= GOAL_MM
     )
     assert (folder / "baseline.json").is_file()
-    calibrations = read_theatre_file(new).calibration
+    calibrations = read_theatre_file(theatre).calibration
     assert calibrations is not None
     assert calibrations.stereo_head.identifier == said.content["calibration"]
     assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
@@ -151,7 +151,7 @@ def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
     assert before is not None
     looks = recorded(head, tmp_path, tool_tip=before.tool_tip)
     for days in ("30", "7"):
-        out = ("--out", tmp_path / days, "--days", days, "--config", theatre, "--write", theatre)
+        out = ("--out", tmp_path / days, "--days", days, "--config", theatre, "--update")
         assert stereo("calibrate", "--from", looks, *out).code == 0
     calibrations = read_theatre_file(theatre).calibration
     assert calibrations is not None
@@ -203,10 +203,10 @@ def test_observations_with_another_tip_are_refused_and_nothing_is_written(
     assert before is not None
     other = before.tool_tip.model_copy(update={"identifier": "tool-tip-of-another-guide"})
     run = ("calibrate", "--from", recorded(head, tmp_path, tool_tip=other), "--out", tmp_path / "out")
-    said = stereo(*run, "--config", theatre, "--write", tmp_path / "new.toml")
+    said = stereo(*run, "--config", theatre, "--update")
     assert said.errors.startswith("CAL-020")
     assert f"expected {before.tool_tip.identifier}, got tool-tip-of-another-guide" in said.errors
-    assert not (tmp_path / "new.toml").exists()
+    assert not history_path(theatre).exists()
 
 
 def _tuples(value):

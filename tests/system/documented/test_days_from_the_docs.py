@@ -14,13 +14,13 @@ from threading import Thread
 import pytest
 from console_script import ConsoleScript
 from documented import commands_of
-from person import TOLD, Person
+from person import SHOWN, Person
 from run_folders import await_motion_in
 from user_commands import Commands
 
-from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import ChildProcess, command
+from sim.world.running import variables_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 CONSOLE = re.compile(r"CONSOLE (\{.*\})")
@@ -45,7 +45,7 @@ class Day:
         """What the page has in a terminal of its own."""
         found = THEATRE.search(self.page.read_text())
         assert found is not None
-        words = found[1].split()
+        words = [word for word in found[1].split() if word != "--detach"]  # it ends with the test
         out = words.index("--out") + 1
         words[out] = str(self.folder / words[out])
         return ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *words))
@@ -63,10 +63,9 @@ class Day:
 
 
 class Surgeon:
-    """Answers at the console whose URL a terminal shows; the person at the terminal is the hands."""
+    """Answers at the console whose URL a terminal shows; the person at the terminal does the manual work."""
 
-    def __init__(self, person: Person) -> None:
-        self._person = person
+    def __init__(self) -> None:
         self._text = ""
         self._answering = False
         self.answered: set[str] = set()  # topics
@@ -80,40 +79,28 @@ class Surgeon:
             Thread(target=self._answer_all, args=(json.loads(found[1])["url"],), daemon=True).start()
 
     def _answer_all(self, address: str) -> None:
-        script, hands = ConsoleScript(address), 0
-        read_off: list[str] = []
+        script, typed = ConsoleScript(address), 0
         assert script.order("claim", name=SURGEON) == ""
         with contextlib.suppress(OSError):  # the console ends with the case
             while not (state := script.state())["outcome"]:
-                said = TOLD.findall(self._text)[hands:]
-                hands += len(said)
-                read_off += [number for line in said for number in self._person.hands(line)]
+                called_out = SHOWN.findall(self._text)
                 asked = state["question"]
                 time.sleep(PICTURE_PERIOD_S)
                 if asked is None and state["waiting"] and state["upcoming"]:
                     script.order("resume", upcoming=state["upcoming"])
-                if asked is None or said:  # it may be older than what was done just now
+                if asked is None or (asked["reads"] and len(called_out) == typed):
                     continue
-                readings = {"readings": [float(one) for one in read_off]} if asked["reads"] else {}
+                readings = {"readings": list(map(float, called_out[-1].split()))} if asked["reads"] else {}
                 if not script.answer(asked, PATIENT, **readings):
                     self.answered.add(asked["topic"])
-                    read_off.clear()
+                    typed = len(called_out)
 
 
 @pytest.fixture
 def lab(commands: Commands, tmp_path: Path) -> Iterator[Day]:
     day = Day("docs/tutorial/first-day-in-a-lab.md", commands, tmp_path)
     with day.theatre() as theatre:
-        endpoints = theatre.ready["endpoints"]
-        commands.environment |= {
-            "RONNA_CONTROL": endpoints["control"],
-            "LINE": endpoints["polaris"],
-            "CONTROLLER": endpoints["kuka"]["eki_project"],
-            "STREAM": endpoints["kuka"]["rsi"],
-            "LEFT": parse_endpoint(endpoints["basler"]["left"]).host,
-            "RIGHT": parse_endpoint(endpoints["basler"]["right"]).host,
-            "CLOCK": endpoints["clock"],
-        }
+        commands.environment |= variables_of(theatre.ready)
         yield day
 
 
@@ -147,7 +134,7 @@ def day_of(page: str, commands: Commands, folder: Path) -> Iterator[Day]:
     """The day of a page that uses the theatre's own file."""
     day = Day(page, commands, folder)
     with day.theatre() as theatre:
-        commands.environment["RONNA_CONTROL"] = theatre.ready["endpoints"]["control"]
+        commands.environment |= variables_of(theatre.ready)
         yield day
 
 
@@ -194,9 +181,9 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
     _, text = rehearsal.person.does(case, happens=at_the_first_motion)
     ended = ENDED.search(text)
     assert ended is not None, text[-2000:]
-    assert int(ended[1]) == EXIT_SAFETY_STOP
+    assert int(ended[1]) == EXIT_SAFETY_STOP, text[-3000:]
     pressed[0].join()
-    surgeon = Surgeon(rehearsal.person)
+    surgeon = Surgeon()
     code, text = rehearsal.to("ronna-procedure resume", happens=surgeon.reads)
     assert code == 0, text[-2000:]
     assert {"resume", "tool_check", "reading", "at_target:T1"} <= surgeon.answered

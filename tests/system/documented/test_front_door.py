@@ -1,4 +1,4 @@
-"""`open_theatre` and `simulated_theatre`, as the README shows them, and how they handle errors."""
+"""`open_theatre` and `simulated_theatre`, as README and how-to show them, and how they handle errors."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from undisturbed import undisturbed_mini_runs
 from waiting import eventually
 
 from ronna_hw import open_theatre, simulated_theatre
@@ -22,7 +23,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildNotReady, descendants_of
 from ronna_hw.theatre import TheatreProcess
 
-README = Path(__file__).parents[3] / "README.md"
+ROOT = Path(__file__).parents[3]
 SIMULATORS = 4  # robot, tracker, cameras, and what draws the pictures of the second camera
 TURN_RAD = 0.5
 SLOWLY = 0.001  # of the working speed: no test waits for the end of such a motion
@@ -93,15 +94,30 @@ def assert_at_rest(theatre_file: Path) -> None:
         assert first.joints_rad == second.joints_rad
 
 
-@pytest.mark.parametrize("number", [0, 1])
+def run_python_of(page: Path) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(block, page.name, "exec"), {})
+
+
 def test_the_python_of_the_readme_runs(
-    theatre_file: Path, monkeypatch: pytest.MonkeyPatch, number: int
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 2
-    assert blocks[1].startswith("from ronna_hw import Frame, open_theatre\n")
+    (tmp_path / "runs").symlink_to(undisturbed_mini_runs(tmp_path_factory))
+    monkeypatch.chdir(tmp_path)
+    run_python_of(ROOT / "README.md")
+    targets, *spheres = capsys.readouterr().out.splitlines()
+    assert targets.startswith("['T1'] [0.")
+    assert len(spheres) == 3
+
+
+def test_the_python_of_a_theatre_of_your_own_runs(
+    theatre_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(theatre_file.parent)
-    exec(compile(blocks[number], README.name, "exec"), {})
+    run_python_of(ROOT / "docs/how-to/devices/a-theatre-of-your-own.md")
 
 
 def test_an_error_in_the_block_while_the_arm_moves_leaves_the_arm_at_rest(theatre_file: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 from documented import ROOT, commands_of, run_all, run_exercises, write_files
 from user_commands import Commands
 
-from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
+from sim.world.running import variables_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -21,17 +21,8 @@ def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.chdir(tmp_path)
     arguments = ("--scene", "mini", "--first-day", "--out", "cell")
     with ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *arguments)) as child:
-        endpoints = child.ready["endpoints"]
-        commands.environment |= {
-            "LINE": endpoints["polaris"],
-            "CONTROLLER": endpoints["kuka"]["eki_project"],
-            "STREAM": endpoints["kuka"]["rsi"],
-            "CLOCK": endpoints["clock"],
-            "LEFT": parse_endpoint(endpoints["basler"]["left"]).host,
-            "RIGHT": parse_endpoint(endpoints["basler"]["right"]).host,
-            "RONNA_CONTROL": endpoints["control"],
-        }
-        monkeypatch.setenv("RONNA_CONTROL", endpoints["control"])
+        commands.environment |= variables_of(child.ready)
+        monkeypatch.setenv("RONNA_CONTROL", commands.environment["RONNA_CONTROL"])
         run_all(commands_of("docs/how-to/devices/a-theatre-of-your-own.md"), commands, tmp_path)
         (tmp_path / "ronna_hw").symlink_to(ROOT / "ronna_hw")  # the pages are read in a clone
         yield tmp_path

@@ -82,7 +82,7 @@ def stereo_of(out: Path) -> dict[str, object]:
 
 
 def new_theatre(out: Path, *more: object, serial: str = "/dev/ttyUSB7") -> tuple[int, str, str]:
-    given = ("--hardware", "--no-check", "--interface", "lo", "--serial", serial, "--out", out)
+    given = ("--no-check", "--interface", "lo", "--serial", serial, "--out", out)
     done = in_this_process(app, "new-theatre", *given, *more)
     return done.returncode, done.stdout, done.stderr
 
@@ -133,7 +133,7 @@ def test_only_the_given_serial_lines_and_interfaces_are_searched(cameras: Camera
 
 
 def test_no_network_is_searched_without_an_interface(cameras: Cameras, out: Path) -> None:
-    in_this_process(app, "new-theatre", "--hardware", "--no-check", "--serial", "/dev/ttyUSB7", "--out", out)
+    in_this_process(app, "new-theatre", "--no-check", "--serial", "/dev/ttyUSB7", "--out", out)
     assert cameras.searches[0].interfaces == ()
 
 
@@ -251,9 +251,7 @@ def test_a_mistyped_network_card_is_asked_for_again(
 ) -> None:
     monkeypatch.setattr(command.terminal, "on_terminal", lambda _stream: True)
     monkeypatch.setattr("sys.stdin", io.StringIO("lo0\nlo\n"))
-    done = in_this_process(
-        app, "new-theatre", "--hardware", "--no-check", "--serial", "/dev/ttyS7", "--out", out
-    )
+    done = in_this_process(app, "new-theatre", "--no-check", "--serial", "/dev/ttyS7", "--out", out)
     assert "this computer has no network interface lo0; expected one of " in done.stderr
     assert [one.name for one in cameras.searches[0].interfaces] == ["lo"]
 
@@ -275,7 +273,20 @@ def test_an_existing_file_is_not_overwritten(cameras: Cameras, out: Path) -> Non
     assert out.read_text() == "mine"
 
 
-def test_new_theatre_without_hardware_names_the_command_that_writes_a_simulated_theatre(out: Path) -> None:
-    done = in_this_process(app, "new-theatre", "--out", out)
-    assert done.returncode == EXIT_USAGE
-    assert "ronna-sim theatre" in done.stderr
+def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out: Path) -> None:
+    out.write_text("mine")
+    wrong = ("--controller", "192.168.10.300", "--stream", "59152", "--clock", "sun:", "--interface", "eth77")
+    code, _, errors = new_theatre(out, *wrong, serial="pts/2")
+    (line,) = one_error(errors)
+    assert code == EXIT_USAGE
+    for number, named in enumerate(
+        (str(out), "eth77", "--serial: 'pts/2'", "192.168.10.300", "--stream: '59152'", "--clock: "), start=1
+    ):
+        _, numbered, rest = line.partition(f"({number}) ")
+        assert numbered
+        assert named in rest.partition("; (")[0]
+    assert cameras.searches == []
+    out.unlink()
+    _, _, errors = new_theatre(out, "--option", "stereo.exposure=1", "--option", "exposure_us=1")
+    assert "(1) --option: stereo has no option 'exposure'" in errors
+    assert "(2) --option 'exposure_us=1'" in errors

@@ -22,7 +22,8 @@ from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
 from procedures.planning.errors import ForeignTool
 from procedures.planning.tool_records import ToolRecords
-from procedures.runs.calibration_files import write_theatre
+from procedures.runs.calibration_files import update_theatre
+from procedures.runs.theatre_history import Signature, history_path
 from ronna_hw.config import parse_theatre, read_theatre_file
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import draw_scene
@@ -57,22 +58,21 @@ def written(path: Path, *lines: str) -> Path:
 
 
 def test_a_defined_tool_takes_flange_and_tip_from_the_file_and_is_listed(theatre: Path) -> None:
-    new = theatre.with_name("new.toml")
-    options = ("--config", theatre, "--write", new, "--purpose", "drill_guide", *DEFINE)
+    options = ("--config", theatre, "--purpose", "drill_guide", *DEFINE)
+    old = read_theatre_file(theatre)
     done = in_this_process(app, "define", "drill-guide", *options)
     assert done.returncode == 0, done.stderr
-    record = read_theatre_file(new).tools["drill-guide"]
-    old = read_theatre_file(theatre)
+    record = read_theatre_file(theatre).tools["drill-guide"]
     assert (record.flange, record.tip) == (old.flange, old.tools["guide"].tip)
-    listed = json.loads(in_this_process(app, "list", "--config", new, "--json").stdout)
+    listed = json.loads(in_this_process(app, "list", "--config", theatre, "--json").stdout)
     assert [one["name"] for one in listed["tools"]] == ["stereo_head", "guide", "drill-guide"]
     assert all(one["valid"] for one in listed["tools"])
-    assert in_this_process(app, "check", "--config", new).returncode == 0
+    assert in_this_process(app, "check", "--config", theatre).returncode == 0
 
 
 @pytest.mark.hazard(47)
 def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(theatre: Path) -> None:
-    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    options = ("--config", theatre, "--purpose", "needle_guide")
     again = [option if option != "3" else "2" for option in DEFINE]
     done = in_this_process(app, "define", "guide", *options, *again)
     text = " ".join(done.stderr.split())
@@ -81,11 +81,11 @@ def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(th
 
 
 def test_a_tool_named_like_a_known_one_but_for_capitals_is_refused(theatre: Path) -> None:
-    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    options = ("--config", theatre, "--purpose", "needle_guide")
     done = in_this_process(app, "define", "Guide", *options, *DEFINE)
     said = " ".join(one_error(done.stderr))
     assert (done.returncode, "Did you mean guide?" in said) == (2, True), said
-    assert not theatre.with_name("new.toml").exists()
+    assert not history_path(theatre).exists()
 
 
 def test_names_of_records_are_printed_without_control_characters(theatre: Path) -> None:
@@ -95,19 +95,18 @@ def test_names_of_records_are_printed_without_control_characters(theatre: Path) 
 
 
 def test_a_guide_without_a_bore_is_refused(theatre: Path) -> None:
-    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    options = ("--config", theatre, "--purpose", "needle_guide")
     done = in_this_process(app, "define", "guide", *options, *PLAIN, *GAUGE)
     assert done.returncode != 0
     assert "needs `bore`" in " ".join(one_error(done.stderr))
-    assert not theatre.with_name("new.toml").exists()
+    assert not history_path(theatre).exists()
 
 
 @pytest.mark.hazard(47)
 def test_check_refuses_a_record_of_another_flange(theatre: Path) -> None:
-    new = theatre.with_name("new.toml")
-    options = ("--config", theatre, "--write", new, "--purpose", "gripper", *PLAIN, "--flange", "old")
+    options = ("--config", theatre, "--purpose", "gripper", *PLAIN, "--flange", "old")
     assert in_this_process(app, "define", "gripper", *options).returncode == 0
-    done = in_this_process(app, "check", "--config", new)
+    done = in_this_process(app, "check", "--config", theatre)
     assert done.returncode == 3
     assert "TOOL-003" in " ".join(one_error(done.stderr))
 
@@ -162,18 +161,18 @@ def _let_expire(theatre: Path, table: str, name: str) -> None:
     theatre.write_text(tomli_w.dumps(content))
 
 
-def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
-    """What `calibrate tool-tip --write` leaves: the new record, in a new file."""
+def _with_another_tip(theatre: Path) -> dict[str, Any]:
+    """What `calibrate tool-tip --update` leaves: the new record, in the same file."""
     old = read_theatre_file(theatre).calibration
     assert old is not None
-    new = theatre.with_name("new.toml")
-    write_theatre(
+    update_theatre(
         theatre,
-        new,
         {"tool_tip": {**old.tool_tip.model_dump(), "identifier": "tip-of-today"}},
         old.tool_tip.created,
+        Signature("calibration tool-tip"),
     )
-    return new, tomllib.loads(new.read_text())["tools"]["guide"]
+    guide: dict[str, Any] = tomllib.loads(theatre.read_text())["tools"]["guide"]
+    return guide
 
 
 @pytest.mark.hazard(47)
@@ -181,30 +180,29 @@ def test_calibrating_the_tip_leaves_the_tool_record_outdated_and_names_the_renew
     theatre: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = tomllib.loads(theatre.read_text())["tools"]["guide"]
-    new, guide = _with_another_tip(theatre)
+    guide = _with_another_tip(theatre)
     assert guide == before
-    assert f"ronna-tool renew guide --config {new} " in capsys.readouterr().err
-    refused = in_this_process(app, "check", "--config", new)
+    assert f"ronna-tool renew guide --config {theatre} " in capsys.readouterr().err
+    refused = in_this_process(app, "check", "--config", theatre)
     assert refused.returncode == 3
     assert "TOOL-003" in refused.stderr
     assert "ronna-tool renew" in refused.stderr
 
 
 def test_a_renewed_record_has_the_new_tip_and_the_mean_gauge_readings(theatre: Path, dials: Path) -> None:
-    new, _ = _with_another_tip(theatre)
-    last = theatre.with_name("last.toml")
+    _with_another_tip(theatre)
     low, high = "0 -0.03 0.02 0.03 -0.06", "0.02 -0.01 0.04 0.05 -0.04"
     written(dials, *[low, "", high] * 6)
-    options = ("--config", new, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
+    options = ("--config", theatre, "--by", "A. Nurse", "--gauge-mm", dials)
     done = in_this_process(app, "renew", "guide", *options)
     assert done.returncode == 0, done.stderr
-    record = read_theatre_file(last).tools["guide"]
+    record = read_theatre_file(theatre).tools["guide"]
     assert (record.tip, record.made_by) == ("tip-of-today", "A. Nurse")
     assert record.gauge is not None
     assert (record.gauge.reading_mm, record.gauge.upper_reading_mm) == ((0.01, -0.02, 0.03), (0.04, -0.05))
     assert record.gauge.approaches == 12
     assert record.gauge.spread_mm == pytest.approx(0.01 * (12 / 11) ** 0.5, abs=1e-6)
-    assert in_this_process(app, "check", "--config", last).returncode == 0
+    assert in_this_process(app, "check", "--config", theatre).returncode == 0
 
 
 @pytest.mark.hazard(47)
@@ -213,7 +211,7 @@ def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Pa
     assert was is not None
     x, y, z = was.reading_mm
     bent = written(tmp_path / "bent.txt", *[f"{x + 3} {y - 4} {z} 0 0"] * 12)
-    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--by", "A. Nurse")
+    options = ("--config", theatre, "--by", "A. Nurse")
     done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", bent)
     text = " ".join(done.stderr.split())
     assert (done.returncode, "the tip is 0.000 mm" in text) == (0, True), text
@@ -223,7 +221,7 @@ def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Pa
 @pytest.mark.parametrize("word", ["1_0", "\N{FULLWIDTH DIGIT ONE}"])
 def test_a_gauge_reading_that_nobody_writes_so_is_refused(theatre: Path, tmp_path: Path, word: str) -> None:
     odd = written(tmp_path / "odd.txt", *[f"{word} 0 0 0 0"] * 12)
-    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--by", "A. Nurse")
+    options = ("--config", theatre, "--by", "A. Nurse")
     done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", odd)
     assert (done.returncode, "odd.txt:1" in done.stderr, "five numbers" in done.stderr) == (2, True, True)
 
@@ -246,13 +244,12 @@ def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_h
 ) -> None:
     content = tomllib.loads(theatre.read_text())
     edit(content["calibration"]["tool_tip"]["flange_from_tool"])
-    edited, last = theatre.with_name("edited.toml"), theatre.with_name("last.toml")
-    edited.write_text(tomli_w.dumps(content))
-    refused = in_this_process(app, "check", "--config", edited)
+    theatre.write_text(tomli_w.dumps(content))
+    refused = in_this_process(app, "check", "--config", theatre)
     assert refused.returncode == 3
     assert "TOOL-003" in refused.stderr
     assert f"limit 0.001 mm, 0.001 deg, got {off.format(',')}" in refused.stderr
-    options = ("--config", edited, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
+    options = ("--config", theatre, "--by", "A. Nurse", "--gauge-mm", dials)
     done = in_this_process(app, "renew", "guide", *options)
     assert f"the tip is {off.format(' and')} from where the former record of guide has it" in done.stderr
 
@@ -279,9 +276,9 @@ def test_the_doctor_warns_of_a_doubtful_record_of_a_guide(
     theatre: Path, edit: Callable[[dict[str, Any]], object], advice: str
 ) -> None:
     content = tomllib.loads(theatre.read_text())
-    (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
+    (before,) = tool_diagnostics(read_theatre_file(theatre), theatre, datetime.now(UTC))
     edit(content["tools"]["guide"])
-    (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
+    (after,) = tool_diagnostics(parse_theatre(content), theatre, datetime.now(UTC))
     assert (before.advice, after.well) == ("", True)
     assert re.match(advice, after.advice)
 
@@ -336,26 +333,23 @@ def test_an_impossible_value_is_refused_with_its_name_value_and_range(
     theatre: Path, dials: Path, command: str, text: str
 ) -> None:
     name, *arguments = shlex.split(command.replace("DIALS", str(dials)))
-    last = theatre.with_name("last.toml")
     given = (*PLAIN, *arguments) if name == "define" else arguments
-    said = in_this_process(app, name, *given, "--config", theatre, "--write", last)
+    said = in_this_process(app, name, *given, "--config", theatre)
     assert said.returncode != 0
     assert text in " ".join(one_error(said.stderr))
-    assert not last.exists()
+    assert not history_path(theatre).exists()
 
 
 @pytest.mark.parametrize(
     ("command", "code"),
     [
-        ("define d --purpose drill --write sub/last.toml", 1),
-        ("define d --purpose drill --write theatre.toml", 2),
-        ("define d --purpose needle_guide --write last.toml", 2),
-        ("define d --purpose drill --write last.toml --by 7", 3),
+        ("define d --purpose needle_guide", 2),
+        ("define d --purpose drill --by 7", 3),
         ("check", 2),
     ],
 )
 def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code: int) -> None:
-    name, *arguments = shlex.split(command.replace("--write ", f"--write {theatre.parent}/"))
+    name, *arguments = shlex.split(command)
     if name == "check":
         theatre.write_text(theatre.read_text().replace('purpose = "needle_guide"', 'purpose = "drill"'))
     done = in_this_process(app, name, *(PLAIN if name == "define" else ()), *arguments, "--config", theatre)
@@ -383,35 +377,32 @@ def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code:
 def test_gauge_readings_that_make_no_record_are_refused(
     theatre: Path, dials: Path, lines: list[str], text: str
 ) -> None:
-    last = theatre.with_name("last.toml")
-    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", written(dials, *lines))
+    options = ("--config", theatre, "--by", "A. Nurse", "--gauge-mm", written(dials, *lines))
     done = in_this_process(app, "renew", "guide", *options)
     assert done.returncode == 2
     assert text in " ".join(one_error(done.stderr))
-    assert not last.exists()
+    assert not history_path(theatre).exists()
 
 
 def test_a_guide_is_defined_with_the_readings_of_its_gauge(theatre: Path, dials: Path) -> None:
-    new = theatre.with_name("new.toml")
-    options = ("--config", theatre, "--write", new, "--purpose", "drill_guide", *DEFINE, "--gauge-mm", dials)
+    options = ("--config", theatre, "--purpose", "drill_guide", *DEFINE, "--gauge-mm", dials)
     assert in_this_process(app, "define", "drill-guide", *options).returncode == 0
-    gauge = read_theatre_file(new).tools["drill-guide"].gauge
+    gauge = read_theatre_file(theatre).tools["drill-guide"].gauge
     assert gauge is not None
     assert (gauge.reading_mm, gauge.approaches) == ((0.01, -0.02, 0.03), 12)
 
 
 def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path, dials: Path) -> None:
-    last = theatre.with_name("last.toml")
-    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
+    options = ("--config", theatre, "--by", "A. Nurse", "--gauge-mm", dials)
     done = in_this_process(app, "renew", "stereo_head", *options)
     assert done.returncode == 2
     assert "TOOL-002" in done.stderr
-    assert not last.exists()
+    assert not history_path(theatre).exists()
 
 
 def test_calibration_accepts_a_tool_record_of_the_former_tip(theatre: Path) -> None:
-    new, _ = _with_another_tip(theatre)
-    file = read_theatre_file(new)
+    _with_another_tip(theatre)
+    file = read_theatre_file(theatre)
     assert file.calibration is not None
     now = datetime.now(UTC)
     ToolRecords.of(file, calibrating=True).check(file.calibration, now)

@@ -81,8 +81,8 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
 
 
 def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_means() -> None:
-    async def give(_order: dict[str, Any]) -> None:
-        pass
+    async def give(_order: dict[str, Any]) -> str:
+        return ""
 
     asked = Questioned(
         question=1,

@@ -8,9 +8,11 @@ from dataclasses import replace
 import pytest
 
 from console.planning.draft import Axis, Draft, History
+from procedures.planning.errors import AcPcUnfit
 from procedures.planning.plan_file import parse_plan
 
 ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
+AC, PC, FALX = (2.0, -5.0, 37.5), (2.0, 15.0, 22.5), (2.0, 23.4, 66.2)
 
 
 def drawn() -> Draft:
@@ -24,6 +26,20 @@ def test_a_draft_becomes_a_plan_of_its_complete_trajectories() -> None:
     plan = parse_plan(draft.content("1.2.3"))
     assert [one.id for one in plan.trajectories] == ["T1"]
     assert Draft.of(plan).ways == drawn().ways
+
+
+def test_ac_pc_points_are_clicked_in_turn_kept_in_the_plan_and_refused_if_they_give_no_frame() -> None:
+    draft = drawn().with_landmark(AC).with_landmark(PC)
+    assert draft.ac_pc is None
+    assert "ac_pc" not in draft.content("1.2.3"), "as long as there are two"
+    with pytest.raises(AcPcUnfit):
+        draft.with_landmark(AC)
+    with pytest.raises(AcPcUnfit):
+        drawn().with_landmark(AC).with_landmark(AC)
+    whole = draft.with_landmark(FALX)
+    assert whole.ac_pc is not None
+    assert Draft.of(parse_plan(whole.content("1.2.3"))).landmarks == (AC, PC, FALX)
+    assert whole.with_landmark(PC).landmarks == (PC,), "a fourth click begins anew"
 
 
 def test_undo_and_redo_go_step_by_step() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from recording_cell import mini_theatre_file
 
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import judge
+from console.planning.reach_panel import tell_trajectories
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.strategies.catalogue import find_strategy
 
@@ -37,6 +39,7 @@ def test_a_plan_within_reach_is_judged_with_the_arms_own_errors(tmp_path: Path) 
     quick = judge(DRAFT, scan(), theatre, thorough=False)
     assert (quick.findings, quick.thorough) == ((), False)
     assert quick.expected["T1"].with_arm
+    assert 'data-reached="T1"' in tell_trajectories(quick)
     alone = judge(DRAFT, scan(), None, thorough=True).expected["T1"]
     assert quick.expected["T1"].rms_mm > alone.rms_mm
 
@@ -51,7 +54,10 @@ def test_the_thorough_look_refuses_what_is_within_reach_and_too_near_the_head(tm
 
 def test_a_target_out_of_reach_still_has_the_error_that_the_markers_alone_predict(tmp_path: Path) -> None:
     judged = judge(DRAFT, scan(), arm_at(tmp_path, FAR), thorough=False)
-    assert [one for one in judged.warnings if one.startswith("T1/")]
+    assert [one for one in judged.unmet if one.pose.startswith("T1/")]
+    (line,) = re.findall(r'<li class="bad" data-unreached="T1">(.*?)</li>', tell_trajectories(judged))
+    assert line.startswith("T1: not within reach. The ")
+    assert not re.search(r"fiducial|standoff_mm|ARM-|ronna-|--", line), "the check's names, not a surgeon's"
     alone = judge(DRAFT, scan(), None, thorough=True)
     assert judged.expected == alone.expected
     assert not judged.expected["T1"].with_arm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,14 +12,18 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from nicegui import Client, ui
-from plan_editors import ENTRY, TARGET, draw, scan
+from plan_editors import ENTRY, SERIES, TARGET, draw, scan
+from recording_cell import mini_theatre_file
 
 from console.guard import Role, Session
 from console.planning.draft import Axis
 from console.planning.head_scene import ARM_OF_CROSS_MM
-from console.planning.page import DRAW, SPHERE, PlannerPage
+from console.planning.page import AC_PC, DRAW, LOOK, MEASURE, SPHERE, PlannerPage
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
+from console.planning.theatre_choice import TheatreChoice
+from console.planning.views import Size, View, arrange
+from procedures.planning.errors import HeadPlaceUnknown, PlaceUnfit
 
 AXIAL = list(Plane).index(Plane.AXIAL)
 
@@ -84,7 +89,7 @@ def test_windows_slices_and_zoom_change_the_pictures_and_the_crosshair_follows_i
         assert np.abs(np.subtract(place, TARGET)).tolist() == pytest.approx([0.0, 0.0, 3.0])
         await press(page, "PageDown", Plane.ALONG)
         assert page._page_view.turn_deg == 5.0
-        page._scene.show()
+        page._scene.build_scene()
         for axis, rod in enumerate(page._scene._cross):
             start = list(place)
             start[axis] -= ARM_OF_CROSS_MM
@@ -104,3 +109,95 @@ def test_the_enter_key_does_at_the_crosshair_what_a_click_does(tmp_path: Path) -
         assert "CT-019" in str(page._words.content)
 
     on_the_page(tmp_path, do)
+
+
+@pytest.mark.parametrize("large", list(View))
+def test_one_view_is_large_and_three_are_small(large: View) -> None:
+    sizes = list(arrange(large).values())
+    assert arrange(large)[large] is Size.LARGE
+    assert [sizes.count(size) for size in Size] == [1, 3, 1]
+
+
+def test_the_page_opens_on_the_target_and_enter_enlarges_a_small_picture(tmp_path: Path) -> None:
+    async def do(page: PlannerPage) -> None:
+        assert (page._page_view.place_mm, page._page_view.window) == (TARGET, "brain")
+        await press(page, "Enter", Plane.SAGITTAL)
+        assert page._page_view.large is View.SAGITTAL
+        assert page._page_view.measured_mm == ()
+        assert "large" in page._sections[View.SAGITTAL].classes
+        assert "small" in page._sections[View.AXIAL].classes
+
+    on_the_page(tmp_path, do)
+
+
+def test_two_clicks_measure_the_distance_in_space_until_another_tool_is_chosen(tmp_path: Path) -> None:
+    async def do(page: PlannerPage) -> None:
+        page._mode.set_value(MEASURE)
+        for place_mm in ((0.0, 0.0, 0.0), (2.0, 3.0, 6.0)):
+            await page._on_click(place_mm)
+        assert page._hint.text == "Distance 7.0 mm"
+        assert "7.0 mm" in page._slices[AXIAL]._shown[1]
+        page._mode.set_value(LOOK)
+        assert page._hint.text == ""
+        assert "7.0 mm" not in page._slices[AXIAL]._shown[1]
+
+    on_the_page(tmp_path, do)
+
+
+def test_three_clicks_give_ac_pc_coordinates_and_typed_ones_move_the_crosshair(tmp_path: Path) -> None:
+    async def do(page: PlannerPage) -> None:
+        page._mode.set_value(AC_PC)
+        await page._on_click((2.0, -5.0, 37.5))
+        await page._on_click((2.0, -4.0, 37.5))
+        assert "PLAN-031" in str(page._words.content)
+        for place_mm in ((2.0, 15.0, 22.5), (2.0, 23.4, 66.2)):
+            await page._on_click(place_mm)
+        assert page._mode.value == LOOK
+        for axis, typed in enumerate(("12", "-3", "-4")):
+            field = page._ac_pc.fields[axis]
+            field._field.set_value(typed)
+            field._commit()
+        assert page._page_view.place_mm == pytest.approx((-10.0, 5.0, 25.0))
+        assert 'data-acpc="12.0 -3.0 -4.0"' in page._ac_pc._table.content
+        page._editor.undo()
+        assert page._editor.draft.ac_pc is None
+
+    on_the_page(tmp_path, do)
+
+
+def test_only_theatre_files_are_offered_by_name_and_none_is_checked_without_a_place_of_the_head(
+    tmp_path: Path,
+) -> None:
+    given = mini_theatre_file(tmp_path, simulated=True).rename(tmp_path / "given.toml")
+    (tmp_path / "lab").mkdir()
+    mini_theatre_file(tmp_path / "lab", simulated=True)
+    (tmp_path / "lab" / "plan.toml").write_text("schema = 1\n")
+    (tmp_path / "lab" / "broken.toml").write_text("theatre =")
+    choice = TheatreChoice(tmp_path / "lab", tmp_path / "plan.toml", given)
+    assert list(choice.list_files()) == ["given.toml", "theatre.toml"]
+    assert choice.load_given("1.2.3") is None
+    with pytest.raises(HeadPlaceUnknown, match="PLAN-032"):
+        choice.load("theatre.toml", "1.2.3")
+
+
+def test_a_chosen_theatre_file_is_checked_from_the_cart_s_proposed_place_of_this_ct(tmp_path: Path) -> None:
+    mini_theatre_file(tmp_path, simulated=True)
+    place = {
+        "series_instance_uid": SERIES,
+        "assumed_robot_from_ct": [700.0, 0.0, 100.0, -90.0, 0.0, -90.0],
+        "best_mm": [15.0, 0.0],
+        "turned_deg": 0.0,
+        "free_mm": 20.0,
+        "turns_deg": [5.0, 5.0],
+    }
+    file = tmp_path / "place.json"
+    file.write_text(json.dumps(place))
+    editor = PlanEditor(scan(), tmp_path / "plan.toml", TheatreChoice(tmp_path, tmp_path / "plan.toml"))
+    assert editor.theatre is None
+    asyncio.run(editor.choose_theatre("theatre.toml"))
+    assert editor.theatre is not None
+    assert editor.theatre.arm.robot_from_ct.translation_mm == pytest.approx((685.0, 0.0, 100.0))
+    file.write_text(json.dumps({**place, "series_instance_uid": "1.2.3.4"}))
+    with pytest.raises(PlaceUnfit, match=r"PLAN-022.*another CT"):
+        asyncio.run(editor.choose_theatre("theatre.toml"))
+    assert editor.theatre is not None, "the arm so far is kept"

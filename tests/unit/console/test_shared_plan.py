@@ -118,7 +118,7 @@ def test_a_plan_inside_a_run_opens_read_only_and_nothing_is_written_next_to_it(
     draw(looked, standoff_mm=31.0)
     assert looked.close() is None
     assert looked.is_saved
-    with pytest.raises(PlanInUse, match=r"PLAN-026.*open the copy"):
+    with pytest.raises(PlanInUse, match=r"PLAN-026.*copy opened"):
         save(looked)
     assert [one.name for one in case.iterdir()] == ["plan.toml"]
 

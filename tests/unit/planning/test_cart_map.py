@@ -18,7 +18,9 @@ from waiting import HANG_LIMIT_S, eventually
 from procedures.planning.cart_map import map_places, open_judge, propose_place
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
 from procedures.planning.errors import NoPlace
-from procedures.planning.proposed_place import TURNED_SHARE
+from procedures.planning.proposed_place import TURNED_SHARE, ProposedPlace
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.host import worker_processes
 from ronna_hw.host.child_process import ChildNotReady
 
@@ -66,6 +68,23 @@ def test_the_best_place_is_central_and_states_how_far_off_still_works() -> None:
         assert _disc(x, found.best.y_mm + found.free_mm * np.sin(angle))
     assert found.turns_deg == (15.0, 15.0)
     assert found.assumed.serves
+
+
+def test_a_head_posed_as_proposed_is_nowhere_beside_its_place() -> None:
+    place = ProposedPlace(
+        series_instance_uid="1.2.3",
+        assumed_robot_from_ct=(700.0, 30.0, 100.0, -90.0, 5.0, -80.0),
+        best_mm=(60.0, -40.0),
+        turned_deg=15.0,
+        free_mm=30.0,
+        turns_deg=(5.0, 5.0),
+    )
+    pose = Pose.from_kuka(*place.robot_from_ct)
+    there = Transform.of(
+        Frame.ROBOT, Frame.CT, translation_mm=pose.position_mm, quaternion_wxyz=pose.quaternion()
+    )
+    drift = place.drift(there)
+    assert (drift.off_mm, drift.turned_deg, drift.head_mm) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
 
 @pytest.mark.hazard(48)
@@ -127,7 +146,7 @@ class _Unjudged:
 
     halted: bool
 
-    def judged(self, *_: object, search: bool) -> Verdict:
+    def judge(self, *_: object, search: bool) -> Verdict:
         if self.halted:
             os.kill(os.getpid(), signal.SIGSTOP)
         while True:

@@ -154,6 +154,19 @@ def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")).word == answer
 
 
+@pytest.mark.parametrize(("ask", "answer"), [(False, "yes"), (True, "person")])
+def test_a_simulated_case_is_answered_by_a_script_and_says_so_unless_a_person_is_to_be_asked(
+    ask: bool, answer: str
+) -> None:
+    said: list[str] = []
+    observers = RunObservers(announce=said.append, person=Person())
+    operator = operator_selection(RunRequest(procedure=CaseProcedure(), ask=ask), observers)
+    for topic in (Topic.APPROACH, Topic.REGISTRATION, Topic.TOOL_CHANGE):
+        assert operator.ask(Question(topic, "what", "how much")).word == answer
+    (line,) = said
+    assert line.startswith("every question of a real case is asked here" if ask else "a script answers")
+
+
 @pytest.mark.parametrize(("at_terminal", "said"), [(True, ""), (False, "nobody can answer")])
 def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer(
     tmp_path: Path,

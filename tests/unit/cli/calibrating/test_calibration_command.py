@@ -37,16 +37,16 @@ class NoFigures(RecordFigures):
 
 
 @pytest.mark.parametrize(
-    ("written", "shown"), [(Path("new.toml"), "written to new.toml"), (None, "or use --write")]
+    ("updated", "shown"), [(Path("lab.toml"), "now in force in lab.toml"), (None, "not yet in force")]
 )
-def test_the_message_names_the_written_file_or_how_to_write_one(
-    written: Path | None, shown: str, capsys: pytest.CaptureFixture[str]
+def test_the_message_names_the_updated_file_or_how_to_update_one(
+    updated: Path | None, shown: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures = NoFigures(calibration="tool-tip", created="", expires="")
-    show(figures, Path("out"), written=written, as_json=False)
+    show(figures, Path("out"), updated=updated, as_json=False)
     said = capsys.readouterr().err
     assert shown in said
-    assert ("--write" in said) is (written is None)
+    assert ("--update" in said) is (updated is None)
 
 
 def test_remarks_on_the_measurements_are_reported_also_if_these_yield_no_calibration(

@@ -6,7 +6,7 @@ import tomllib
 
 import pytest
 
-from procedures.runs.calibration_files import with_tables
+from procedures.runs.theatre_tables import with_tables
 
 FORMER = """# Our cell.
 theatre = "lab"  # on the third floor

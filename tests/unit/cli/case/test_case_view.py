@@ -90,7 +90,7 @@ def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(
     events: list[Event],
 ) -> None:
     said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
-    assert [text.split() for text in said] == [["image", GateFailed.code]]
+    assert said == [f"Image (image): {GateFailed.code}"]
 
 
 def test_a_result_that_no_longer_holds_is_told_with_the_reason_and_not_as_repeated(tmp_path: Path) -> None:
@@ -155,4 +155,4 @@ def test_without_a_terminal_each_step_and_finding_gets_a_line_unless_quiet(
         engine.find("the tracker is silent")
         engine.events.end()
     lines = capsys.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in lines] == ([] if quiet else ["done image", "note"])
+    assert [line.partition(":")[0] for line in lines] == ([] if quiet else ["done image (Image)", "note"])

@@ -237,13 +237,22 @@ def test_an_empty_line_prints_only_a_short_hint(cell: RecordingCell, monkeypatch
     assert typed.said == ["nothing was typed; help lists the commands"] * 2
 
 
-@pytest.mark.parametrize(("word", "meant"), [("exit", "quit"), ("QUIT", "quit"), ("continue", "resume")])
+@pytest.mark.parametrize(("word", "meant"), [("exit", "quit"), ("continue", "resume")])
 def test_a_synonym_is_not_executed_but_suggests_the_command_that_was_meant(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, word: str, meant: str
 ) -> None:
     typed = Typed(monkeypatch, word)
     typed.at(cell.engine(plain_order()))
     assert typed.said == [f"there is no command {word!r}; did you mean {meant}?"]
+
+
+def test_a_command_counts_in_upper_case_and_manual_work_is_no_command(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = Typed(monkeypatch, "drill", "QUIT", "next")
+    assert typed.at(engine := cell.engine(plain_order())) is False
+    assert typed.said[0].startswith("'drill' is manual work, which is typed when the case asks for it")
+    assert engine.case.standing == ()
 
 
 @pytest.mark.parametrize("command", ["to", "back", "run"])

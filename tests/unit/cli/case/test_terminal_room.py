@@ -1,16 +1,18 @@
-"""The user at the terminal is asked to mount tools, and in a simulated room is shown the command."""
+"""Staff at the terminal: told what to do, shown the command in a simulated room, or acting on a word."""
 
 from __future__ import annotations
 
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from procedures.cli.case import operators
-from procedures.cli.case.operators import TerminalRoom
+from procedures.cli.case import readings, staff
+from procedures.cli.case.staff import TerminalRoom, WordedRoom
 from procedures.operator.question import Task
-from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS
+from ronna_hw.control_port import ControlRequestRefused
+from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, INSERT
 
 THREE_DIALS = Task(
     DIALS, "read the three dials", reads=("x in mm", "y in mm", "z in mm"), plausible_mm=(-10.0, 10.0)
@@ -20,7 +22,8 @@ THREE_DIALS = Task(
 def typing(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
     typed = iter(lines)
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-    monkeypatch.setattr(operators, "_read_typed", lambda *_asked: next(typed))
+    for module in (readings, staff):
+        monkeypatch.setattr(module, "read_typed", lambda *_asked: next(typed))
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +46,7 @@ def test_only_a_simulated_room_shows_a_mount_command(
     TerminalRoom(simulated=simulated).change_tool(2, "the surgical guide")
     said = capsys.readouterr().err
     assert said.startswith("Mount the surgical guide (tool 2).\n")
-    assert ("ronna-sim mount 2 --control" in said) == simulated
+    assert ("ronna-sim mount 2\n" in said) == simulated
 
 
 def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
@@ -53,10 +56,31 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     assert TerminalRoom(simulated=True).work(THREE_DIALS) == (0.12, -0.05, 0.30)
     said = capsys.readouterr().err
     assert said.startswith("Read the three dials.\n")
-    assert "ronna-sim work dials --control" in said
-    refused = "'0.1 cm' is not a reading: type one number in mm, such as 0.01 or 0.01 mm"
+    assert "ronna-sim work dials\n" in said
+    refused = "'0.1 cm' is not a reading: type up to 2 numbers in mm, such as 0.01 or 0.01 mm"
     assert f"{refused}, or 'nobody' to end the step." in said
     assert "'y' is not an answer" in said
+
+
+@pytest.mark.parametrize(
+    "line", ["0.12 -0.05 0.30", "0,12 -0,05 0,30", "0.12, -0.05, 0.30", "0.12 mm; -0.05mm; 0.30 mm"]
+)
+def test_several_readings_are_taken_from_one_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    typing(monkeypatch, line, "yes")
+    assert TerminalRoom().work(THREE_DIALS) == (0.12, -0.05, 0.30)
+
+
+@pytest.mark.parametrize("line", ["0.1 0.2 0.3 0.4", "0.1 0.2 cm 0.3", "0.1 100 0.3", "0.1 0.2 nobody"])
+def test_a_line_with_one_wrong_reading_counts_for_none(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    typing(monkeypatch, line, "1 2", "3", "YES")
+    assert TerminalRoom().work(THREE_DIALS) == (1.0, 2.0, 3.0)
+
+
+def test_names_of_readings_say_once_what_they_share() -> None:
+    assert readings.join_reads(THREE_DIALS.reads) == "x, y and z in mm"
+    assert readings.join_reads(THREE_DIALS.reads[1:]) == "y and z in mm"
+    assert readings.join_reads(("dial x of it", "dial upper x of it")) == "dial x and upper x of it"
+    assert readings.join_reads(("depth",)) == "depth"
 
 
 def test_an_implausible_reading_is_asked_again_at_once(
@@ -106,4 +130,89 @@ def test_work_is_shown_and_nothing_is_read_without_a_terminal(
     assert TerminalRoom(simulated=simulated).work(task) == ()
     said = capsys.readouterr().err
     assert said.startswith("Set the depth stop for T1 to 165.00 mm.\n")
-    assert ("ronna-sim work depth_stop 165 --trajectory T1 --control" in said) == simulated
+    assert ("ronna-sim work depth_stop 165 --trajectory T1\n" in said) == simulated
+
+
+class SimulatedStaff:
+    """Staff who note what they are told, and read the same off every scale."""
+
+    def __init__(self, *read_off: float) -> None:
+        self.done: list[Any] = []
+        self.read_off = read_off
+
+    def announce(self, step: str) -> None:
+        self.done.append(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        if number > 2:
+            raise ControlRequestRefused(f"mount is refused: no tool {number}")
+        self.done.append(number)
+
+    def prepare_stand(self, holds: str) -> None:
+        self.done.append(holds)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        self.done.append((task.name, task.trajectory, task.numbers))
+        return self.read_off
+
+
+INSERTION = Task(INSERT, "insert the instrument up to its stop", "T1")
+STOP = Task(DEPTH_STOP, "set the depth stop", "T1", (165.0,), ("depth stop in mm",), (85.0, 250.0))
+
+
+def test_a_tool_is_mounted_by_its_word_also_the_wrong_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "mount", "mount 7", "insert", "mnt 2", "Mount 1", "'mount 2'")
+    told = SimulatedStaff()
+    room = WordedRoom(told)
+    room.change_tool(2, "the surgical guide")
+    assert told.done == [1], "nothing is done before a word that fits, and a wrong tool is for the devices"
+    said = capsys.readouterr().err
+    for refused in (
+        "mount needs the number of a tool",
+        "no tool 7",
+        "'insert' is not due now: type 'mount 2' or nobody",
+        "'mnt 2' is no word for manual work",
+    ):
+        assert refused in said
+    room.change_tool(2, "the surgical guide")
+    assert told.done == [1, 2]
+
+
+def test_work_is_done_by_its_word_and_what_the_scale_shows_is_typed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "depth_stop", "165.05", "depth_stop 160 mm", "160", "INSERT T2", "insert")
+    told = SimulatedStaff(165.05)
+    room = WordedRoom(told)
+    assert room.work(STOP) == (165.05,)
+    assert "You read off depth stop in mm: 165.05" in capsys.readouterr().err
+    assert room.work(STOP) == (160.0,), "what is typed counts, not what the scale showed"
+    told.read_off = ()
+    assert room.work(INSERTION) == ()
+    assert told.done == [("depth_stop", "T1", (165.0,)), ("depth_stop", "T1", (160.0,)), ("insert", "T1", ())]
+
+
+@pytest.mark.parametrize("typed", ["nobody", ""])
+def test_work_that_nobody_does_is_left_undone(typed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    typing(monkeypatch, typed, typed, typed)
+    told = SimulatedStaff(165.05)
+    room = WordedRoom(told)
+    assert room.work(STOP) == ()
+    room.change_tool(2, "the surgical guide")
+    room.prepare_stand("ball")
+    assert told.done == []
+
+
+def test_help_lists_what_can_be_said_about_the_work_that_is_due(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "help", "stand gauge", "stand divot")
+    told = SimulatedStaff()
+    WordedRoom(told).prepare_stand("ball")
+    assert told.done == ["divot"]
+    said = capsys.readouterr().err
+    assert "'stand ball' puts the ball on the stand" in said
+    assert "stand needs ball, divot or nothing" in said
+    assert "'nobody' leaves it undone" in said

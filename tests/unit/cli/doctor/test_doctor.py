@@ -141,13 +141,13 @@ def test_each_calibration_record_shows_how_long_it_is_valid(
     )
     records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
     theatre = cast("Any", SimpleNamespace(calibration=records, tools={"guide": record}))
-    again = "--config 'my lab/theatre.toml' --write 'my lab/theatre.toml'"
+    again = "--config 'my lab/theatre.toml' --update"
     found = list(calibration_diagnostics(theatre, Path("my lab/theatre.toml"), now))
     assert [one.subject.split()[-1] for one in found] == ["stereo_head", "tracker_frame", "tool_tip"]
     assert ["ronna-tool renew" in one.advice for one in found] == [False, False, advised]
     for diagnostic in found:
         assert diagnostic.well is well
-        assert (again in diagnostic.advice) is advised
+        assert (again in diagnostic.command) is advised
         assert said in diagnostic.seen
 
 
@@ -185,13 +185,25 @@ def test_a_computer_without_devices_is_healthy(capsys: pytest.CaptureFixture[str
     assert report.devices == ()
     assert {"Python", "packages", "real-time priority"} <= {each.subject for each in report.computer}
     show(report, as_json=False)
+    folded = capsys.readouterr().out
+    assert "No problem found." in folded
+    assert "none foreign" not in folded
+    show(report, as_json=False, everything=True)
     assert "packages\tok\tnone foreign" in capsys.readouterr().out
 
 
 def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.CaptureFixture[str]) -> None:
     show(Report((), (WELL,)), as_json=True)
     assert json.loads(capsys.readouterr().out) == {
-        "findings": [{"subject": "line tcp://127.0.0.1:1", "well": True, "seen": "answered", "advice": ""}],
+        "findings": [
+            {
+                "subject": "line tcp://127.0.0.1:1",
+                "well": True,
+                "seen": "answered",
+                "advice": "",
+                "command": "",
+            }
+        ],
         "lines": [{"baud": 9600}],
         "cameras": [],
         "verdicts": [],
@@ -201,7 +213,7 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
 @pytest.mark.parametrize(
     ("report", "code", "printed"),
     [
-        (Report((), (WELL, UNWELL)), EXIT_NOT_FOUND, "device tracker\tPROBLEM\tsilent\tSwitch it on."),
+        (Report((), (WELL, UNWELL)), EXIT_NOT_FOUND, "1. device tracker: silent\n   Switch it on.\n"),
         (
             Report((), (WELL, UNWELL), verdicts=(Verdict("case", False, ("device tracker: silent",)),)),
             EXIT_NOT_FOUND,
@@ -210,7 +222,7 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
         (
             Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)),
             0,
-            "packages\tPROBLEM\tforeign: sim",
+            "No problem found.\n\nWorth knowing:\n-  packages: foreign: sim",
         ),
         (
             Report((), (WELL,), verdicts=(Verdict("case", False, ("devices of a case: without stereo",)),)),
@@ -220,7 +232,7 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
         (
             Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)),
             EXIT_NOT_FOUND,
-            "calibration tool_tip\tPROBLEM\texpired",
+            "1 problem:\n1. calibration tool_tip: expired",
         ),
     ],
     ids=["device", "case by a device", "computer", "case", "calibration"],
@@ -233,3 +245,36 @@ def test_a_problem_of_device_case_or_calibration_but_not_of_the_computer_gives_a
             show(report, as_json=as_json)
         assert (ended.value.code if ended else 0) == code
     assert printed in capsys.readouterr().out
+
+
+def test_problems_come_first_with_a_command_and_what_is_fine_is_folded_unless_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    doubled = Diagnostic("cameras on lo", True, "two", "There is another cell on this network.")
+    expired = Diagnostic("calibration tool_tip", False, "expired", "Calibrate again.", command="calibrate it")
+    fine = Diagnostic("disk", True, "enough")
+    report = Report((), (WELL, doubled), (expired,), (fine,), (Verdict("case", False, ("expired",)),))
+    for everything in (False, True):
+        with pytest.raises(SystemExit):
+            show(report, as_json=False, everything=everything)
+        said = capsys.readouterr().out
+        assert said.startswith(
+            "1 problem:\n1. calibration tool_tip: expired\n   Calibrate again.\n   calibrate it\n"
+            "\nWorth knowing:\n-  cameras on lo: two\n"
+        )
+        assert ("disk\tok\tenough" in said) is everything
+        assert ("2 checks without a finding" in said) is not everything
+        assert ("cameras on lo\tnote" in said) is everything  # not "ok" beside another cell
+        assert said.endswith("case\tNOT READY\t\n")
+
+
+def test_a_line_that_was_asked_for_is_shown_even_if_it_is_well(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    show(examine(None, ["tcp://127.0.0.1:1"]), as_json=False)
+    assert "\nok line tcp://127.0.0.1:1: answered\n" in capsys.readouterr().out
+
+
+def test_a_problem_that_no_command_solves_names_the_one_that_checks_it_again(theatre: Path) -> None:
+    found = {one.subject: one.command for one in examine(theatre).diagnostics if not one.well}
+    assert found["device tracker"] == f"ronna-procedure doctor --config {theatre}"

@@ -41,6 +41,7 @@ def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: 
         choice=SceneChoice("mini", 7, 4),
         speed="1",
         faults=Path("/a/b.txt"),
+        ask=True,
     )
     folder = new_run_folder(asked, tmp_path)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
@@ -136,7 +137,7 @@ def test_answers_in_a_request_that_are_none_are_refused(tmp_path: Path) -> None:
 def test_the_reopened_request_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
     recipe = Recipe(of=Calibrated.TIP, looks=8, more=3, ball_mm=(500.0, 0.0, 200.0)).model_dump(mode="json")
     asked = RunRequest(
-        procedure=CalibrationProcedure(recipe=recipe, days=30, write=Path("/a/tip.toml")),
+        procedure=CalibrationProcedure(recipe=recipe, days=30, update=True),
         choice=SceneChoice("mini", 7, first_day=True),
     )
     folder = new_run_folder(asked, tmp_path, "tool-tip")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
@@ -15,8 +16,12 @@ from recording_cell import STEREO_HEAD
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.runs import comparison
+from procedures.runs import comparison, recovery
+from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import recover
+from procedures.runs.request import RunRequest
+from procedures.runs.theatre_history import Signature, update_tables
+from ronna_hw.evidence.manifest import sha256_of
 
 
 def other_tool(cell: ClinicalCell) -> None:
@@ -49,6 +54,23 @@ def test_a_calibration_of_the_same_name_and_day_is_told_from_the_recorded_one(ce
     _, difference = refused.value.what.split("calibration tool_tip: recorded ")
     recorded, found = difference.split("; ")[0].split(", found ")
     assert recorded != found
+
+
+def test_a_theatre_file_updated_since_is_said_with_the_command_that_undoes_it(
+    cell: ClinicalCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    other_calibration(again)
+    (lab := tmp_path / "lab.toml").write_text('theatre = "lab"\n')
+    monkeypatch.setattr(InterruptedRun, "theatre_sha256", sha256_of(lab))
+    monkeypatch.setattr(recovery, "read_request", lambda _folder: RunRequest(config=lab))
+    update_tables(lab, {"procedure": {"approach_mm": 50.0}}, Signature("calibration tool-tip", by="A. N."))
+    with pytest.raises(RecoveryRefused) as refused:
+        recover(engine, left)
+    said = refused.value.what
+    assert "updated since its state 0: " in said
+    assert "A. N., calibration tool-tip" in said
+    assert f"ronna-procedure theatre-history {lab} --restore 0 --by" in said
 
 
 def longer_guide(engine: Engine) -> None:

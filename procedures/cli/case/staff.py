@@ -1,0 +1,247 @@
+"""The room's staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
+
+A word has one task done in the simulated room, and only while the case waits for that task.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.operators import (
+    HELP,
+    Alarms,
+    Asking,
+    TerminalOperator,
+    WritePrompt,
+    plain_prompt,
+    read_typed,
+    say_line,
+)
+from procedures.cli.case.readings import join_reads, read_values
+from procedures.operator.question import NOBODY, Room, Task, join_answers, pick_answer
+from procedures.runs.observers import RunObservers
+from ronna_hw.control_port import VARIABLE, ControlRequestRefused
+from ronna_hw.text import parse_typed_number, printable
+from ronna_hw.wire import room_tasks
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+MOUNT, STAND = "mount", "stand"
+TASKS = frozenset(word for name, word in vars(room_tasks).items() if name.isupper())
+WORDS = TASKS | {MOUNT, STAND}  # of manual work
+STAND_HOLDS = ("ball", "divot", "nothing")
+SETTABLE = (room_tasks.DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
+UNIT = "mm"
+NO_CONTROL = (
+    f'ronna-sim needs {VARIABLE}, which eval "$(ronna-sim env THEATRE-FOLDER)" sets in that terminal. Set '
+    "here, --ask has this work done by a word in this one."
+)
+
+Readings = tuple[float, ...]
+
+
+class TerminalRoom:
+    """Room staff, represented by the person at the terminal."""
+
+    def __init__(
+        self,
+        asking: Asking = plain_prompt,
+        *,
+        simulated: bool = False,
+        alarms: Alarms | None = None,
+    ) -> None:
+        """Set up the prompts; in a `simulated` theatre they show the command that does the work."""
+        self._asking = asking
+        self._alarms = Alarms() if alarms is None else alarms
+        self._simulated = simulated
+        self._explains = not os.environ.get(VARIABLE)  # once, where the command finds the room
+
+    def announce(self, step: str) -> None:
+        """Do nothing: progress is already visible."""
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Ask for a tool to be mounted; the step confirms and records it."""
+        with self._asking():
+            say_line(f"Mount {description} (tool {number}).")
+            self._hint(f"{MOUNT} {number}")
+
+    def prepare_stand(self, holds: str) -> None:
+        """Ask for an object to be put on the calibration stand; the step confirms it."""
+        with self._asking():
+            say_line(f"Put the {holds} on the calibration stand.")
+            self._hint(f"{STAND} {holds}")
+
+    def work(self, task: Task) -> Readings:
+        """Ask for a task to be done and return the typed readings; empty without a terminal."""
+        with self._asking() as write:
+            say_line(_as_order(task))
+            numbers = "".join(f" {number:g}" for number in task.numbers)
+            trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
+            self._hint(f"work {task.name}{numbers}{trajectory}")
+            self._alarms.begin()
+            return read_values(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
+
+    def _hint(self, command: str) -> None:
+        """Show the command that does the work in a simulated room."""
+        if self._simulated:
+            say_line(f"In the simulated room: ronna-sim {command}")
+            if self._explains:
+                say_line(NO_CONTROL)
+                self._explains = False
+        sys.stderr.flush()
+
+
+@dataclass(frozen=True)
+class _Due:
+    """Work that the case waits for: its word, and how the staff do what was typed.
+
+    `do` takes what follows the first word and returns what was done and read off. It raises ValueError, with
+    what is expected, for anything that cannot follow.
+    """
+
+    word: str  # as it is asked for
+    meaning: str
+    do: Callable[[Sequence[str]], tuple[str, Readings]]
+    variant: str = ""  # how else it may be said
+
+
+class WordedRoom:
+    """Room staff of a rehearsal, who act on a typed word."""
+
+    def __init__(self, staff: Room, asking: Asking = plain_prompt, alarms: Alarms | None = None) -> None:
+        """`staff` do the work in the simulated room."""
+        self._staff = staff
+        self._asking = asking
+        self._alarms = Alarms() if alarms is None else alarms
+
+    def announce(self, step: str) -> None:
+        """Tell the staff which step is running."""
+        self._staff.announce(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Have a tool mounted by `mount NUMBER`: the one that is due, or another by mistake."""
+
+        def mount(arguments: Sequence[str]) -> tuple[str, Readings]:
+            if len(arguments) != 1 or not arguments[0].isdecimal():
+                raise ValueError(f"{MOUNT} needs the number of a tool, such as {MOUNT} {number}")
+            mounted = int(arguments[0])
+            self._staff.change_tool(mounted, description if mounted == number else "")
+            return (f"tool {mounted} is mounted" if mounted else "no tool is mounted"), ()
+
+        due = _Due(
+            f"{MOUNT} {number}", f"mounts {description}", mount, f"{MOUNT} NUMBER mounts another tool, 0 none"
+        )
+        with self._asking() as write:
+            say_line(f"Mount {description} (tool {number}).")
+            self._have_done(write, due)
+
+    def prepare_stand(self, holds: str) -> None:
+        """Have the calibration stand prepared by `stand OBJECT`."""
+
+        def put(arguments: Sequence[str]) -> tuple[str, Readings]:
+            if (there := pick_answer(" ".join(arguments), STAND_HOLDS)) is None:
+                raise ValueError(f"{STAND} needs {join_answers(STAND_HOLDS)}")
+            self._staff.prepare_stand(there)
+            return f"on the stand: {there}", ()
+
+        due = _Due(
+            f"{STAND} {holds}",
+            f"puts the {holds} on the stand",
+            put,
+            f"{STAND} {join_answers(STAND_HOLDS)} puts that there",
+        )
+        with self._asking() as write:
+            say_line(f"Put the {holds} on the calibration stand.")
+            self._have_done(write, due)
+
+    def work(self, task: Task) -> Readings:
+        """Have a task done by its word, and read what its scales show; empty if nobody does it."""
+
+        def carry_out(arguments: Sequence[str]) -> tuple[str, Readings]:
+            numbers = _numbers(task, arguments)
+            place = f" at {task.trajectory}" if task.trajectory else ""
+            readings = self._staff.work(Task(task.name, task.subject, task.trajectory, numbers))
+            return f"{task.name}{place}", readings
+
+        variant = f"{task.name} NUMBER sets another length in mm" if task.name in SETTABLE else ""
+        due = _Due(task.name, f"has it done: {task.subject}", carry_out, variant)
+        with self._asking() as write:
+            say_line(_as_order(task))
+            shown = self._have_done(write, due)
+            if shown:
+                what = join_reads(task.reads) or "the scales"
+                say_line(f"You read off {what}: {' '.join(f'{value:g}' for value in shown)}")
+            if not task.reads or shown is None:
+                return ()
+            return read_values(write, task, self._alarms)
+
+    def _have_done(self, write: WritePrompt, due: _Due) -> Readings | None:
+        """Wait for the word and have it done; return what the scales show, or None if nobody does it."""
+        self._alarms.begin()
+        choices = (due.word, NOBODY)
+        while typed := read_typed(write, join_answers(choices), None, self._alarms):
+            first, *arguments = typed.strip("'").split() or ("",)
+            word = first.casefold()
+            if pick_answer(typed, (NOBODY,)) is not None:
+                say_line("Nobody does it.")
+                return None
+            if pick_answer(typed, (HELP,)) is not None:
+                self._explain(due)
+            elif word != due.word.split()[0]:
+                kind = "is not due now" if word in WORDS else "is no word for manual work"
+                say_line(f"{typed!r} {kind}: type {join_answers(choices)}; {HELP} explains them.")
+            else:
+                try:
+                    done, readings = due.do(arguments)
+                except (ValueError, ControlRequestRefused) as refused:
+                    say_line(str(refused))
+                    continue
+                say_line(f"Done: {done}.")
+                return readings
+        return None
+
+    @staticmethod
+    def _explain(due: _Due) -> None:
+        say_line(f"{due.word!r} {due.meaning}")
+        if due.variant:
+            say_line(due.variant)
+        say_line(f"{NOBODY!r} leaves it undone, as staff may who say nothing")
+
+
+def _as_order(task: Task) -> str:
+    return f"{task.subject[:1].upper()}{task.subject[1:]}."
+
+
+def _numbers(task: Task, arguments: Sequence[str]) -> tuple[float, ...]:
+    """Return the numbers for a task: as asked, or as typed where a person sets them. Raises ValueError."""
+    if not arguments:
+        return task.numbers
+    if task.name not in SETTABLE:
+        raise ValueError(f"nothing follows {task.name}; nothing was done")
+    with suppress(ValueError):
+        return (parse_typed_number(" ".join(arguments), UNIT),)
+    raise ValueError(f"{printable(' '.join(arguments))!r} is no length in mm; nothing was done")
+
+
+def terminal_observers(
+    asking: Asking = plain_prompt, opened: Callable[[Engine], None] = lambda _engine: None
+) -> RunObservers:
+    """Return observers for an operator at the terminal, with device alarms shown at each question."""
+    alarms = Alarms()
+
+    def attach_alarms(engine: Engine) -> None:
+        alarms.attach(engine)
+        opened(engine)
+
+    return RunObservers(
+        opened=attach_alarms,
+        person=TerminalOperator(asking, alarms),
+        staff=lambda simulated: TerminalRoom(asking, simulated=simulated, alarms=alarms),
+        by_word=lambda staff: WordedRoom(staff, asking, alarms),
+    )

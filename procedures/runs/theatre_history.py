@@ -1,0 +1,228 @@
+"""Updates of a theatre file in place, and its history: each earlier state, who changed it, when and by what.
+
+FOLDER/theatre.toml               the theatre file, updated atomically
+FOLDER/theatre.toml.history       one JSON line for each update, with the file as it became
+
+The history is written first and locked for the whole update, so two updates follow one another and neither is
+lost. A run records the hash of its theatre file; the history says which state that was, and can restore it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import getpass
+import hashlib
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from procedures.runs.theatre_tables import with_tables
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded
+from ronna_hw.config import BadTheatreFile, parse_theatre
+from ronna_hw.records import write_atomically
+
+SUFFIX = ".history"
+LARGEST_HISTORY_BYTES = 100_000_000  # thousands of updates
+Tables = dict[str, dict[str, object]]
+
+
+class Update(BaseModel):
+    """One line of a history."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    time: str  # UTC
+    by: str  # name given to the command, else the account
+    account: str  # USER@COMPUTER
+    command: str
+    source: str = ""  # folder of the calibration
+    changes: tuple[str, ...]  # such as "calibration.tool_tip: OLD -> NEW"
+    sha256_before: str
+    sha256_after: str
+    former: str | None = None  # text of the file before, unless the line above has it
+    text: str  # of the file after
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Who updates a theatre file, by which command and from which calibration."""
+
+    command: str
+    by: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class State:
+    """A state of a theatre file. `update` led to it, except to the first and to one edited by hand."""
+
+    number: int
+    sha256: str
+    text: str
+    update: Update | None
+
+
+def history_path(theatre: Path) -> Path:
+    """Return the path of a theatre file's history."""
+    theatre = theatre.resolve()
+    return theatre.with_name(theatre.name + SUFFIX)
+
+
+def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
+    """Put new entries into a theatre file's tables, keeping its comments.
+
+    Raises CFG-001 without writing anything if the file would be invalid.
+    """
+
+    def change(content: bytes) -> bytes:
+        text = content.decode("utf-8-sig").replace("\r\n", "\n")
+        return with_tables(text, tables).encode()
+
+    with _locked(theatre) as history:
+        _replace(theatre, history, change, signature)
+
+
+def restore(theatre: Path, state: State, signature: Signature) -> None:
+    """Put an earlier state of a theatre file back in force, byte for byte, as an update of its own."""
+    with _locked(theatre) as history:
+        _replace(theatre, history, lambda _content: state.text.encode(), signature)
+
+
+@contextmanager
+def _locked(theatre: Path) -> Iterator[int]:
+    file = os.open(history_path(theatre), os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o664)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX)  # an update takes milliseconds
+        yield file
+    finally:
+        os.close(file)
+
+
+def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], signature: Signature) -> None:
+    theatre = theatre.resolve()
+    content = read_bounded(theatre, LARGEST_TOML_BYTES)
+    before = parse_toml_bytes(content, theatre.name, BadTheatreFile)
+    new = change(content)
+    if new == content:
+        return
+    after = parse_toml_bytes(new, theatre.name, BadTheatreFile)
+    parse_theatre(after, f"{theatre.name} with the update")
+    account, earlier = getpass.getuser(), _read_updates(history_path(theatre))
+    update = Update(
+        time=datetime.now(UTC).isoformat(timespec="seconds"),
+        by=signature.by or account,
+        account=f"{account}@{socket.gethostname()}",
+        command=signature.command,
+        source=signature.source,
+        changes=tuple(_describe_changes(before, after)),
+        sha256_before=_sha256(content),
+        sha256_after=_sha256(new),
+        former=None if earlier and earlier[-1].sha256_after == _sha256(content) else content.decode(),
+        text=new.decode(),
+    )
+    _append(history, update)
+    mode = theatre.stat().st_mode
+    write_atomically(theatre, new)
+    theatre.chmod(mode)
+
+
+def _append(history: int, update: Update) -> None:
+    """Append a line and flush it to disk, starting afresh after a line that a crash cut off."""
+    size = os.fstat(history).st_size
+    torn = size > 0 and os.pread(history, 1, size - 1) != b"\n"
+    line = ("\n" if torn else "") + update.model_dump_json() + "\n"
+    os.write(history, line.encode())
+    os.fsync(history)
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _describe_changes(before: dict[str, object], after: dict[str, object]) -> Iterator[str]:
+    """Describe each changed table, for records with the identifiers of the former and the new one."""
+    for name in sorted(before.keys() | after.keys()):
+        then, now = before.get(name), after.get(name)
+        if then == now:
+            continue
+        if name not in ("calibration", "tools"):
+            yield name
+            continue
+        then, now = (entries if isinstance(entries, dict) else {} for entries in (then, now))
+        for key in sorted(then.keys() | now.keys()):
+            if then.get(key) != now.get(key):
+                yield f"{name}.{key}: {_identifier(then.get(key))} -> {_identifier(now.get(key))}"
+
+
+def _identifier(record: object) -> str:
+    return str(record.get("identifier", "unnamed")) if isinstance(record, dict) else "none"
+
+
+def read_states(theatre: Path) -> tuple[State, ...]:
+    """Return every known state of a theatre file, oldest first; the last is the present one.
+
+    Updates that a crash kept from being carried out, and lines cut off by one, are left out.
+    """
+    theatre = theatre.resolve()
+    present = read_bounded(theatre, LARGEST_TOML_BYTES)
+    updates = _read_updates(history_path(theatre))
+    followed_by = [*(one.sha256_before for one in updates), _sha256(present)][1:]
+    states: list[State] = []
+
+    def add(text: str, sha256: str, update: Update | None = None) -> None:
+        if update is not None or not states or states[-1].sha256 != sha256:
+            states.append(State(len(states), sha256, text, update))
+
+    for update, next_sha256 in zip(updates, followed_by, strict=True):
+        if next_sha256 == update.sha256_before:  # not carried out
+            continue
+        if update.former is not None:
+            add(update.former, update.sha256_before)
+        add(update.text, update.sha256_after, update)
+    add(present.decode(), _sha256(present))
+    return tuple(states)
+
+
+def _read_updates(path: Path) -> list[Update]:
+    try:
+        lines = read_bounded(path, LARGEST_HISTORY_BYTES).splitlines()
+    except FileNotFoundError:
+        return []
+    updates = []
+    for line in lines:
+        try:
+            updates.append(Update.model_validate_json(line))
+        except ValidationError:  # cut off by a crash: nothing followed from it
+            continue
+    return updates
+
+
+def describe_updates_since(theatre: Path, sha256: str) -> str | None:
+    """Describe how a theatre file was updated since it had this hash, or None if it has it still."""
+    states = read_states(theatre)
+    if states[-1].sha256 == sha256:
+        return None
+    number = find_state(states, sha256)
+    if number is None:
+        return f"{theatre.name} is not as it was, and its history does not know that state"
+    said = "; ".join(describe_state(one) for one in states[number + 1 :])
+    return f"{theatre.name} was updated since its state {number}: {said}"
+
+
+def find_state(states: Sequence[State], sha256: str) -> int | None:
+    """Return the number of the latest state with this hash, or None."""
+    return next((one.number for one in reversed(states) if one.sha256 == sha256), None)
+
+
+def describe_state(state: State) -> str:
+    """Describe what led to a state, on one line."""
+    if state.update is None:
+        return "as first known" if state.number == 0 else "edited by hand"
+    update = state.update
+    return f"{update.time}, {update.by}, {update.command}: {', '.join(update.changes)}"

@@ -1,0 +1,171 @@
+"""Register of this user's running simulators: one file each, locked while the simulator lives.
+
+The files hold the control tokens, so folder and files are readable by this user only. A file that nobody has
+locked belongs to a program that was killed; whoever finds it removes it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import fcntl
+import json
+import os
+import shlex
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.bounded_input import parse_json
+from ronna_hw.endpoints import parse_endpoint
+from sim.errors import NotRunning
+
+OWNER_ONLY = 0o700
+ENTRY = ".json"
+LOG = ".log"
+STARTING = ".starting"
+
+
+@dataclass(frozen=True)
+class RunningSimulator:
+    """A running simulator, as registered by itself."""
+
+    name: str  # of a theatre its folder's, else the device's
+    pid: int
+    in_background: bool
+    folder: Path | None  # of a theatre
+    ready: Mapping[str, Any]  # fields of its READY line
+
+    @property
+    def log(self) -> Path:
+        """File that receives the messages of a simulator in the background."""
+        return register_folder() / f"{self.pid}{LOG}"
+
+    @property
+    def argument(self) -> str:
+        """Shortest argument that means this simulator, quoted for a shell."""
+        alike = [one for one in list_running() if one.name == self.name]
+        return shlex.quote(self.name) if len(alike) == 1 else str(self.pid)
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the simulator still holds its entry."""
+        return _is_held(register_folder() / f"{self.pid}{ENTRY}")
+
+    def shell_lines(self) -> Iterator[str]:
+        """Yield one quoted `export` line per variable, for `eval`."""
+        return (f"export {name}={shlex.quote(value)}" for name, value in variables_of(self.ready).items())
+
+
+def variables_of(ready: Mapping[str, Any]) -> dict[str, str]:
+    """Return shell variables with the endpoints of a READY line, under the names that the pages use."""
+    endpoints = ready.get("endpoints", {})
+    kuka, basler = endpoints.get("kuka", endpoints), endpoints.get("basler", endpoints)
+    found = {
+        "RONNA_CONTROL": ready.get("control", endpoints.get("control")),
+        "THEATRE": ready.get("file"),
+        "LINE": ready.get("endpoint", endpoints.get("polaris")),
+        "CONTROLLER": kuka.get("eki_project"),
+        "STREAM": kuka.get("rsi"),
+        "LEFT": basler.get("left") and parse_endpoint(basler["left"]).host,
+        "RIGHT": basler.get("right") and parse_endpoint(basler["right"]).host,
+        "CLOCK": endpoints.get("clock"),
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def register(ready: Mapping[str, Any], *, in_background: bool) -> None:
+    """Register this process until it ends; one in the foreground may lack a folder for that."""
+    folder = Path(ready["file"]).parent if "file" in ready else None
+    with nullcontext() if in_background else suppress(OSError):
+        path = register_folder() / f"{os.getpid()}{ENTRY}"
+        entry = {
+            "name": str(ready["device"]) if folder is None else folder.name,
+            "in_background": in_background,
+            "folder": None if folder is None else str(folder),
+            "ready": dict(ready),
+        }
+        temporary = path.with_suffix(STARTING)
+        file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+        fcntl.flock(file, fcntl.LOCK_EX)  # held, and the file open, as long as this process lives
+        os.write(file, json.dumps(entry).encode())
+        temporary.replace(path)
+        atexit.register(path.unlink, missing_ok=True)
+
+
+def register_folder() -> Path:
+    """Return the register's folder. Raises PermissionError if it belongs to another user."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if Path(runtime).is_absolute() and os.access(runtime, os.W_OK):
+        folder = Path(runtime) / "ronna-sim"
+    else:
+        folder = Path(tempfile.gettempdir()) / f"ronna-sim-{os.getuid()}"
+    folder.mkdir(mode=OWNER_ONLY, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or folder.is_symlink() or found.st_mode & 0o077:
+        raise PermissionError(f"{folder} must be a folder of this user alone (mode 700)")
+    return folder
+
+
+def list_running() -> tuple[RunningSimulator, ...]:
+    """List this user's running simulators by name, and remove entries of those that were killed."""
+    found = []
+    for path in register_folder().glob(f"*{ENTRY}"):
+        if not _is_held(path):
+            path.unlink(missing_ok=True)
+            continue
+        with suppress(OSError, ValueError, KeyError, TypeError):  # it ended meanwhile
+            entry: Any = parse_json(path.read_bytes())
+            folder = None if entry["folder"] is None else Path(entry["folder"])
+            found.append(
+                RunningSimulator(
+                    entry["name"], int(path.stem), entry["in_background"], folder, dict(entry["ready"])
+                )
+            )
+    return tuple(sorted(found, key=lambda one: (one.name, one.pid)))
+
+
+def _is_held(path: Path) -> bool:
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(file)
+    return False
+
+
+def find_running(cell: str | None) -> RunningSimulator:
+    """Find a simulator by name, process number, or a theatre's folder or file; without `cell` the only one.
+
+    Raises SIM-018 listing those that run, unless it is exactly one.
+    """
+    running = list_running()
+    chosen = running if cell is None else tuple(one for one in running if _is_meant(one, cell))
+    if len(chosen) == 1:
+        return chosen[0]
+    listed = ", ".join(f"{one.name} (pid {one.pid}{_place(one)})" for one in running) or "none"
+    if not chosen:
+        what = "no simulator is running" if cell is None else f"no simulator {cell!r} is running"
+        start = None if running else "Start one, such as ronna-sim theatre --scene mini --out cell --detach."
+        raise NotRunning(what, expected="one that is running", got=listed, action=start)
+    what = "several simulators are running" if cell is None else f"several simulators are named {cell!r}"
+    action = "Give its name." if cell is None else "Give its process number, or a theatre's folder."
+    raise NotRunning(what, expected="one of them", got=listed, action=action)
+
+
+def _is_meant(one: RunningSimulator, cell: str) -> bool:
+    if cell in (one.name, str(one.pid)):
+        return True
+    place = Path(cell).resolve()
+    return one.folder is not None and place in (one.folder, Path(str(one.ready["file"])))
+
+
+def _place(one: RunningSimulator) -> str:
+    return "" if one.folder is None else f", {one.folder}"
