@@ -46,7 +46,8 @@ HOLD_WHILE_RUNNING = """
   const scene = getElement(Number(document.querySelector(".stage").id.slice(1))).scene;
   const count = scene.children.length;  // bodies are exchanged one by one
   if (count !== window.bodies) [window.bodies, window.since] = [count, now];
-  if (now - window.since < 700 || document.querySelector(".scenebox .warn.num")) return false;  // nor a grey arm
+  const isGrey = document.querySelector(".scenebox .warn.num") !== null;
+  if (isGrey || now - window.since < 700) return false;
   window.socket.disconnect();  // the page keeps this moment for all its looks: steps are quick
   performance.now = () => now;
   return true;
