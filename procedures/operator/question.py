@@ -229,6 +229,11 @@ class Question:
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
 
     @property
+    def value_line(self) -> str:
+        """Value on one line, for a message."""
+        return "; ".join(self.value.splitlines())
+
+    @property
     def deliberate(self) -> bool:
         """Whether continuing moves the arm or accepts a result, and so must not be possible by accident."""
         return self.topic in DELIBERATE

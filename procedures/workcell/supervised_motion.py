@@ -137,7 +137,7 @@ class SupervisedMotion:
         if self._ask is None:
             return False
         if self._ask(question) != YES:
-            raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
+            raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value_line)
         return True
 
     def carry_out_with_detour(self, motion: PlannedMotion) -> ArmReading:

@@ -33,6 +33,7 @@ DATING = {
     "ronna_hw/recording/flight_recorder.py",
     "procedures/reporting/report.py",
     "procedures/runs/folders.py",
+    "procedures/runs/theatre_history.py",
     "procedures/cli/doctor/report.py",
     "procedures/cli/tool/command.py",
     "procedures/exchange/sphere_files.py",

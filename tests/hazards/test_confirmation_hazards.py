@@ -174,6 +174,7 @@ def test_what_decides_a_registration_is_bold_on_a_terminal_and_the_identity_is_s
     assert TerminalOperator().ask(asked).word == "no"
     shown = screen.getvalue().partition("Type ")[0].replace("\x1b[1m", "<").replace("\x1b[0m", ">")
     assert shown == (
+        "Answers count in full, in upper or lower case; help explains those of a question.\n"
         "accept the registration for T1\n  name: Phantom, Head\n"
         "  predicted target error <0.22 mm rms> against a <margin of 2 mm>\n"
         "  within the margin; 95% of such errors stay within 0.40 mm\n"

@@ -101,7 +101,7 @@ def test_the_arm_stands_still_while_hands_are_at_the_divot_until_it_is_confirmed
         read(cell)
     assert motions == [len(cell.arm.motions)]
     assert stops == [before + 1]
-    assert "hands are clear" in cell.operator.asked[-1].subject
+    assert "are hands clear of it" in cell.operator.asked[-1].subject
     with pytest.raises(InstrumentInGuide, match=r"TOOL-001: home: .*in the divot"):
         cell.workcell.go_home()
     assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).place.instrument_may_be_inside == IN_DIVOT
