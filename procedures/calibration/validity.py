@@ -9,7 +9,13 @@ from datetime import datetime
 from pathlib import Path
 
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
-from ronna_hw.calibration import CalibrationExpired, DatedRecord, Numbers3, StereoHeadCalibration, ToolTipCalibration
+from ronna_hw.calibration import (
+    CalibrationExpired,
+    DatedRecord,
+    Numbers3,
+    StereoHeadCalibration,
+    ToolTipCalibration,
+)
 from ronna_hw.config import Calibrations
 
 MADE_BY_COMMAND = {  # in order of creation: each builds on those before it

@@ -276,8 +276,18 @@ def test_an_existing_file_is_not_overwritten(cameras: Cameras, out: Path) -> Non
 
 def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out: Path) -> None:
     out.write_text("mine")
-    wrong = ("--controller", "192.168.10.300", "--stream", "59152", "--clock", "sun:", "--interface", "eth77")
-    wrong += ("--option", "stereo.exposure=1", "--option", "stereo.exposure_us=5s", "--option", "exposure_us=1")
+    wrong: tuple[str, ...] = (
+        "--controller",
+        "192.168.10.300",
+        "--stream",
+        "59152",
+        "--clock",
+        "sun:",
+        "--interface",
+        "eth77",
+    )
+    for option in ("stereo.exposure=1", "stereo.exposure_us=5s", "exposure_us=1"):
+        wrong += ("--option", option)
     code, _, errors = new_theatre(out, *wrong, serial="pts/2")
     (line,) = one_error(errors)
     assert code == EXIT_USAGE
