@@ -131,12 +131,20 @@ class ClockConfig(Strict):
         return value
 
 
+def _require_address(text: str) -> str:
+    parse_endpoint(text)
+    return text
+
+
+Address = Annotated[str, AfterValidator(_require_address)]
+
+
 class DeviceConfig(Strict):
     """Configuration of a device: driver name, endpoint or endpoints, and driver-specific options."""
 
     driver: str = Field(description="Name of the driver, as registered by its package.")
-    endpoint: str | None = Field(default=None, description="Address of a device with one endpoint.")
-    endpoints: dict[str, str] = Field(
+    endpoint: Address | None = Field(default=None, description="Address of a device with one endpoint.")
+    endpoints: dict[str, Address] = Field(
         default_factory=dict,
         description="Role = address, for a device with several endpoints: `rsi` and `eki`, `left` and "
         "`right`.",
@@ -168,8 +176,6 @@ class DeviceConfig(Strict):
     def _has_endpoint(self) -> Self:
         if (self.endpoint is None) == (not self.endpoints):
             raise ValueError("give either endpoint or endpoints")
-        for value in (*self.endpoints.values(), *([self.endpoint] if self.endpoint else [])):
-            parse_endpoint(value)
         return self
 
     def address(self, role: str | None = None) -> Endpoint:

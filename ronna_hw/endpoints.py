@@ -18,7 +18,15 @@ from urllib.parse import urlsplit
 
 from ronna_hw.errors import ConfigurationError
 
-SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
+EXAMPLES = {  # scheme -> an endpoint
+    "udp": "udp://192.168.1.5:59152",
+    "tcp": "tcp://192.168.1.5:8765",
+    "serial": "serial:///dev/ttyUSB0",
+    "gev": "gev://192.168.1.5",
+    "shm": "shm:///proc/1234/fd/5",
+    "host": "host:",
+}
+SCHEMES = tuple(EXAMPLES)
 
 
 class BadEndpoint(ConfigurationError, ValueError):
@@ -61,7 +69,11 @@ class Endpoint:
     def require(self, *schemes: str) -> Endpoint:
         """Return the endpoint, or raise CFG-002 if its scheme is not one of `schemes`."""
         if self.scheme not in schemes:
-            raise BadEndpoint(f"{self} cannot be used here", expected=" or ".join(f"{s}:" for s in schemes))
+            raise BadEndpoint(
+                f"{self} cannot be used here",
+                expected=" or ".join(f"{s}:" for s in schemes),
+                action=f"Write it as {' or '.join(EXAMPLES[s] for s in schemes)}.",
+            )
         return self
 
 
@@ -76,7 +88,9 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
         parts = urlsplit(text)
         port = parts.port
     except ValueError as error:
-        raise BadEndpoint(f"{text!r} is not an endpoint: {error}") from error
+        example = EXAMPLES.get(text.partition(":")[0])
+        action = None if example is None else f"Write it as {example}."
+        raise BadEndpoint(f"{text!r} is not an endpoint: {error}", action=action) from error
     if parts.scheme not in SCHEMES or parts.scheme == "host":
         raise BadEndpoint(
             f"{text!r} has an unknown scheme", expected=", ".join(SCHEMES), action=_suggest_scheme(text)

@@ -173,3 +173,12 @@ def test_a_calibration_file_without_records_is_refused(tmp_path: Path, text: str
         (tmp_path / CALIBRATION_FILE).write_text(text)
     with pytest.raises(BadCalibrationFile, match="SIM-014"):
         read_calibrations([tmp_path])
+
+
+def test_a_port_out_of_range_is_reported_with_its_key_and_a_fitting_example() -> None:
+    endpoints = {"rsi": "udp://192.168.10.20:59152", "eki": "tcp://127.0.0.1:70000"}
+    content = {"theatre": "lab", "robot": {"master": {"driver": "kuka_rsi", "endpoints": endpoints}}}
+    with pytest.raises(BadTheatreFile, match=r"robot\.master\.endpoints\.eki: CFG-002") as refused:
+        parse_theatre(content)
+    assert "tcp://" in refused.value.what
+    assert "serial://" not in refused.value.what
