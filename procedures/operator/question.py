@@ -151,6 +151,7 @@ class Identity(BaseModel):
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
+HELP = "help"  # in place of any answer: what can be typed
 MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
@@ -247,6 +248,11 @@ class Question:
         """Whether a continuing answer came with a wrong read-back value."""
         typed = answer.typed if answer.word == self.answers[0] else None
         return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
+
+    @staticmethod
+    def asks_for_help(answer: Answer) -> bool:
+        """Whether `help` was typed as the value to be read back: no try, and no value either."""
+        return answer.typed is not None and pick_answer(answer.typed, (HELP,)) is not None
 
     def why_refused(self, answer: Answer) -> str:
         """Return why an answer is refused, or an empty string if it is valid."""

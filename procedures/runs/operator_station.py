@@ -310,6 +310,8 @@ class OperatorStation:
         by = Signature(self._seat.holder, session, current.shown)
         answer = Answer(order.answer, order.typed, order.readings, by)
         if question.read_back is not None and question.is_misread(answer):
+            if question.asks_for_help(answer):
+                return f"type {question.read_back.what}"
             current.misread += 1
             wrong = f"{answer.typed!r} {question.read_back.wrong.rstrip('.')}"
             if current.misread < MOST_MISREAD:

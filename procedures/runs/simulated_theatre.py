@@ -167,6 +167,10 @@ class SimulatedRoom:
         )
         return tuple(float(reading) for reading in answer.get("readings", ()))
 
+    def read_wristband(self) -> str:
+        """Return the identifier on the simulated patient's wristband."""
+        return str(ask_control_port(self._control, "wristband")["wristband"])
+
     def tell_missed_faults(self, tell: Callable[[str], None]) -> Callable[[object, object, object], None]:
         """Return an exit callback that reports room faults scheduled too late to take effect."""
 

@@ -13,7 +13,8 @@ Each further line is a request, with one answer:
 - `{"do": "move", "cart": 1, "by_mm": [60, -40, 0], "turn_deg": 5}`, answered once the cart has arrived; with
   `"anyway": true` also if an instrument is in the guide;
 - `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
-  inserting an instrument samples the truth at that target.
+  inserting an instrument samples the truth at that target;
+- `{"do": "wristband"}`, answered with `wristband`: the identifier that the patient wears.
 """
 
 from __future__ import annotations
@@ -214,6 +215,7 @@ class Room:
             "fault": self._fault,
             "clear_faults": self._clear_faults,
             "missed_faults": self._list_missed_faults,
+            "wristband": lambda _request: {"wristband": self._world.scene.wristband},
         }
         action = actions.get(str(request.get("do")))
         if action is None:

@@ -188,7 +188,7 @@ class Prompt:
         """Return the hint on how to continue the case at this prompt."""
         if self._resumes:
             return "resume continues, next does one step"
-        return continue_hint(engine, "next continues")
+        return continue_hint(engine, f"next runs {engine.upcoming}")
 
     def _print_resume_hint(self, engine: Engine) -> None:
         if not engine.machine.ended:

@@ -129,7 +129,7 @@ class DicomSeries:
         data.Modality = "CT"
         data.Manufacturer = "ronna-sim phantom"
         data.StudyDescription = data.SeriesDescription = self._described
-        data.PatientName, data.PatientID = "Phantom^Head", f"{self._scene.name}-{self._scene.seed}"[:64]
+        data.PatientName, data.PatientID = "Phantom^Head", self._scene.wristband
         data.PatientBirthDate = data.PatientSex = ""
         data.BodyPartExamined = "HEAD"
         data.KVP = "120"
