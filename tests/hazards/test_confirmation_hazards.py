@@ -211,8 +211,7 @@ def test_after_a_wrong_value_the_right_one_counts_and_neither_help_nor_a_command
     shown = screen.getvalue()
     assert screen.prompts == 2
     assert shown.count("left.\n") == 2
-    assert shown.count("Type yes or no.\n") == 2
-    assert shown.count("is no value: type how many mm it moves first, or no to stop.") == 2
+    assert shown.count("ype how many mm it moves first, or no to stop.") == 4
     assert shown.count("Ctrl-C twice ends the command.\n") == 5
 
 

@@ -159,7 +159,7 @@ class TerminalOperator:
     def _read_back(
         self, write: WritePrompt, question: Question, read_back: ReadBack, deadline_s: float | None
     ) -> Answer | None:
-        """Ask for the value after the first answer, until it or another answer is typed or the tries are used.
+        """Ask for the value after the first answer, until it or another answer is typed, or no try is left.
 
         None if time is out or the terminal is gone.
         """
@@ -171,7 +171,8 @@ class TerminalOperator:
             if (word := pick_answer(typed, others)) is not None:
                 return Answer(word)
             if pick_answer(typed, (HELP,)) is not None:
-                _explain(question)
+                say_line(f"Type {read_back.what}, or {join_answers(others)} to stop.")
+                _explain_ending(question)
                 continue
             if leave := _how_to_leave(typed):
                 say_line(
@@ -200,10 +201,15 @@ def say_line(line: str) -> None:
 
 
 def _explain(question: Question) -> None:
-    """Write what can be typed at a question, and what counts without an answer."""
+    """Write what can be typed at a question, how to leave it, and what counts without an answer."""
     say_line(f"Type {join_answers(question.answers)}.")
     if question.read_back is not None:
         say_line(f"After {question.answers[0]!r}, type {question.read_back.what}.")
+    _explain_ending(question)
+
+
+def _explain_ending(question: Question) -> None:
+    """Write how to leave a question, and what counts without an answer."""
     say_line(f"Commands count after the question; {LEAVING}.")
     if question.timeout_s is None:
         say_line(f"It waits until it is answered; the end of the input counts as {question.silence!r}.")

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 FARTHEST_MM = 3000.0  # of a head from the arm's base
 READ_AGAIN = (
     "The reading may be mistyped, not in mm, or of another point: repeat the step, touch the point and read "
-    "it again. Do not use this CT while the point stays elsewhere."
+    "it again. If it stays elsewhere, do not continue with this CT."
 )
 
 

@@ -210,7 +210,7 @@ def test_a_head_touched_elsewhere_stops_the_case_and_a_mistyped_reading_is_not_c
         mirrored_mm = landmark.mirrored_mm[0]
         touched_mm = {
             "mirrored": mirrored_mm,
-            "beside the mirrored": mirrored_mm + (0.0, 0.0, 0.9 * READING_LIMIT_MM),
+            "beside the mirrored": np.add(mirrored_mm, (0.0, 0.0, 0.9 * READING_LIMIT_MM)),
             "in cm": 0.1 * landmark.matched_mm,
         }[reading]
         cell.room.touched = lambda _side: tuple(touched_mm)
