@@ -157,6 +157,18 @@ def test_an_instrument_is_inserted_only_where_the_depth_stop_was_set_for(tmp_pat
     assert read_samples(tmp_path) == []
 
 
+@pytest.mark.parametrize("task", [SKIN, INSERT])
+def test_nothing_is_done_through_a_stereo_head(tmp_path: Path, task: str) -> None:
+    world = a_world()
+    room = Room(world, tmp_path)
+    assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
+    world.mount_tool(SCENE.mount.tool_number_stereo)
+    answer = room.answer({"do": "work", "task": task, "trajectory": "T1"})
+    assert answer["reason"] == f"{task} is done through the guide, tool 2; mounted is the stereo head, tool 1"
+    assert answer["advice"] == "Mount the guide first: ronna-sim mount 2."
+    assert read_samples(tmp_path) == []
+
+
 def shift_mm(world: World) -> tuple[float, float, float]:
     """Shift of the head relative to the robot."""
     return ShiftedRoom(world).now().head_mm
