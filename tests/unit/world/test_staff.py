@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from ronna_hw.frames import Frame
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH, OnStand
 from sim.basler.camera.view import View
 from sim.errors import BadFaultScript, StandNotReady
 from sim.world.control_port import Room
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
-from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
