@@ -117,7 +117,7 @@ class OrderPanel:
         """Enable the valid orders. Each order quotes the state in which its button was shown."""
         state = activity_of(
             None if view.question is None else view.question.topic,
-            view.waiting.upcoming if view.waiting else None,
+            is_waiting=bool(view.waiting and view.waiting.upcoming),
         )
         has_ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""

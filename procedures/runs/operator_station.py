@@ -221,7 +221,7 @@ class OperatorStation:
         if self._engine is None:
             return CaseActivity.OPENING
         topic = None if self._question is None else self._question.question.topic
-        return activity_of(topic, self._waiting_for)
+        return activity_of(topic, is_waiting=self._waiting_for is not None)
 
     def _find_refusal(self, sent: SentOrder) -> str:
         """Return the reason for refusing an order in the current state, or an empty string."""

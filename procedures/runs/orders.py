@@ -190,11 +190,11 @@ AT_REST = frozenset({WAITING, PAUSED})
 NEVER: frozenset[CaseActivity] = frozenset()
 
 
-def activity_of(topic: str | None, upcoming: str | None) -> CaseActivity:
-    """Return the activity of an open theatre with an open question of this topic, or waiting for a step."""
+def activity_of(topic: str | None, *, is_waiting: bool) -> CaseActivity:
+    """Return the activity of an open theatre with an open question of this topic, or waiting for an order."""
     if topic is not None:
-        return PAUSED if topic == Topic.PAUSE else CaseActivity.ASKING
-    return WAITING if upcoming else CaseActivity.RUNNING
+        return PAUSED if topic == Topic.PAUSE else ASKING
+    return WAITING if is_waiting else RUNNING
 
 
 @dataclass(frozen=True)

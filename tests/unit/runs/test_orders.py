@@ -45,19 +45,18 @@ def test_the_commands_of_a_prompt_keep_their_words_and_only_looks_and_answers_co
 
 
 @pytest.mark.parametrize(
-    ("topic", "upcoming", "activity"),
+    ("topic", "is_waiting", "activity"),
     [
-        ("pause", "image", PAUSED),
-        ("approach", "image", ASKING),  # a question comes first
-        (None, "image", WAITING),
-        (None, "", RUNNING),
-        (None, None, RUNNING),
+        ("pause", True, PAUSED),
+        ("approach", True, ASKING),  # a question comes first
+        (None, True, WAITING),
+        (None, False, RUNNING),
     ],
 )
 def test_the_activity_of_a_case_follows_its_open_question_and_the_step_that_it_waits_for(
-    topic: str | None, upcoming: str | None, activity: CaseActivity
+    topic: str | None, is_waiting: bool, activity: CaseActivity
 ) -> None:
-    assert activity_of(topic, upcoming) is activity
+    assert activity_of(topic, is_waiting=is_waiting) is activity
 
 
 @pytest.mark.parametrize("name", ["Ana Novak", "王\u3000伟", "Ana\u00a0N.", "علی\u200cرضا", "O'Brien-Šimić"])
