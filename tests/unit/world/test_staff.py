@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.frames import Frame
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH, OnStand
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
 from sim.basler.camera.view import View
 from sim.errors import BadFaultScript, StandNotReady
 from sim.world.control_port import Room
@@ -134,6 +134,11 @@ def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
         answer = room.answer(request)
         assert not answer["ok"]
         assert reason in answer["reason"]
+
+
+def test_the_staff_know_every_task_word_and_no_other(tmp_path: Path) -> None:
+    reason = Room(a_world(), tmp_path).answer({"do": "work", "task": "tea"})["reason"]
+    assert set(reason.partition("expected ")[2].split(", ")) == set(TASKS)
 
 
 def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path: Path) -> None:
