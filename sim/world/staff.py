@@ -30,13 +30,13 @@ from ronna_hw.wire.room_tasks import (
     OUT,
     SKIN,
     TOUCH,
+    OnStand,
 )
 from sim.errors import StandNotReady
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
-from sim.world.options import OnStand
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
 from sim.world.truth import TrueGuide, append_sample, sample_instrument, tip_at_calibration
 from sim.world.world import World

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from ronna_hw.frames import Frame
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
 from sim.basler.camera.view import View
 from sim.errors import BadFaultScript, StandNotReady
 from sim.world.control_port import Room
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
-from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
@@ -135,6 +134,11 @@ def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
         answer = room.answer(request)
         assert not answer["ok"]
         assert reason in answer["reason"]
+
+
+def test_the_staff_know_every_task_word_and_no_other(tmp_path: Path) -> None:
+    reason = Room(a_world(), tmp_path).answer({"do": "work", "task": "tea"})["reason"]
+    assert set(reason.partition("expected ")[2].split(", ")) == set(TASKS)
 
 
 def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path: Path) -> None:
