@@ -6,8 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.motions import BACK
-from procedures.reporting.numbers import NOT_KNOWN, millimetres, tenths
+from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
@@ -30,16 +31,16 @@ class TargetRow:
     margin_mm: float | None = None  # accepted by the plan
 
     @property
-    def verdict(self) -> str:
+    def known_mm(self) -> float | None:
+        """The largest known error."""
+        return max((one for one in (self.error_mm, self.measured_mm) if one is not None), default=None)
+
+    @property
+    def verdict(self) -> MarginVerdict | None:
         """The error against the margin, or where no error is known what was predicted of it."""
         if self.margin_mm is None:
-            return NOT_KNOWN
-        known_mm = [one for one in (self.error_mm, self.measured_mm) if one is not None]
-        if known_mm:
-            return "within" if max(known_mm) <= self.margin_mm else "beyond"
-        if self.predicted.rms_mm > self.margin_mm:
-            return "predicted beyond"
-        return "predicted within" if self.predicted.limit_mm <= self.margin_mm else "rms within, limit beyond"
+            return None
+        return judge_error(self.margin_mm, self.predicted.rms_mm, self.predicted.limit_mm, self.known_mm)
 
     @property
     def cells(self) -> tuple[str, ...]:
