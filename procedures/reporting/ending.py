@@ -12,6 +12,7 @@ from procedures.operator.margin import MarginVerdict
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import target_rows
+from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
@@ -165,7 +166,7 @@ def _describe_incidents(journal: Sequence[Line]) -> str:
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
     counters = [
-        (_count_emergency_stops(journal), "emergency stop", ""),
+        (_count_emergency_stops(journal), EMERGENCY_STOP, ""),
         (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
         (len(paused), "pause", ""),
         (resumes(journal), "resume", ""),
@@ -197,7 +198,7 @@ def _count_emergency_stops(journal: Sequence[Line]) -> int:
 
 
 def _is_stop(line: Line) -> bool:
-    return any("emergency stop" in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
+    return any(EMERGENCY_STOP in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
 
 
 def _append_error(sentence: str, error: RunError | None) -> tuple[str, str]:
