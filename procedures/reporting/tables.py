@@ -64,23 +64,20 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     margin_mm = {} if plan is None else {one.id: one.margin_mm for one in plan.plan.trajectories}
     truths = {one.id: one for one in truth.targets}
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
-    rows = []
-    for used in reading.registrations:
-        for predicted in used.predictions:
-            target_truth = truths.get(predicted.target)
-            rows.append(
-                TargetRow(
-                    predicted.target,
-                    depth_mm.get(predicted.target),
-                    predicted,
-                    None if target_truth is None else target_truth.application_error_mm,
-                    None if target_truth is None else target_truth.lateral_mm,
-                    None if target_truth is None else target_truth.axial_mm,
-                    measured_mm.get(predicted.target),
-                    margin_mm.get(predicted.target),
-                )
-            )
-    return tuple(rows)
+    return tuple(
+        TargetRow(
+            one.target,
+            depth_mm.get(one.target),
+            one,
+            None if (true := truths.get(one.target)) is None else true.application_error_mm,
+            None if true is None else true.lateral_mm,
+            None if true is None else true.axial_mm,
+            measured_mm.get(one.target),
+            margin_mm.get(one.target),
+        )
+        for used in reading.registrations
+        for one in used.predictions
+    )
 
 
 @dataclass(frozen=True)

@@ -101,11 +101,7 @@ class Prediction(Values):
     def against(self, margin_mm: float) -> PredictedError:
         """Set the prediction against the margin of the plan."""
         return PredictedError(
-            target=self.target,
-            rms_mm=self.rms_mm,
-            limit_mm=self.limit_mm,
-            confidence=self.confidence,
-            margin_mm=margin_mm,
+            margin_mm=margin_mm, **self.model_dump(include=set(PredictedError.model_fields))
         )
 
 
