@@ -136,7 +136,7 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """How the run ended, such as done, in doubt, failed or interrupted; or that it is running."""
+        """How the run ended, such as done, missed, failed or interrupted; or that it is running."""
         ...
 
     @property

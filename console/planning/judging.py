@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
+from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.errors import NotReachable, PlanMistakes
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import skull_angle_rad
@@ -28,6 +29,7 @@ from procedures.planning.structures import StructureDistance, measure_distances
 from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck, Unmet
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
@@ -41,7 +43,7 @@ class ExpectedError:
     """Expected error at one target. Its components add up in quadrature to `rms_mm`."""
 
     rms_mm: float
-    limit_mm: float  # contains it with 95 %
+    limit_mm: float  # contains it with `DEFAULT_CONFIDENCE`
     shares_mm: tuple[tuple[str, float], ...]
     with_arm: bool  # otherwise from the markers alone
 
@@ -245,12 +247,12 @@ def _skull_text(name: str, angle_deg: float | None) -> str:
 
 
 def _target_html(name: str, item: ExpectedError, margin_mm: float) -> str:
-    exceeds_margin = item.rms_mm > margin_mm
-    words = f"{name}: {item.rms_mm:.2f} mm rms, {item.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
+    judged = judge_error(margin_mm, item.rms_mm, item.limit_mm)
+    limit = f"{item.limit_mm:.2f} mm at {DEFAULT_CONFIDENCE:.0%}"
     line = tag(
         "p",
-        text(words + (" — exceeds the margin" if exceeds_margin else "")),
-        class_="bad" if exceeds_margin else "big",
+        text(f"{name}: {item.rms_mm:.2f} mm rms, {limit}; margin {margin_mm:g} mm: {judged}"),
+        class_="big" if judged is MarginVerdict.PREDICTED_WITHIN else judged.colour,
         data_expected=name,
         data_rms=f"{item.rms_mm:.4f}",
     )

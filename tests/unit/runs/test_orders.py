@@ -119,7 +119,7 @@ def test_the_identity_is_in_no_serialized_event_and_only_its_salted_digest_is_si
 def test_the_verdict_on_a_prediction_tells_also_when_only_its_limit_is_beyond_the_margin(
     rms_mm: float, limit_mm: float, words: str
 ) -> None:
-    assert PREDICTED.model_copy(update={"rms_mm": rms_mm, "limit_mm": limit_mm}).verdict == words
+    assert PREDICTED.model_copy(update={"rms_mm": rms_mm, "limit_mm": limit_mm}).sentence == words
 
 
 def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() -> None:
