@@ -182,6 +182,11 @@ def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Pat
     assert any("the last, is torn" in note for note in loaded.notes)
 
 
+def test_an_unknown_column_names_the_nearest(run: Path) -> None:
+    with pytest.raises(AttributeError, match="no column error: did you mean error_mm"):
+        load_run(run).targets.error  # noqa: B018 - the access is what raises
+
+
 def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
     truth = run / KEPT_TRUTH
     truth.parent.mkdir()
