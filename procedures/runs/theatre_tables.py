@@ -24,7 +24,7 @@ def replace_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
         document.setdefault(name, tomlkit.table(is_super_table=True))
         for key, entry in entries.items():
             table = document[name]  # anew each time: of a table in several places this is a copy
-            remarks = _take_remarks(table[key] if key in table else table)
+            remarks = _take_remarks(table.get(key, table))
             table[key] = entry
             end = _last_table(document[name][key]) or document[name]
             for remark in remarks:

@@ -142,7 +142,7 @@ def _is_held(path: Path) -> bool:
 
 
 def find_running(cell: str | None) -> RunningSimulator:
-    """Resolve a simulator by name, process number, or a theatre's folder or file; without `cell` the only one.
+    """Resolve a simulator by name, process number, or theatre folder or file; without `cell` the only one.
 
     Raises SIM-018 listing those that run, unless it is exactly one.
     """
