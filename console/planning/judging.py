@@ -23,6 +23,7 @@ from procedures.planning.paths import check_paths
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan
 from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
+from procedures.planning.pose_name import name_body
 from procedures.planning.structures import StructureDistance, measure_distances
 from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
@@ -163,7 +164,7 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
     closest = [item.preview.closest for item in check.motions if item.preview.closest is not None]
     if closest:
         least = min(closest, key=lambda item: item.distance_mm)
-        pair = f"{least.first}, {least.second}"
+        pair = f"{name_body(least.first)}, {name_body(least.second)}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
         f"at {name} the guide is turned by {math.degrees(turn):+.0f}° about its axis"
@@ -211,12 +212,10 @@ def expected(judged: Judgement, draft: Draft) -> str:
 
 
 def page_advice(problem: RonnaError) -> str:
-    """Return what to do about a problem without command lines, which are for whoever set up the planner."""
-    sentences = re.split(r"(?<=[.;:]) ", problem.advice)
-    kept = " ".join(item for item in sentences if not COMMAND.search(item))
-    return (
-        kept or f"Ask whoever set up this planner: the list of errors says what to do about {problem.code}."
-    )
+    """Return what to do about a problem at a page; what needs a command is for whoever set up the planner."""
+    if problem.page_advice and not COMMAND.search(problem.page_advice):
+        return problem.page_advice
+    return f"Ask whoever set up this planner: the list of errors says what to do about {problem.code}."
 
 
 def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.planning.motions import BACK
+from procedures.planning.pose_name import PoseName
 from procedures.reporting.numbers import NOT_KNOWN, millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
@@ -86,8 +87,8 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
 class MotionRow:
     """Checked motion: end points, and clearance to the head and to any other body."""
 
-    start: str
-    end: str
+    start: PoseName
+    end: PoseName
     kind: str
     head_mm: float | None
     closest: ClosestApproach | None
@@ -153,5 +154,5 @@ def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[Mo
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews
-        if trajectory in (one.start.split("/")[0], one.end.split("/")[0]) and one.kind != BACK
+        if trajectory in (one.start.trajectory, one.end.trajectory) and one.kind != BACK
     )
