@@ -74,7 +74,7 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
 
 
 def history_diagnostics(path: Path) -> Iterator[Diagnostic]:
-    """Warn of records edited by hand under the identifier of a former one, and of a history that was changed."""
+    """Warn of records edited by hand under a former identifier, and of a history that was changed."""
     try:
         edited = edited_records(path)
     except (OSError, RonnaError) as problem:

@@ -155,10 +155,8 @@ def _update(config: Path, name: str, record: dict[str, Any], command: str, *, as
             }
         )
     else:
-        instead = "" if replaced is None else f" instead of {replaced}"
-        terminal.say(
-            f"{record['identifier']} is now in {config}{instead}; until {record['expires']:%Y-%m-%d}"
-        )
+        place = f"{config}" if replaced is None else f"{config} instead of {replaced}"
+        terminal.say(f"{record['identifier']} is now in {place}; until {record['expires']:%Y-%m-%d}")
 
 
 @app.command()
