@@ -1,8 +1,8 @@
 """Lines of a theatre file's history: format, hash chain, and checked reading and appending.
 
 An update is written ahead; once the theatre file is replaced, a line follows that it was carried out. Each
-line has the hash of the line before it, and each text its own: an edited line is refused on reading. Only whole
-lines missing at the end go unnoticed. A line cut off by a crash is named, and hides no other.
+line has the hash of the line before it, and each text its own: an edited line is refused on reading. Only
+whole lines missing at the end go unnoticed. A line cut off by a crash is named, and hides no other.
 """
 
 from __future__ import annotations
