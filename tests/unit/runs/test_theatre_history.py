@@ -199,7 +199,7 @@ def test_removed_lines_of_the_history_are_noticed(lab: Path) -> None:
             read_states(lab)
 
 
-def test_a_history_of_unchained_lines_is_continued(lab: Path) -> None:
+def test_a_history_of_unchained_lines_is_continued_and_its_texts_are_checked(lab: Path) -> None:
     define(lab, 3)
     history = history_path(lab)
     older = json.loads(history.read_text().splitlines()[0])
@@ -207,6 +207,10 @@ def test_a_history_of_unchained_lines_is_continued(lab: Path) -> None:
     history.write_text(json.dumps(older) + "\n")
     define(lab, 4)
     assert [one.number for one in read_states(lab) if one.update is not None] == [1, 2]
+    for field in ("text", "former"):
+        history.write_text(json.dumps({**older, field: older[field] + "# more\n"}) + "\n")
+        with pytest.raises(HistoryChanged, match=f"line 1 .* its {field} is not the recorded one"):
+            read_states(lab)
 
 
 def test_an_update_that_was_in_force_stays_listed_when_the_file_is_edited_back(lab: Path) -> None:
