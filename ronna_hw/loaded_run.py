@@ -14,6 +14,7 @@ import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -83,6 +84,12 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
         table.columns = columns
         return table
 
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError naming the columns there are, and the nearest."""
+        names = self.dtype.names or ()
+        meant = "".join(f"did you mean {one}? " for one in get_close_matches(name, names, n=1))
+        raise AttributeError(f"no column {name}: {meant}There are {', '.join(names)}", name=name, obj=self)
+
     def __array_finalize__(self, source: Any) -> None:
         super().__array_finalize__(source)
         self.columns = getattr(source, "columns", ())
@@ -129,7 +136,7 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """How the run ended, such as done, in doubt, failed or interrupted; or that it is running."""
+        """How the run ended, such as done, missed, failed or interrupted; or that it is running."""
         ...
 
     @property

@@ -18,7 +18,7 @@ from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
-from procedures.reporting.ending import advise, judge, run_ending
+from procedures.reporting.ending import advise, ending_of
 from procedures.reporting.files import (
     REPORT_FOLDER,
     TRUTH_FILE,
@@ -114,7 +114,7 @@ def write_report(
         "opened": reading.run.opened,
         "began": _host_time(reading, 0),
         "ended": _host_time(reading, -1),
-        "ending": (ending := judge(run_ending(reading.run.journal, error), [row.verdict for row in rows])),
+        "ending": (ending := ending_of(reading, truth, error)),
         "advice": advise(ending, is_case=not reading.run.opened.get("procedure")),
         "moves": moves(reading.run.journal),
         "unprinted": [],  # titles, as the page collects them

@@ -27,16 +27,15 @@ from procedures.operator.question import NOBODY, Room, Task, join_answers, pick_
 from procedures.runs.observers import RunObservers
 from ronna_hw.control_port import VARIABLE, ControlRequestRefused
 from ronna_hw.text import parse_typed_number, printable
-from ronna_hw.wire import room_tasks
+from ronna_hw.wire.room_tasks import DEPTH_STOP, TASKS, OnStand
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 MOUNT, STAND = "mount", "stand"
-TASKS = frozenset(word for name, word in vars(room_tasks).items() if name.isupper())
-WORDS = TASKS | {MOUNT, STAND}  # of manual work
-STAND_HOLDS = ("ball", "divot", "nothing")
-SETTABLE = (room_tasks.DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
+WORDS = frozenset(TASKS) | {MOUNT, STAND}  # of manual work
+STAND_HOLDS = tuple(OnStand)
+SETTABLE = (DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
 UNIT = "mm"
 NO_CONTROL = (
     f'ronna-sim needs {VARIABLE}, which eval "$(ronna-sim env THEATRE-FOLDER)" sets in that terminal. Set '
