@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.frames import Transform
+from ronna_hw.registry import load_entry_point
 
 if TYPE_CHECKING:
     import pandas as pd
 
 GROUP = "ronna_hw.runs"
+READER = "run_folder"  # name of the entry point
 AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("A1", "A2", "A3", "A4", "A5", "A6")}  # names in a pandas column
 QUATERNION = "wxyz"  # unit in the name of one, which names its axes already
 
@@ -207,6 +209,7 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
     that another version wrote differently raises REC-003 when it is read.
     """
     for point in entry_points(group=GROUP):
-        reader: RunReader = point.load()
-        return reader(Path(folder))
-    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point in {GROUP}")
+        if point.name == READER:
+            reader: RunReader = load_entry_point(point)
+            return reader(Path(folder))
+    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}")

@@ -80,7 +80,7 @@ class CaseResults:
         return bool(self.run.opened.get("banner"))
 
     def absent(self) -> dict[str, str]:
-        """Say what the run does not have, and why."""
+        """Map missing results to reasons."""
         ended = f"the run ended before: {self.ending.word}"
         missing: dict[str, str] = {}
         if self.spheres is None:

@@ -52,7 +52,6 @@ from procedures.reporting.run_statistics import (
     times_taken,
 )
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
-from procedures.reporting.stacked_tables import label_cells
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -175,7 +174,7 @@ def write_report(
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
-    write_atomically(path, label_cells(_template().render(page)).encode())
+    write_atomically(path, _template().render(page).encode())
     return path
 
 

@@ -20,8 +20,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+<<<<<<< HEAD
 from procedures.runs.theatre_history_file import CarriedOut, Update, append, hash_bytes, read_history
 from procedures.runs.theatre_tables import with_tables
+=======
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+>>>>>>> main
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from ronna_hw.records import write_atomically
@@ -61,9 +66,11 @@ def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
     Raises CFG-001 without writing anything if the file would be invalid, PRO-046 if its history was changed.
     """
 
+    from procedures.runs.theatre_tables import replace_tables  # few commands update: the others start sooner
+
     def change(content: bytes) -> bytes:
         text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        return with_tables(text, tables).encode()
+        return replace_tables(text, tables).encode()
 
     with _locked(theatre) as history:
         _replace(theatre, history, change, signature)

@@ -64,7 +64,7 @@ _NEW = _Sphere(np.zeros(3), None)
 def track_strays(
     frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM, least_share: float = LEAST_SHARE
 ) -> tuple[StrayTrack, ...]:
-    """Follow each stray sphere through the frames, whatever its place in their lists.
+    """Track stray spheres across unordered frames.
 
     Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
     belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.

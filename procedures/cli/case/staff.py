@@ -1,4 +1,4 @@
-"""The room's staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
+"""The theatre staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
 
 A word has one task done in the simulated room, and only while the case waits for that task.
 """
@@ -160,7 +160,7 @@ class WordedRoom:
             self._have_done(write, due)
 
     def work(self, task: Task) -> Readings:
-        """Have a task done by its word, and read what its scales show; empty if nobody does it."""
+        """Perform the task when its command is typed and return the readings; empty if declined."""
 
         def carry_out(arguments: Sequence[str]) -> tuple[str, Readings]:
             numbers = _numbers(task, arguments)
