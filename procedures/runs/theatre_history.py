@@ -20,13 +20,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-<<<<<<< HEAD
 from procedures.runs.theatre_history_file import CarriedOut, Update, append, hash_bytes, read_history
-from procedures.runs.theatre_tables import with_tables
-=======
-from pydantic import BaseModel, ConfigDict, ValidationError
-
->>>>>>> main
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from ronna_hw.records import write_atomically
