@@ -38,7 +38,7 @@ from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import printable
-from ronna_hw.wire.room_tasks import DEPTH_STOP
+from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import InstrumentInGuide
 from sim.world.carts import CartMove
 from sim.world.faults import (
@@ -54,7 +54,6 @@ from sim.world.faults import (
 from sim.world.faults.board import format_beginning
 from sim.world.faults.fault import Fault
 from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
-from sim.world.options import OnStand
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
@@ -215,7 +214,7 @@ class Room:
             "fault": self._fault,
             "clear_faults": self._clear_faults,
             "missed_faults": self._list_missed_faults,
-            "wristband": lambda _request: {"wristband": self._world.scene.wristband},
+            "wristband": self._read_wristband,
         }
         action = actions.get(str(request.get("do")))
         if action is None:
@@ -322,6 +321,10 @@ class Room:
                 when = "while it lasted" if ends else "after that"
                 missed.append(f"{printable(fault.phrase)} had no effect: it began {step}, and {why} {when}")
         return {"missed": missed[:MOST_MISSED]}
+
+    def _read_wristband(self, _request: dict[str, Any]) -> dict[str, Any]:
+        scene = self._world.scene
+        return {"wristband": format_patient_id(scene.name, scene.seed)}
 
     def _step_of_onset(self, fault: Fault) -> str | None:
         """Describe the step in which a fault began, or return None if it did not begin in this theatre."""

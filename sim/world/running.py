@@ -12,9 +12,10 @@ import json
 import os
 import shlex
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class RunningSimulator:
     in_background: bool
     folder: Path | None  # of a theatre
     ready: Mapping[str, Any]  # fields of its READY line
+    name_is_unique: bool = True  # among those listed with it
 
     @property
     def log(self) -> Path:
@@ -46,8 +48,7 @@ class RunningSimulator:
     @property
     def argument(self) -> str:
         """Shortest argument that means this simulator, quoted for a shell."""
-        alike = [one for one in list_running() if one.name == self.name]
-        return shlex.quote(self.name) if len(alike) == 1 else str(self.pid)
+        return shlex.quote(self.name) if self.name_is_unique else str(self.pid)
 
     @property
     def is_alive(self) -> bool:
@@ -124,6 +125,8 @@ def list_running() -> tuple[RunningSimulator, ...]:
                     entry["name"], int(path.stem), entry["in_background"], folder, dict(entry["ready"])
                 )
             )
+    count = Counter(one.name for one in found)
+    found = [replace(one, name_is_unique=count[one.name] == 1) for one in found]
     return tuple(sorted(found, key=lambda one: (one.name, one.pid)))
 
 
@@ -142,7 +145,7 @@ def _is_held(path: Path) -> bool:
 
 
 def find_running(cell: str | None) -> RunningSimulator:
-    """Find a simulator by name, process number, or a theatre's folder or file; without `cell` the only one.
+    """Resolve a simulator by name, process number, or theatre folder or file; without `cell` the only one.
 
     Raises SIM-018 listing those that run, unless it is exactly one.
     """

@@ -226,7 +226,7 @@ def _describe_question(question: Question) -> str:
         printable(question.subject),
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
-        *(f"  {predicted.verdict}" for predicted in question.predicted[:1]),
+        *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
         *(
             f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
             for picture in question.pictures

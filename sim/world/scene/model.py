@@ -43,7 +43,6 @@ SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
 BASE_MM = 16.0  # from a screw's head to the centre of its sphere
 MOST_WORN_PERCENT = 60.0  # of a film; beyond, the sphere cannot be found
 FRAME_TOLERANCE_MM = 0.01  # on the distances within a one-piece frame
-LONGEST_IDENTIFIER = 64  # characters of a DICOM patient identifier (VR LO)
 SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
 
@@ -389,11 +388,6 @@ class Scene(Strict):
     calibration_error: CalibrationError = Field(
         default=CalibrationError(), description="Errors of the theatre's calibration records."
     )
-
-    @property
-    def wristband(self) -> str:
-        """Identifier of the patient, as in the CT."""
-        return f"{self.name}-{self.seed}"[:LONGEST_IDENTIFIER]
 
     @model_validator(mode="after")
     def _cameras_differ(self) -> Self:
