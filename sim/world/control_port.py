@@ -37,6 +37,7 @@ from ronna_hw.bounded_input import parse_json
 from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.phantom_identity import format_patient_id
 from ronna_hw.text import printable
 from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import InstrumentInGuide
