@@ -1,4 +1,4 @@
-"""Questions to the operator and tasks of the room's staff, recorded in journal and events."""
+"""Questions to the operator and tasks of the theatre staff, recorded in journal and events."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from typing import Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from procedures.operator.margin import MarginVerdict, judge_error
 from ronna_hw.text import strip_unit
 
 
@@ -108,17 +109,17 @@ class PredictedError(BaseModel):
     margin_mm: float
 
     @property
-    def is_within(self) -> bool:
+    def verdict(self) -> MarginVerdict:
         """Whether the plan accepts it."""
-        return self.rms_mm <= self.margin_mm
+        return judge_error(self.margin_mm, self.rms_mm, self.limit_mm)
 
     @property
-    def verdict(self) -> str:
-        """Whether it is within the margin, with the limit of the error spelled out."""
+    def sentence(self) -> str:
+        """The verdict, with the limit of the error spelled out."""
         limit = f"{self.limit_mm:.2f} mm"
-        if self.is_within and self.limit_mm > self.margin_mm:
+        if self.verdict is MarginVerdict.LIMIT_BEYOND:
             return f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
-        within = "within" if self.is_within else "BEYOND"
+        within = "within" if self.verdict is MarginVerdict.PREDICTED_WITHIN else "BEYOND"
         return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 

@@ -19,7 +19,7 @@ from procedures.exchange.run_tables import (
     spheres_table,
     targets_table,
 )
-from procedures.reporting.ending import run_ending
+from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
@@ -28,6 +28,13 @@ from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.frames import Transform
 from ronna_hw.loaded_run import RunTable
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
+
+
+def find_ending(reading: RunReading, truth: Truth | None) -> Ending:
+    """Determine how a run ended, or that a program still has it open."""
+    ending = ending_of(reading, truth)
+    holder = find_run_holder(reading.folder) if ending.word == "killed" else None
+    return ending if holder is None else Ending("running", f"{holder} has it open.")
 
 
 class RunArrays:
@@ -52,8 +59,7 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        word = run_ending(self._reading.run.journal).word
-        return "running" if word == "killed" and find_run_holder(self.path) is not None else word
+        return find_ending(self._reading, self._truth).word
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
+from ronna_hw.phantom_identity import parse_patient_id
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
@@ -144,8 +145,11 @@ def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice:
     path, header = next(iterate_images(ct, tags), (ct, None)) if ct.is_dir() else (ct, None)
     if header is None or read_attribute_text(path, header, tags[1]) != series_instance_uid:
         return
-    scene, _, seed = read_attribute_text(path, header, tags[0]).rpartition("-")
-    if scene in PATIENT_SCENES and seed.isdigit() and (scene, int(seed)) != (choice.scene, choice.scene_seed):
+    patient = parse_patient_id(read_attribute_text(path, header, tags[0]))
+    if patient is None or patient == (choice.scene, choice.scene_seed):
+        return
+    scene, seed = patient
+    if scene in PATIENT_SCENES:
         same_scene = scene == choice.scene
         raise WrongSeries(
             f"{plan_file.name} belongs to the simulated patient of scene {scene}, seed {seed}",

@@ -22,7 +22,6 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from procedures.runs.theatre_tables import with_tables
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from ronna_hw.records import write_atomically
@@ -80,9 +79,11 @@ def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
     Raises CFG-001 without writing anything if the file would be invalid.
     """
 
+    from procedures.runs.theatre_tables import replace_tables  # few commands update: the others start sooner
+
     def change(content: bytes) -> bytes:
         text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        return with_tables(text, tables).encode()
+        return replace_tables(text, tables).encode()
 
     with _locked(theatre) as history:
         _replace(theatre, history, change, signature)

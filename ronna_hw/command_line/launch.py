@@ -54,13 +54,12 @@ def _find_module(program: Path) -> str:
             return COMMANDS[name]
     from ronna_hw.command_line.errors import UsageMistake
 
-    _refuse(
-        UsageMistake(
-            f"{program.name!r} is no command",
-            expected=f"one of {', '.join(COMMANDS)}",
-            action="Call the installed program, or a symbolic link to it; a copy needs the same name.",
-        )
+    mistake = UsageMistake(
+        f"{program.name!r} is no command",
+        expected=f"one of {', '.join(COMMANDS)}",
+        action="Call the installed program, or a symbolic link to it; a copy needs the same name.",
     )
+    return _refuse(mistake)
 
 
 def _refuse(error: RonnaError) -> NoReturn:

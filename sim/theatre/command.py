@@ -13,8 +13,9 @@ from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from ronna_hw.control_port import VARIABLE, ask_control_port
+from ronna_hw.wire.room_tasks import OnStand
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import Carrier, OnStand
+from sim.world.options import Carrier
 
 if TYPE_CHECKING:
     import threading

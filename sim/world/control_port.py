@@ -39,7 +39,7 @@ from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import printable
-from ronna_hw.wire.room_tasks import DEPTH_STOP
+from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import InstrumentInGuide
 from sim.world.carts import CartMove
 from sim.world.faults import (
@@ -55,7 +55,6 @@ from sim.world.faults import (
 from sim.world.faults.board import format_beginning
 from sim.world.faults.fault import Fault
 from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
-from sim.world.options import OnStand
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World

@@ -13,9 +13,10 @@ import os
 import pwd
 import shlex
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG, filemode
 from typing import Any
@@ -42,6 +43,7 @@ class RunningSimulator:
     in_background: bool
     folder: Path | None  # of a theatre
     ready: Mapping[str, Any]  # fields of its READY line
+    name_is_unique: bool = True  # among those listed with it
 
     @property
     def log(self) -> Path:
@@ -51,8 +53,7 @@ class RunningSimulator:
     @property
     def argument(self) -> str:
         """Shortest argument that means this simulator, quoted for a shell."""
-        alike = [one for one in list_running() if one.name == self.name]
-        return shlex.quote(self.name) if len(alike) == 1 else str(self.pid)
+        return shlex.quote(self.name) if self.name_is_unique else str(self.pid)
 
     @property
     def is_alive(self) -> bool:
@@ -121,7 +122,9 @@ def register_folder() -> Path:
             folder.mkdir(mode=OWNER_ONLY)
         found = folder.lstat()
     except OSError as error:
-        raise RegisterNotOwn(f"the register {printable(str(folder))} cannot be made: {error.strerror}") from error
+        raise RegisterNotOwn(
+            f"the register {printable(str(folder))} cannot be made: {error.strerror}"
+        ) from error
     if found.st_uid != os.getuid() or not S_ISDIR(found.st_mode) or found.st_mode & 0o077:
         raise RegisterNotOwn(
             f"the register of running simulators cannot be {printable(str(folder))}",
@@ -155,6 +158,8 @@ def read_register() -> tuple[tuple[RunningSimulator, ...], tuple[Path, ...]]:
         except (OSError, RonnaError, ValueError, LookupError, TypeError, AttributeError):
             if os.path.lexists(path):  # else it ended meanwhile
                 bad.append(path)
+    count = Counter(one.name for one in found)
+    found = [replace(one, name_is_unique=count[one.name] == 1) for one in found]
     return tuple(sorted(found, key=lambda one: (one.name, one.pid))), tuple(bad)
 
 
@@ -163,7 +168,12 @@ def _parse_entry(path: Path) -> RunningSimulator:
     entry: Any = parse_json(read_bounded(path, LARGEST_ENTRY_BYTES))
     folder = None if entry["folder"] is None else Path(entry["folder"])
     ready = dict(entry["ready"])
-    named = (entry["name"], ready["device"], *variables_of(ready).values(), *([ready["file"]] if folder else []))
+    named = (
+        entry["name"],
+        ready["device"],
+        *variables_of(ready).values(),
+        *([ready["file"]] if folder else []),
+    )
     if not all(isinstance(text, str) for text in named):
         raise ValueError("a name or an endpoint is no text")
     return RunningSimulator(entry["name"], int(path.stem), bool(entry["in_background"]), folder, ready)
@@ -184,7 +194,7 @@ def _is_held(path: Path) -> bool:
 
 
 def find_running(cell: str | None) -> RunningSimulator:
-    """Find a simulator by name, process number, or a theatre's folder or file; without `cell` the only one.
+    """Resolve a simulator by name, process number, or theatre folder or file; without `cell` the only one.
 
     Raises SIM-018 listing those that run, unless it is exactly one.
     """

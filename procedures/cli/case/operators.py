@@ -83,8 +83,8 @@ def forget_typed() -> None:
 def await_line(alarms: Alarms, deadline_s: float | None = None) -> tuple[str | None, list[str]]:
     """Wait for a whole line, an alarm or the deadline; return the line, or None, and any new alarm lines.
 
-    The line is empty at the end of the input; one that was not finished counts for nothing. Input typed before
-    an alarm is discarded, also what was handed over without its end: it was typed without knowing of it.
+    The line is empty at the end of the input; one that was not finished counts for nothing. Input typed
+    before an alarm, also the start of a line, is discarded: it was typed without knowing of it.
     """
     typed = b""
     while True:
@@ -205,7 +205,7 @@ def _describe_question(question: Question) -> str:
         printable(question.subject),
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
-        *(f"  {predicted.verdict}" for predicted in question.predicted[:1]),
+        *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
         *(
             f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
             for picture in question.pictures

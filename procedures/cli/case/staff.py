@@ -1,4 +1,4 @@
-"""The room's staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
+"""The theatre staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
 
 A word has one task done in the simulated room, and only while the case waits for that task.
 """
@@ -28,16 +28,15 @@ from procedures.operator.question import NOBODY, Room, Task, join_answers, pick_
 from procedures.runs.observers import RunObservers
 from ronna_hw.control_port import VARIABLE, ControlRequestRefused
 from ronna_hw.text import parse_typed_number, printable
-from ronna_hw.wire import room_tasks
+from ronna_hw.wire.room_tasks import DEPTH_STOP, OUT, TASKS, OnStand
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 MOUNT, STAND = "mount", "stand"
-TASKS = frozenset(word for name, word in vars(room_tasks).items() if name.isupper())
-WORDS = TASKS | {MOUNT, STAND}  # of manual work
-STAND_HOLDS = ("ball", "divot", "nothing")
-SETTABLE = (room_tasks.DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
+WORDS = frozenset(TASKS) | {MOUNT, STAND}  # of manual work
+STAND_HOLDS = tuple(OnStand)
+SETTABLE = (DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
 UNIT = "mm"
 NO_CONTROL = (
     f'ronna-sim needs {VARIABLE}, which eval "$(ronna-sim env THEATRE-FOLDER)" sets in that terminal. Set '
@@ -162,10 +161,10 @@ class WordedRoom:
             self._have_done(write, due)
 
     def work(self, task: Task) -> Readings:
-        """Have a task done by its word, and read what its scales show; empty if nobody does it.
+        """Perform the task when its command is typed and return the readings; empty if declined.
 
-        Raises PRO-002 if nobody takes the instrument out: an `out` at the question that follows would say that
-        it is, and the arm would move with it inside.
+        Raises PRO-002 if nobody takes the instrument out: an `out` at the question that follows would say
+        that it is, and the arm would move with it inside.
         """
 
         def carry_out(arguments: Sequence[str]) -> tuple[str, Readings]:
@@ -179,7 +178,7 @@ class WordedRoom:
         with self._asking() as write:
             say_line(_as_order(task))
             shown = self._have_done(write, due)
-            if shown is None and task.name == room_tasks.OUT:
+            if shown is None and task.name == OUT:
                 raise NotConfirmed(
                     f"nobody has done this: {task.subject}; nothing moves",
                     expected=f"the word {task.name}, which has it done",

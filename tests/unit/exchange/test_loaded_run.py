@@ -154,6 +154,11 @@ def test_readings_after_a_damaged_one_are_left_out_and_it_is_said(run: Path) -> 
     assert "PRO-024" in repr(loaded)
 
 
+def test_an_unknown_column_names_the_nearest(run: Path) -> None:
+    with pytest.raises(AttributeError, match="no column error: did you mean error_mm"):
+        load_run(run).targets.error  # noqa: B018 - the access is what raises
+
+
 def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
     truth = run / KEPT_TRUTH
     truth.parent.mkdir()

@@ -348,6 +348,7 @@ def test_a_cart_moved_in_a_step_stays_there_beyond_it_once_all_faults_are_cleare
 def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_last_one(
     theatre: str, world: World, tmp_path: Path
 ) -> None:
+    ask_control_port(theatre, "mount", number=GUIDE)
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")
     continued = Room(SavedWorld.from_world(world).restore(world.scene, paced=False), tmp_path)
@@ -361,6 +362,7 @@ def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_l
 
 
 def test_a_cart_is_moved_with_an_instrument_in_the_guide_only_anyway(theatre: str, world: World) -> None:
+    ask_control_port(theatre, "mount", number=GUIDE)
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")
     shown = one_error(in_this_process(ronna_sim, *MOVE, "--control", theatre).stderr)

@@ -226,5 +226,5 @@ def test_help_lists_what_can_be_said_about_the_work_that_is_due(
     assert told.done == ["divot"]
     said = capsys.readouterr().err
     assert "'stand ball' puts the ball on the stand" in said
-    assert "stand needs ball, divot or nothing" in said
+    assert "stand needs nothing, ball or divot" in said
     assert "'nobody' leaves it undone" in said
