@@ -143,7 +143,11 @@ class LoadedRun(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is missing in the folder or has changed in it since the run ended."""
+        """What is missing in the folder or has changed in it since the run ended.
+
+        Files are compared with the hashes of the run: pixels once a table of readings is used, all others
+        that are read here on loading. That no seal confirms them is noted too.
+        """
         ...
 
     @property
