@@ -60,6 +60,8 @@ class SimulatedTheatre:
             request.speed,
             "--out",
             str(folder),
+            "--run",
+            folder.parent.name,
             *extra_options,
             on_controller_message=on_controller_message,
         )

@@ -20,7 +20,8 @@ def replace_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
     intended_content = tomllib.loads(text)
     document = tomlkit.parse(text)
     for name, entries in tables.items():
-        intended_content[name] = {**intended_content.get(name, {}), **entries}
+        as_read = tomllib.loads(tomlkit.dumps(dict(entries)))  # a tuple is written as a list
+        intended_content[name] = {**intended_content.get(name, {}), **as_read}
         document.setdefault(name, tomlkit.table(is_super_table=True))
         for key, entry in entries.items():
             table = document[name]  # anew each time: of a table in several places this is a copy

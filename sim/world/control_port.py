@@ -6,6 +6,8 @@ the READY line. It is closed at the first line that is too long or no JSON objec
 for a while. Connections without the token cannot keep out those with it.
 
 Each further line is a request, with one answer:
+- `{"do": "identify"}`, answered with `identity`, as in the theatre file, and `folder`, both empty for a
+  simulator alone;
 - `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
 - `{"do": "fault", "line": "now: ..."}`;
 - `{"do": "clear_faults"}`, with a `line` only that fault;
@@ -192,9 +194,11 @@ class Room:
         folder: Path | None,
         devices: Sequence[str] = DEVICES,
         loaded: Callable[[], Sequence[str]] | None = None,
+        identity: str = "",
     ) -> None:
         self._world = world
         self._folder = folder
+        self._identity = identity
         self._devices = devices
         self._loaded = loaded
         self._staff = Staff(world, folder)
@@ -207,6 +211,7 @@ class Room:
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Execute a request, answering an unknown or invalid one with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
+            "identify": self._identify,
             "step": self._step,
             "work": self._work,
             "mount": self._mount,
@@ -238,6 +243,10 @@ class Room:
             traceback.print_exc()
             return _refusal(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
+
+    def _identify(self, _request: dict[str, Any]) -> dict[str, Any]:
+        folder = "" if self._folder is None else str(self._folder.resolve())
+        return {"identity": self._identity, "folder": folder}
 
     def _step(self, request: dict[str, Any]) -> None:
         name = str(request["name"])

@@ -247,6 +247,38 @@ def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_bef
     assert shown.count("emergency stop") == 1
 
 
+class StopsAtThirdLook:
+    """Faults of an arm that stops once the start of an answer was handed over."""
+
+    looks = 0
+
+    @property
+    def summaries(self) -> dict[str, str]:
+        self.looks += 1
+        return {} if self.looks < 3 else {"arm": "the arm is in fault (EKI-010)"}
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("rest", [b"\n", b"\x04"])
+def test_an_answer_whose_end_is_typed_after_the_arm_has_stopped_does_not_count(
+    keyboard: int, rest: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alarms = Alarms()
+    alarms.attach(cast(Engine, SimpleNamespace(faults=StopsAtThirdLook())))
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\x04", rest, b"no\n"))
+    question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
+    assert TerminalOperator(alarms=alarms).ask(question).word == "no"
+    assert "the arm is in fault (EKI-010)" in screen.getvalue()
+
+
+@pytest.mark.hazard(36)
+def test_the_time_limit_runs_on_while_an_answer_has_no_end(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\x04"))
+    assert ask(timeout_s=0.05) == "no"
+
+
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize("when", ["before", "meanwhile"])
 def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before_does_not_count(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import sys
 import termios
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
+LONGEST_PART = 4096  # bytes; a terminal hands over no longer line
 ADVICE = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
 WritePrompt = Callable[[str], None]  # a prompt
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
@@ -82,19 +84,35 @@ def forget_typed() -> None:
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-def await_input(alarms: Alarms, deadline_s: float | None = None) -> tuple[bool, list[str]]:
-    """Wait for input, an alarm or the deadline; return whether a line is ready, and any new alarm lines.
+def await_line(alarms: Alarms, deadline_s: float | None = None) -> tuple[str | None, list[str]]:
+    """Wait for a whole line, an alarm or the deadline; return the line, or None, and any new alarm lines.
 
-    Input typed before an alarm is discarded: it was typed without knowing of it.
+    The line is empty at the end of the input; one that was not finished counts for nothing. Input typed
+    before an alarm, also the start of a line, is discarded: it was typed without knowing of it.
     """
+    typed = b""
     while True:
         remaining_s = LOOK_AGAIN_S if deadline_s is None else max(0.0, deadline_s - time.monotonic())
         ready, _, _ = select.select([sys.stdin], [], [], min(remaining_s, LOOK_AGAIN_S))
+        part = _read_part() if ready else None
         if news := alarms.take_new_lines():
             forget_typed()
             sys.stderr.write("\n")  # the prompt is still there
-        if ready or news or (deadline_s is not None and time.monotonic() >= deadline_s):
-            return bool(ready), news
+            return None, news
+        if part is not None:
+            typed = typed + part if part else b""
+            if not part or typed.endswith(b"\n"):
+                return typed.decode(errors="replace"), []
+        if deadline_s is not None and time.monotonic() >= deadline_s:
+            return None, []
+
+
+def _read_part() -> bytes:
+    """Read what the terminal hands over: a line, or part of one after Ctrl-D; empty if it has ended."""
+    try:
+        return os.read(sys.stdin.fileno(), LONGEST_PART)
+    except OSError:  # the terminal is gone
+        return b""
 
 
 def write_prompt(prompt: str) -> None:
@@ -257,10 +275,9 @@ def read_typed(
         for fault_line in news:
             say_line(fault_line)
         write(f"Type {what}{alarms.note}: ")
-        ready, news = await_input(alarms, deadline_s)
+        line, news = await_line(alarms, deadline_s)
         if news:
             continue
-        line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
-            return line.strip()
+            return (line or "").strip()
         say_line("Nothing was typed.")
