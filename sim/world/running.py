@@ -200,9 +200,11 @@ def find_running(cell: str | None) -> RunningSimulator:
     """
     running = list_running()
     chosen = running if cell is None else tuple(one for one in running if _is_meant(one, cell))
-    if len(chosen) == 1:
-        return chosen[0]
-    listed = ", ".join(f"{one.name} (pid {one.pid}{_place(one)})" for one in running) or "none"
+    here = [one for one in chosen if one.folder is not None and one.folder.is_relative_to(Path.cwd())]
+    for only in (chosen, here):  # names repeat: the one in this folder goes first
+        if len(only) == 1:
+            return only[0]
+    listed = ", ".join(f"{one.name} (pid {one.pid}{_place(one)})" for one in chosen or running) or "none"
     if not chosen:
         what = "no simulator is running" if cell is None else f"no simulator {cell!r} is running"
         start = None if running else "Start one, such as ronna-sim theatre --scene mini --out cell --detach."

@@ -124,6 +124,9 @@ def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_ap
         find_running("cell")
     with pytest.raises(NotRunning, match="no simulator 'other'"):
         find_running("other")
+    (tmp_path / "b").mkdir()
+    monkeypatch.chdir(tmp_path / "b")
+    assert find_running("cell") is cells[1]  # that of this folder
 
 
 def test_the_entry_of_a_killed_simulator_is_removed(own_register: Path) -> None:
