@@ -21,7 +21,7 @@ from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stre
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.network import Interface, find_interface, interfaces
-from ronna_hw.host.port_users import PortUser, find_udp_port_user
+from ronna_hw.host.port_users import LEAVE_A_CASE_ALONE, PortUser, find_udp_port_user
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 
@@ -247,7 +247,7 @@ def _controller_name(controller: Controller) -> str:
 
 def _release_advice(controller: Controller) -> str:
     if controller.process is not None:
-        return "Stop that program; a camera releases a crashed one within its heartbeat time-out."
+        return f"{LEAVE_A_CASE_ALONE} Otherwise stop it, then wait for the camera's heartbeat time-out."
     if controller.here:
         return "That program has ended, or belongs to another user: wait for the heartbeat time-out, or ask."
     return "Close the program on the other computer; if it crashed, wait for its heartbeat time-out."

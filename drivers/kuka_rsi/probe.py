@@ -37,7 +37,7 @@ from ronna_hw.devices.probing import (
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import Interface
-from ronna_hw.host.port_users import find_udp_port_user
+from ronna_hw.host.port_users import LEAVE_A_CASE_ALONE, find_udp_port_user
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
@@ -101,7 +101,7 @@ def _describe_refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
     """Explain why a port cannot be bound, and advise."""
     if error.errno == errno.EADDRINUSE:
         if user := find_udp_port_user(endpoint.host, endpoint.port):
-            return f"in use by {user}", "Stop that program; it may be another run of the robot."
+            return f"in use by {user}", f"{LEAVE_A_CASE_ALONE} Otherwise stop it."
         return (
             "in use by a program not visible to this user",
             f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",

@@ -20,7 +20,13 @@ from drivers.ndi_polaris.errors import LinkLost, NotAPolaris, PortUnavailable
 from drivers.ndi_polaris.transport import open_transport
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import PortUser, advise_on_permission, find_serial_port_users, find_tcp_clients
+from ronna_hw.host.port_users import (
+    LEAVE_A_CASE_ALONE,
+    PortUser,
+    advise_on_permission,
+    find_serial_port_users,
+    find_tcp_clients,
+)
 from ronna_hw.wire.kuka_eki import STATE
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR, DEFAULT_BAUD
 
@@ -234,8 +240,7 @@ def _diagnose_refusal(line: LineState) -> Finding:
         return (
             False,
             f"held by another program: {users}",
-            "If it runs a case, leave it alone: its arm may be at a patient. Otherwise stop it, or use "
-            "another port.",
+            f"{LEAVE_A_CASE_ALONE} Otherwise stop it, or use another port.",
         )
     if line.opening is Opening.HELD:
         return (

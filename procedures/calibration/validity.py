@@ -9,7 +9,13 @@ from datetime import datetime
 from pathlib import Path
 
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
-from ronna_hw.calibration import CalibrationExpired, Numbers3, StereoHeadCalibration, ToolTipCalibration
+from ronna_hw.calibration import (
+    CalibrationExpired,
+    DatedRecord,
+    Numbers3,
+    StereoHeadCalibration,
+    ToolTipCalibration,
+)
 from ronna_hw.config import Calibrations
 
 MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
@@ -41,12 +47,11 @@ def require_valid(
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
-            record.check_valid_at(moment)
+            require_valid_record(name, record, moment, starts)
         except CalibrationExpired as problem:
             if moment <= record.expires:  # dated in the future: a clock is wrong, not a record
                 raise
-            if name not in starts:
-                expired[name] = problem
+            expired[name] = problem
     if not expired:
         return
     first = next(iter(expired.values()))
@@ -62,6 +67,17 @@ def require_valid(
         got=first.got,
         action=f"Run {commands}{renew}; no motion until then.",
     )
+
+
+def require_valid_record(
+    name: str, record: DatedRecord, moment: datetime, starts: Set[str] = frozenset()
+) -> None:
+    """Raise CAL-001 if a record is dated in the future, or has expired and `starts` does not name it."""
+    try:
+        record.check_valid_at(moment)
+    except CalibrationExpired:
+        if name not in starts or moment <= record.expires:
+            raise
 
 
 def require_consistent_arm(calibrations: Calibrations, options: str = "") -> None:

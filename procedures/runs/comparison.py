@@ -14,6 +14,7 @@ from functools import partial
 
 from pydantic import BaseModel
 
+from procedures.calibration.validity import require_valid_record
 from procedures.engine.device_faults import ARM
 from procedures.engine.engine import Engine
 from procedures.guards.errors import (
@@ -199,11 +200,9 @@ def _compare_calibrations(
             comparison.add_difference(f"calibration {name}", before, _describe_record(record))
             continue
         try:
-            record.check_valid_at(engine.setting.today())
+            require_valid_record(name, record, engine.setting.today(), engine.setting.starts)
         except CalibrationExpired as problem:
-            if name in engine.setting.starts and problem.limit is not None:  # not one dated in the future
-                comparison.add_unchanged(f"calibration {record.identifier}")
-            elif only_leaving:
+            if only_leaving:
                 comparison.note(f"calibration {record.identifier}: {problem.summary}")
             else:
                 comparison.add_difference(f"calibration {record.identifier}", "a valid one", problem)

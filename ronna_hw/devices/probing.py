@@ -44,7 +44,7 @@ class Diagnostic:
     `command` is one that a person can copy, and that solves the problem or says more about it.
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
     JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
-    endpoint; None where nothing did.
+    endpoint; None where nothing did. An `explained` one has its cause told by another finding.
     """
 
     subject: str
@@ -55,6 +55,7 @@ class Diagnostic:
     document: Mapping[str, Any] | None = None
     serials: Mapping[str, str | None] = field(default_factory=dict)
     command: str = ""
+    explained: bool = False
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:

@@ -11,7 +11,7 @@ import os
 import pwd
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,8 @@ import psutil
 LONGEST_NAME = 60  # characters of a command line shown
 MASTER_NAME = "ptmx"  # the device behind the master side of every pseudo-terminal
 ANY_ADDRESS = "0.0.0.0"
+LEAVE_A_CASE_ALONE = "If it runs a case, leave it alone: its arm may be at a patient."
+OF_OURS = ["-P", "-m"]  # how our programs start the processes that serve them
 _INDEX = "tty-index:"
 _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to each
 
@@ -47,7 +49,7 @@ def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
         files = tuple(_open_devices(pid))
         opened = pid != os.getpid() and any(_is_device(file, device) for file in files)
         if opened and not any(_is_master_of(file, device) for file in files):
-            found.append(PortUser(pid, _describe_process(pid)))
+            found.append(_identify_user(pid))
     return tuple(found)
 
 
@@ -55,7 +57,7 @@ def find_udp_port_user(address: str, port: int) -> PortUser | None:
     """Find the local process bound to a UDP port, or return None if there is none or it is hidden."""
     for connection in psutil.net_connections(kind="udp4"):
         if connection.pid and connection.laddr.port == port and connection.laddr.ip in (address, ANY_ADDRESS):
-            return PortUser(connection.pid, _describe_process(connection.pid))
+            return _identify_user(connection.pid)
     return None
 
 
@@ -64,7 +66,7 @@ def find_tcp_listener(address: str, port: int) -> PortUser | None:
     for connection in psutil.net_connections(kind="tcp4"):
         listens = connection.status == psutil.CONN_LISTEN and connection.laddr.port == port
         if connection.pid and listens and connection.laddr.ip in (address, ANY_ADDRESS):
-            return PortUser(connection.pid, _describe_process(connection.pid))
+            return _identify_user(connection.pid)
     return None
 
 
@@ -75,10 +77,7 @@ def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
     except OSError:
         return ()
     return tuple(
-        PortUser(
-            connection.pid or 0,
-            _describe_process(connection.pid) if connection.pid else "a program of another user",
-        )
+        _identify_user(connection.pid) if connection.pid else PortUser(0, "a program of another user")
         for connection in psutil.net_connections(kind="tcp4")
         if connection.status == psutil.CONN_ESTABLISHED
         and connection.raddr == there
@@ -131,12 +130,28 @@ def _is_master_of(file: Path, device: int) -> bool:
     return False
 
 
+def _identify_user(pid: int) -> PortUser:
+    """Return the program that a process belongs to: the one that started it, if it only serves that one."""
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(pid)
+        while process.cmdline()[1:3] == OF_OURS:
+            starter = process.parent()
+            if starter is None or not _is_python(starter.cmdline()):
+                break
+            process = starter
+            pid = process.pid
+    return PortUser(pid, _describe_process(pid))
+
+
+def _is_python(words: Sequence[str]) -> bool:
+    return os.path.basename(words[0] if words else "").startswith("python")
+
+
 def _describe_process(pid: int) -> str:
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
         words = [word for word in process.cmdline() if word]
-        is_python = os.path.basename(words[0] if words else "").startswith("python")
-        if is_python and words[1:] and not words[1].startswith("-"):  # the program it runs says more
+        if _is_python(words) and words[1:] and not words[1].startswith("-"):  # the program it runs says more
             words = [os.path.basename(words[1]), *words[2:]]
         line = " ".join(words) or process.name()
         return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"

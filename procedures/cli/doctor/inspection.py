@@ -24,10 +24,12 @@ from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagnostics, refusal
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.theatre import require_interface, required_interface
 
 SIDES = ("left", "right")
+STEREO = "stereo"  # table of the cameras
 TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
@@ -48,7 +50,7 @@ def advise_on_serials(
 ) -> tuple[Diagnostic, ...]:
     """Advise on refused cameras by comparing serial numbers on each side.
 
-    The refusal of the whole pair repeats the advice of its first refused camera, if there is one.
+    One cause is told once: that of swapped cameras by the pair, any other by the refused camera.
     """
     replied = {endpoint: serial for one in found for endpoint, serial in one.serials.items()}
     verdicts = {}
@@ -58,20 +60,46 @@ def advise_on_serials(
             verdicts[endpoint] = _verdict(side, endpoint, replied, device, head)
     first = next((verdict for verdict in verdicts.values() if verdict), "")
     cameras_well = all(one.well for one in found if one.serials)
+    endpoints = [camera_endpoint(device, side) for side in SIDES]
+    drivers_advice = {one.advice for one in found if one.serials and not one.well}
+    is_pair_refused = any(not one.well and not one.serials and one.advice in drivers_advice for one in found)
+    exchanged = [_configured(side, device, head) for side in reversed(SIDES)]
+    swapped = is_pair_refused and [replied.get(each) for each in endpoints] == exchanged
     replacements: dict[str, str] = {}  # the driver's advice -> ours
     advised = []
     for one in found:
-        advice = next((verdicts[each] for each in one.serials if each in verdicts), "")
-        if None in one.serials.values():  # only the driver knows why
-            advice = f"{advice} {one.advice}".rstrip()
-        if not one.serials:
-            advice = first if cameras_well else replacements.get(one.advice, "")
-        if not one.well and advice:
-            replacements[one.advice] = advice
-            advised.append(replace(one, advice=advice))
-        else:
+        if one.well:
             advised.append(one)
+        elif one.serials:
+            advice = next((verdicts[each] for each in one.serials if each in verdicts), "")
+            side = next((side for side in SIDES if camera_endpoint(device, side) in one.serials), "")
+            if None in one.serials.values() and not (side and _elsewhere(side, replied, device, head)):
+                advice = f"{advice} {one.advice}".rstrip()  # only the driver knows why
+            replacements[one.advice] = advice or one.advice
+            advised.append(replace(one, advice=replacements[one.advice], explained=swapped))
+        elif swapped and one.advice in drivers_advice:
+            names = " and ".join(f"{STEREO}.endpoints.{side}" for side in SIDES)
+            advised.append(replace(one, advice=f"Swap the cables, or the endpoints {names}."))
+        else:
+            advice = first if cameras_well else replacements.get(one.advice, "")
+            explained = one.advice in drivers_advice  # repeats the advice of its first refused camera
+            advised.append(replace(one, advice=advice or one.advice, explained=explained))
     return tuple(advised)
+
+
+def _configured(side: str, device: DeviceConfig, head: StereoHeadCalibration) -> str:
+    recorded = head.left.serial if side == "left" else head.right.serial
+    return str(device.options.get(f"{side}_serial") or recorded)
+
+
+def _elsewhere(
+    side: str, replied: Mapping[str, str | None], device: DeviceConfig, head: StereoHeadCalibration
+) -> list[str]:
+    """List the addresses at which the camera of a side replied, other than its own."""
+    configured, endpoint = _configured(side, device, head), camera_endpoint(device, side)
+    return [
+        parse_endpoint(at).host for at, serial in replied.items() if serial == configured and at != endpoint
+    ]
 
 
 def _verdict(
@@ -84,10 +112,15 @@ def _verdict(
     """Describe a camera fault on one side; empty without a fault or if the driver already explains it."""
     actual = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
-    configured = str(device.options.get(f"{side}_serial") or recorded[side])
+    configured = _configured(side, device, head)
     others = {serial: at for at, serial in replied.items() if serial is not None and at != endpoint}
     found = ", ".join(dict.fromkeys([*filter(None, [actual]), *others])) or "none"
     not_found = f"was not found (serial numbers found: {found})"
+    if actual is None and (places := _elsewhere(side, replied, device, head)):
+        return (
+            f"{configured} is at {' and at '.join(places)}, not at {parse_endpoint(endpoint).host}: correct "
+            f"the endpoint {STEREO}.endpoints.{side}."
+        )
     if actual is None:
         return f"The {side} camera {configured} {not_found}."
     is_swapped = actual != recorded[side] and actual in recorded.values()

@@ -17,7 +17,7 @@ from procedures.cli.doctor.calibrations import (
     tool_diagnostics,
 )
 from procedures.cli.doctor.findings_text import findings_text
-from procedures.cli.doctor.inspection import advise_on_serials, frame_diagnostics, inspection
+from procedures.cli.doctor.inspection import STEREO, advise_on_serials, frame_diagnostics, inspection
 from procedures.cli.doctor.theatre_checks import (
     CLOCK,
     INSTRUMENT,
@@ -43,7 +43,7 @@ from ronna_hw.registry import endpoint_probes, load_probe, make_device
 from ronna_hw.text import format_count
 
 CASE = "case"
-STEREO, TRACKER = "stereo", "tracker"  # tables
+TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
 FRAMES = ": frames named in records"
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
@@ -68,7 +68,11 @@ def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnost
 
 
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
-    because = tuple(f"{one.subject.removeprefix(f'{of}: ')}: {one.seen}" for one in found if not one.well)
+    because = tuple(
+        f"{one.subject.removeprefix(f'{of}: ')}: {one.seen}"
+        for one in found
+        if not (one.well or one.explained)
+    )
     return Verdict(of, not because, because)
 
 
@@ -90,8 +94,9 @@ class Report:
 
     @property
     def problems(self) -> tuple[Diagnostic, ...]:
-        """Failed checks that keep a case from beginning or concern a device, in display order."""
-        return tuple(one for one in self.diagnostics if self.grade(one) == PROBLEM)
+        """Failed checks that keep a case from beginning or concern a device, each cause once, in order."""
+        failed = (one for one in self.diagnostics if self.grade(one) == PROBLEM)
+        return tuple(one for one in failed if not one.explained)
 
     @property
     def notes(self) -> tuple[Diagnostic, ...]:
@@ -226,7 +231,9 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
     if everything:
         rows = [(one.subject, report.grade(one), one.seen, one.advice) for one in report.diagnostics]
         print_table("All checks", ("checked", "", "found", "what to do"), rows)
-    elif folded := len(report.diagnostics) - len(report.problems) - len(report.notes) - len(report.replies):
+    elif folded := sum(one.well and report.grade(one) == OK for one in report.diagnostics) - len(
+        report.replies
+    ):
         say(f"{format_count(folded, 'check')} without a finding; --all lists them")
     if report.verdicts:
         print_table(

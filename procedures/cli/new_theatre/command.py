@@ -89,6 +89,7 @@ def new_theatre(
     from ronna_hw.registry import load_finders
     from ronna_hw.theatre_kind import is_simulated
 
+    finders = tuple(load_finders().values())
     with searching.Mistakes() as mistakes:
         mistakes.collect(require_new, (out,))
         cards = mistakes.collect(lambda name: searching.find_interfaces([name]), interface or ())
@@ -98,6 +99,7 @@ def new_theatre(
             partial(searching.endpoint_of, "--stream"), () if stream is None else (stream,)
         )
         mistakes.collect(partial(searching.endpoint_of, "--clock"), (clock,))
+        writing.with_options(searching.example_tables(finders, Search()), option or (), mistakes)
     copied = writing.CopiedRecords() if records is None else writing.read_records(records)
     if interface is None:
         cards = (searching.find_interfaces(_ask_interfaces()),)
@@ -108,8 +110,9 @@ def new_theatre(
         stream=next(iter(streams), None),
     )
     with terminal.progress_bar("looking for the devices") as advance:
-        found = searching.search_all(load_finders().values(), search, (left, right), _choose, advance)
-    found = writing.with_options(writing.with_tools(found, copied.tools), option or ())
+        found = searching.search_all(finders, search, (left, right), _choose, advance)
+    with searching.Mistakes() as mistakes:  # what fits no device as it was found
+        found = writing.with_options(writing.with_tools(found, copied.tools), option or (), mistakes)
     name = name or out.stem
     text = writing.theatre_text(name, found, clock, copied.tables)
     if is_simulated(parse_theatre(tomllib.loads(text), (records or out).name)):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import Progress
 from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
@@ -66,6 +67,12 @@ ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
     "--controller": (_controller, "HOST or HOST:PORT", "172.31.1.147"),
 }
 
+CHOSEN_BY = {  # options that select among devices found, by table
+    "stereo": "--left ADDRESS --right ADDRESS",
+    "tracker": "--serial LINE",
+    "robot": "--controller HOST:PORT",
+}
+
 
 def endpoint_of(option: str, text: str) -> Endpoint:
     """Parse an endpoint given as an option. Raises CLI-001 with the expected format and an example."""
@@ -116,6 +123,11 @@ class Mistakes:
             for number, one in enumerate(self._found, start=1)
         )
         raise UsageMistake(f"{len(self._found)} mistakes: {every}", action="Correct them all.")
+
+
+def example_tables(finders: Iterable[Finder], search: Search) -> tuple[DeviceTable, ...]:
+    """Return the example table of each finder, with every option of its driver."""
+    return tuple(DeviceTable(finder.table, finder.example(search), is_found=False) for finder in finders)
 
 
 def search_all(
@@ -184,9 +196,20 @@ def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) 
         return next(iter(proposals), None)
     words = [f"{one.what} at {', '.join(one.endpoints.values())}" for one in proposals]
     number = choose(f"Which is [{table}]?", words)
-    if number is None:
-        raise UsageMistake(
-            f"{len(proposals)} devices could be [{table}]: {'; '.join(words)}",
-            action="Choose with --left and --right, --serial or --controller.",
-        )
-    return proposals[number]
+    if number is not None:
+        return proposals[number]
+    found = _list_cameras(proposals) if table == "stereo" else words
+    for line in found:
+        tell(line)
+    raise UsageMistake(
+        f"{len(found)} {'cameras' if table == 'stereo' else 'devices'} found for [{table}]",
+        action=f"Add {CHOSEN_BY[table]}, as listed above.",
+    )
+
+
+def _list_cameras(pairs: Sequence[Proposal]) -> list[str]:
+    """List each camera of these pairs once, by address."""
+    cameras = {_camera_identity(pair, side) for pair in pairs for side in ("left", "right")}
+    return [
+        f"camera {serial} at {address}" for serial, address in sorted(cameras, key=lambda camera: camera[1])
+    ]

@@ -199,8 +199,10 @@ def with_tools(found: Sequence[DeviceTable], tools: Sequence[Mapping[str, Any]])
     return tuple(_apply_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
-def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[DeviceTable, ...]:
-    """Apply options such as `stereo.exposure_us=1500` (TOML values) to device tables. Raises CLI-001."""
+def with_options(
+    found: Sequence[DeviceTable], given: Sequence[str], mistakes: Mistakes
+) -> tuple[DeviceTable, ...]:
+    """Apply options such as `stereo.exposure_us=1500` (TOML values) to device tables; note each mistake."""
     changed = list(found)
 
     def apply(text: str) -> None:
@@ -220,8 +222,7 @@ def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[De
         _require_fitting(text, applied)
         changed[number] = applied
 
-    with Mistakes() as mistakes:
-        mistakes.collect(apply, given)
+    mistakes.collect(apply, given)
     return tuple(changed)
 
 

@@ -96,7 +96,7 @@ def test_a_healthy_camera_reports_its_network_card_and_packet_size() -> None:
             replace(WELL, controller=Controller(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))),
             (),
             "controlled by pylon viewer (pid 812)",
-            "Stop that program",
+            "If it runs a case, leave it alone",
         ),
         (
             replace(WELL, controller=Controller(True, "192.168.3.1", 40001, here=True)),

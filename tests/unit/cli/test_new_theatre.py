@@ -260,8 +260,9 @@ def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Pat
     cameras.pairs = (pair("11", "12"), pair("12", "11"))
     code, _, errors = new_theatre(out)
     assert code == EXIT_USAGE
-    assert "11 and 12" in errors
-    assert "--left" in errors
+    assert "camera 11 at 192.168.3.1\n" in errors
+    assert "camera 12 at 192.168.3.2\n" in errors
+    assert "Add --left ADDRESS --right ADDRESS" in errors
     assert not out.exists()
 
 
@@ -275,18 +276,29 @@ def test_an_existing_file_is_not_overwritten(cameras: Cameras, out: Path) -> Non
 
 def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out: Path) -> None:
     out.write_text("mine")
-    wrong = ("--controller", "192.168.10.300", "--stream", "59152", "--clock", "sun:", "--interface", "eth77")
+    wrong: tuple[str, ...] = (
+        "--controller",
+        "192.168.10.300",
+        "--stream",
+        "59152",
+        "--clock",
+        "sun:",
+        "--interface",
+        "eth77",
+    )
+    for option in ("stereo.exposure=1", "stereo.exposure_us=5s", "exposure_us=1"):
+        wrong += ("--option", option)
     code, _, errors = new_theatre(out, *wrong, serial="pts/2")
     (line,) = one_error(errors)
     assert code == EXIT_USAGE
-    for number, named in enumerate(
-        (str(out), "eth77", "--serial: 'pts/2'", "192.168.10.300", "--stream: '59152'", "--clock: "), start=1
-    ):
+    named_mistakes = (
+        *(str(out), "eth77", "--serial: 'pts/2'", "192.168.10.300", "--stream: '59152'", "--clock: "),
+        "--option: stereo has no option 'exposure'",
+        "--option 'stereo.exposure_us=5s': exposure_us: expected a valid number",
+        "--option 'exposure_us=1'",
+    )
+    for number, named in enumerate(named_mistakes, start=1):
         _, numbered, rest = line.partition(f"({number}) ")
         assert numbered
         assert named in rest.partition("; (")[0]
     assert cameras.searches == []
-    out.unlink()
-    _, _, errors = new_theatre(out, "--option", "stereo.exposure=1", "--option", "exposure_us=1")
-    assert "(1) --option: stereo has no option 'exposure'" in errors
-    assert "(2) --option 'exposure_us=1'" in errors

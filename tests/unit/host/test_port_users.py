@@ -85,6 +85,25 @@ def test_the_process_on_the_master_side_of_a_terminal_is_not_reported(start: Sta
     assert find_serial_port_users(path) == ()
 
 
+STARTS_A_SERVANT = (  # whose command line is that of a process of ours: `python -P -m MODULE`
+    "import subprocess, sys;"
+    " child = subprocess.Popen([sys.executable, '-P', '-m', 'timeit', '-n1', '-r1', '-s', sys.argv[1]],"
+    " stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True);"
+    " print(child.stdout.readline(), flush=True); sys.stdin.read(); child.communicate('')"
+)
+BINDS = (
+    "import socket, sys; port = socket.socket(type=socket.SOCK_DGRAM); port.bind(('127.0.0.1', 0));"
+    " print(port.getsockname()[1], flush=True); sys.stdin.read()"
+)
+
+
+def test_a_process_that_serves_another_is_reported_as_that_one(start: Start) -> None:
+    pid, port = start(STARTS_A_SERVANT, BINDS)
+    user = find_udp_port_user("127.0.0.1", int(port))
+    assert user is not None
+    assert user.pid == pid
+
+
 def test_a_port_that_does_not_exist_has_no_users() -> None:
     assert find_serial_port_users("/dev/no-such-port") == ()
 

@@ -42,7 +42,7 @@ def test_a_port_in_use_names_the_program(taken: Endpoint) -> None:
     diagnostic = stream_port_diagnostic(taken)
     assert not diagnostic.well
     assert f"(pid {os.getpid()})" in diagnostic.seen
-    assert "Stop that program" in diagnostic.advice
+    assert "If it runs a case, leave it alone" in diagnostic.advice
 
 
 def test_a_port_in_use_by_an_invisible_program_names_the_command_that_finds_it(

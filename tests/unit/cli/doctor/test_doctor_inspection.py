@@ -11,6 +11,7 @@ from recording_cell import RecordingArm, RecordingCell, theatre_of
 
 from procedures.cli.doctor import inspection
 from procedures.cli.doctor.inspection import OF_THIS_ARM, advise_on_serials
+from procedures.cli.doctor.report import Report, verdicts
 from procedures.engine.order import order_of
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import AnotherArm
@@ -135,6 +136,30 @@ def test_a_camera_that_neither_options_nor_records_name_was_exchanged(configured
 def test_where_the_configured_camera_is_at_another_address_the_driver_says_so() -> None:
     assert _advised("4499", "4411", "4411") == DRIVERS
     assert _advised("4412", "4411") == DRIVERS  # the right one: swapped
+
+
+def test_a_camera_that_replied_elsewhere_is_told_once_with_the_endpoint_to_correct() -> None:
+    network = Diagnostic("cameras on eth0", True, "", serials={ELSEWHERE: "4411", RIGHT: "4412"})
+    left = Diagnostic(f"camera {LEFT}", False, "silent", DRIVERS, serials={LEFT: None})
+    pair = Diagnostic("device stereo", False, "GEV-001", DRIVERS)
+    _, camera, refused = advise_on_serials((network, left, pair), cameras("4411"), HEAD)
+    assert camera.advice == (
+        "4411 is at 127.0.0.9, not at 127.0.0.1: correct the endpoint stereo.endpoints.left."
+    )
+    assert (camera.explained, refused.explained) == (False, True)
+
+
+def test_swapped_cameras_are_told_once_by_the_pair() -> None:
+    left = Diagnostic(f"camera {LEFT}", False, "4412", DRIVERS, serials={LEFT: "4412"})
+    right = Diagnostic(f"camera {RIGHT}", False, "4411", "", serials={RIGHT: "4411"})
+    pair = Diagnostic("device stereo", False, "GEV-004", DRIVERS)
+    *both, refused = advise_on_serials((left, right, pair), cameras("4411"), HEAD)
+    assert all(camera.explained for camera in both)
+    assert not refused.explained
+    assert "stereo.endpoints.left and stereo.endpoints.right" in refused.advice
+    shown = Report((), (*both, refused), verdicts=tuple(verdicts((), {"stereo": (*both, refused)})))
+    assert shown.problems == (refused,)
+    assert shown.verdicts[0].because == ("device stereo: GEV-004",)
 
 
 def test_a_pair_that_is_refused_as_a_whole_gets_the_verdict_on_its_camera() -> None:

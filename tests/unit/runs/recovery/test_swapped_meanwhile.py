@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,19 @@ def test_a_calibration_of_the_same_name_and_day_is_told_from_the_recorded_one(ce
     _, difference = refused.value.what.split("calibration tool_tip: recorded ")
     recorded, found = difference.split("; ")[0].split(", found ")
     assert recorded != found
+
+
+@pytest.mark.hazard(26)
+def test_a_record_that_has_expired_is_refused_unless_the_calibration_only_starts_from_it(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    tip = again.calibrations.tool_tip
+    engine.setting = replace(engine.setting, today=lambda: tip.expires + timedelta(seconds=1))
+    with pytest.raises(RecoveryRefused, match=f"{tip.identifier}: recorded a valid one, found CAL-001"):
+        recover(engine, left)
+    engine.setting = replace(engine.setting, starts=frozenset(again.calibrations.records))
+    recover(engine, left)
 
 
 def test_a_theatre_file_updated_since_is_said_with_the_command_that_undoes_it(
