@@ -35,8 +35,9 @@ $(STAMP): requirements/locked.txt pyproject.toml
 # is first imported, for most never are.
 $(RUNS): requirements/run.txt pyproject.toml
 	@echo "Installing what a case needs into $(VENV), once: about 100 packages, 1 GB, 1 to 3 minutes."
+	@echo "pip shows each package as it fetches it, then unpacks all of them in about a minute."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python tools/setup/install_lock.py requirements/run.txt --no-compile
+	@$(BIN)/python -m pip install --disable-pip-version-check --no-compile --require-hashes -r requirements/run.txt
 	@$(PIP) --no-compile --no-deps --no-build-isolation --editable .
 	@touch $(RUNS)
 

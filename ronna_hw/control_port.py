@@ -13,11 +13,13 @@ import json
 import socket
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError, ConnectError
+from ronna_hw.text import printable
 
 ANSWER_LIMIT_S = 5.0  # host time
 VARIABLE = "RONNA_CONTROL"  # in the environment: the address, for programs that are given none
@@ -41,6 +43,13 @@ class ControlRequestRefused(ConfigurationError):
 
     code = "CTL-002"
     action = "Correct what is named; a token is copied with the whole endpoint, from the READY line."
+
+
+class ControlPortOfAnother(ConfigurationError):
+    """The control port belongs to another simulated theatre than the theatre file."""
+
+    code = "CTL-003"
+    action = 'Set it anew: eval "$(ronna-sim env THEATRE-FOLDER)" with the folder of the theatre file.'
 
 
 @dataclass(frozen=True)
@@ -142,6 +151,17 @@ class ControlPortClient:
     def _silence_error(self, reason: object) -> ControlPortSilent:
         words = reason.strerror if isinstance(reason, OSError) and reason.strerror else reason
         return ControlPortSilent(f"no answer from the control port {self._endpoint}: {words}")
+
+
+def require_theatre(address: str, identity: str, file: Path) -> None:
+    """Raise CTL-003 unless the port is that of the theatre with this identity, from its theatre `file`."""
+    answer = ask_control_port(address, "identify")
+    if answer.get("identity") != identity:
+        raise ControlPortOfAnother(
+            f"the control port is of another theatre than {file}",
+            expected=f"the port of the theatre in {file.resolve().parent}",
+            got=f"that of {printable(str(answer.get('folder'))) or 'a simulator alone'}",
+        )
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:

@@ -41,12 +41,14 @@ class RonnaError(Exception):
     """Base of all project errors: what happened, what was expected, the limit, and what to do.
 
     `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
-    and, if helpful, `expected`, `limit`, `got` and what to do instead of the class's `action`. `wire` keeps
-    the last bytes of a protocol error.
+    and, if helpful, `expected`, `limit`, `got` and what to do instead of the class's `action`. `page_action`
+    is the part of the class's `action` that is done without a command. `wire` keeps the last bytes of a
+    protocol error.
     """
 
     code: ClassVar[str] = ""
     action: str = ""
+    page_action: ClassVar[str] = ""  # nothing: all of `action`
     exit_code: int = EXIT_FAILED  # of an error that quotes a program: that program's
 
     def __init__(
@@ -63,6 +65,7 @@ class RonnaError(Exception):
         self.expected = expected and printable(expected)
         self.limit = limit and printable(limit)
         self.got = got and printable(got)
+        self.page_advice = printable(action or self.page_action or self.action)
         self.action = self.advice = printable(action or self.action)
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder

@@ -14,6 +14,7 @@ import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -23,11 +24,13 @@ from numpy.typing import NDArray
 
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.frames import Transform
+from ronna_hw.registry import load_entry_point
 
 if TYPE_CHECKING:
     import pandas as pd
 
 GROUP = "ronna_hw.runs"
+READER = "run_folder"  # name of the entry point
 AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("A1", "A2", "A3", "A4", "A5", "A6")}  # names in a pandas column
 QUATERNION = "wxyz"  # unit in the name of one, which names its axes already
 
@@ -83,6 +86,12 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
         table.columns = columns
         return table
 
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError naming the columns there are, and the nearest."""
+        names = self.dtype.names or ()
+        meant = "".join(f"did you mean {one}? " for one in get_close_matches(name, names, n=1))
+        raise AttributeError(f"no column {name}: {meant}There are {', '.join(names)}", name=name, obj=self)
+
     def __array_finalize__(self, source: Any) -> None:
         super().__array_finalize__(source)
         self.columns = getattr(source, "columns", ())
@@ -129,12 +138,16 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """How the run ended, such as done, in doubt, failed or interrupted; or that it is running."""
+        """How the run ended, such as done, missed, failed or interrupted; or that it is running."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is missing in the folder or has changed in it since the run ended."""
+        """What is missing in the folder or has changed in it since the run ended.
+
+        Files are compared with the hashes of the run: pixels once a table of readings is used, all others
+        that are read here on loading. That no seal confirms them is noted too.
+        """
         ...
 
     @property
@@ -200,6 +213,7 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
     that another version wrote differently raises REC-003 when it is read.
     """
     for point in entry_points(group=GROUP):
-        reader: RunReader = point.load()
-        return reader(Path(folder))
-    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point in {GROUP}")
+        if point.name == READER:
+            reader: RunReader = load_entry_point(point)
+            return reader(Path(folder))
+    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}")

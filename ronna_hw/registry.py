@@ -34,7 +34,7 @@ GROUP = "ronna_hw.drivers"
 PROBE_GROUP = "ronna_hw.probes"
 
 
-def _load(point: EntryPoint) -> Any:
+def load_entry_point(point: EntryPoint) -> Any:
     """Load an entry point. Raises CFG-003 if a program's own `drivers` hides ours."""
     try:
         return point.load()
@@ -60,7 +60,7 @@ def load_driver(name: str) -> Any:
     """Load a driver class by name; raises DEV-002 listing the known names."""
     for point in entry_points(group=GROUP):
         if point.name == name:
-            return _load(point)
+            return load_entry_point(point)
     raise UnknownDriver(
         f"no driver {name!r} is installed", expected="one of " + ", ".join(list_driver_names())
     )
@@ -76,7 +76,7 @@ def load_probe(driver: str) -> Probe:
     """Load the probe of a driver, by default one that connects, identifies and closes."""
     for point in entry_points(group=PROBE_GROUP):
         if point.name == driver:
-            probe: Probe = _load(point)
+            probe: Probe = load_entry_point(point)
             return probe
     return _probe_by_connecting
 
@@ -93,7 +93,7 @@ def load_finders() -> dict[str, Finder]:
 
 def _load_probes() -> list[tuple[str, Any]]:
     """Load every installed probe with the name of its driver."""
-    return sorted((point.name, _load(point)) for point in entry_points(group=PROBE_GROUP))
+    return sorted((point.name, load_entry_point(point)) for point in entry_points(group=PROBE_GROUP))
 
 
 def _probe_by_connecting(

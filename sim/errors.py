@@ -127,6 +127,16 @@ class TheatreRunning(ConnectError):
     action = "Stop the other theatre, or give another folder."
 
 
+class RegisterNotOwn(RefusedError):
+    """The folder with the register of running simulators does not belong to this account alone."""
+
+    code = "SIM-019"
+    action = (
+        "Set XDG_RUNTIME_DIR, or TMPDIR, to a folder of your own (mode 700) in each terminal, and repeat; "
+        "simulators that run without a register are not listed."
+    )
+
+
 class NotRunning(RefusedError):
     """No running simulator, or more than one, is meant; or it cannot be stopped from here."""
 

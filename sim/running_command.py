@@ -22,19 +22,28 @@ def env(cell: CellArgument = None) -> None:
     """Print the endpoints of a running simulator as shell variables: eval "$(ronna-sim env CELL)".
 
     RONNA_CONTROL is the control port, THEATRE the theatre file, LINE the tracker, CONTROLLER and STREAM the
-    arm, LEFT and RIGHT the cameras, CLOCK the clock. RONNA_CONTROL contains the secret token.
+    arm, LEFT and RIGHT the cameras, CLOCK the clock. RONNA_CONTROL contains the secret token. Without such a
+    simulator the eval fails, and unsets them.
     """
-    from sim.world.running import find_running
+    from ronna_hw.errors import RonnaError
+    from sim.world.running import NO_VARIABLES, find_running
 
-    for line in find_running(cell).shell_lines():
+    try:
+        lines = tuple(find_running(cell).shell_lines())
+    except RonnaError:
+        say(NO_VARIABLES)
+        raise
+    for line in lines:
         say(line)
 
 
 def list_command(as_json: JsonOption = False) -> None:
     """List this user's running simulators."""
-    from sim.world.running import list_running
+    from sim.world.running import read_register
 
-    running = list_running()
+    running, bad = read_register()
+    for path in bad:
+        tell(f"warning: {path} is no entry of a simulator and was skipped; delete it")
     if as_json:
         rows = [
             {

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.host.child_process import end_descendants
 from ronna_hw.records import write_atomically
 from studies.errors import NotANotebook, NotebookFailed, NotebooksNotInstalled
 
@@ -15,9 +16,10 @@ NOTEBOOK = ".ipynb"
 
 
 def execute_notebook(path: Path, out: Path) -> Path:
-    """Execute a notebook in the folder `out` and write it there with its output.
+    """Execute a notebook in the folder `out`, write it there with its output, and end what its cells started.
 
-    Raises STU-016 without the extra, STU-017 for a failed cell, STU-018 for another file, CLI-005.
+    Raises STU-016 without the extra, STU-017 for a failed cell, STU-018 for another file, CLI-005 for a
+    missing one or one in `out`.
     """
     try:
         import nbformat
@@ -40,8 +42,15 @@ def execute_notebook(path: Path, out: Path) -> Path:
         raise NotANotebook(
             f"{path} is not a notebook, or a damaged one", expected="JSON as Jupyter writes it"
         ) from error
+    written = out / path.name
+    if written.exists() and written.samefile(path):
+        raise PathProblem(
+            f"{path} would be overwritten by its executed copy",
+            expected="another folder than that of the notebook",
+            action="Choose another --out.",
+        )
     out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="ronna-") as sockets:
+    with tempfile.TemporaryDirectory(prefix="ronna-") as sockets, end_descendants():
         client = NotebookClient(
             notebook,
             kernel_name="python3",
@@ -56,9 +65,11 @@ def execute_notebook(path: Path, out: Path) -> Path:
             raise NotebookFailed(
                 f"a cell of {path.name} failed", got=f"{error.ename}: {error.evalue}"
             ) from error
-        except (CellTimeoutError, DeadKernelError) as error:
-            what = "took too long" if isinstance(error, CellTimeoutError) else "ended its kernel"
-            raise NotebookFailed(f"a cell of {path.name} {what}", limit=f"{LONGEST_CELL_S:g} s") from error
-    written = out / path.name
+        except CellTimeoutError as error:
+            raise NotebookFailed(
+                f"a cell of {path.name} took too long", limit=f"{LONGEST_CELL_S:g} s"
+            ) from error
+        except DeadKernelError as error:
+            raise NotebookFailed(f"a cell of {path.name} ended its kernel") from error
     write_atomically(written, nbformat.writes(notebook).encode())
     return written

@@ -38,7 +38,7 @@ from procedures.strategies.trajectory import tool_orientation
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-from sim.world.options import OnStand
+from ronna_hw.wire.room_tasks import OnStand
 from sim.world.rigid import inverse, matrix_of
 from sim.world.staff import read_dials
 from sim.world.true_arm import TrueArm

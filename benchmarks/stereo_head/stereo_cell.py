@@ -23,7 +23,8 @@ from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Question, Topic
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.visits import Visit, VisitKind
+from procedures.planning.pose_name import PoseKind, PoseName
+from procedures.planning.visits import Visit
 from procedures.relocalization import StereoPoint
 from procedures.runs.answers import ScriptedOperator
 from procedures.workcell import MountedTool, Workcell
@@ -244,7 +245,7 @@ class StereoCell:
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
     def _is_in_sight(self, fiducial: int, tool: Array) -> bool:
-        visit = Visit("start", VisitKind.LOCALIZATION, TRAJECTORY, fiducial, _as_transform(tool), 0.0)
+        visit = Visit(PoseName(PoseKind.FIDUCIAL, TRAJECTORY, fiducial), _as_transform(tool), 0.0)
         return not StereoSight.of(self._calibration).unmet([visit], self.centres_mm)
 
     def _move_tool(self, tool: Array) -> None:

@@ -22,18 +22,17 @@ from console.panels.html import tag, text
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
-from procedures.operator.question import Topic
 from procedures.runs.orders import (
     PAUSED,
     RULE_OF,
     WAITING,
     Abort,
     Acknowledge,
-    CaseActivity,
     Next,
     Pause,
     Resume,
     RunTo,
+    activity_of,
 )
 from ronna_hw.text import parse_typed_number
 
@@ -116,7 +115,10 @@ class OrderPanel:
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
         """Enable the valid orders. Each order quotes the state in which its button was shown."""
-        state = case_activity(view)
+        state = activity_of(
+            None if view.question is None else view.question.topic,
+            is_waiting=bool(view.waiting and view.waiting.upcoming),
+        )
         has_ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""
         if quoted != self._quoted:
@@ -141,13 +143,6 @@ class OrderPanel:
                 else (options[-1] if options else None)
             )
             self._last_step.set_options(options, value=kept_step)
-
-
-def case_activity(view: CaseView) -> CaseActivity:
-    """Return the case activity against which orders from the page are checked."""
-    if view.question is not None:
-        return PAUSED if view.question.topic == Topic.PAUSE else CaseActivity.ASKING
-    return WAITING if view.waiting is not None and view.upcoming else CaseActivity.RUNNING
 
 
 def add_stop_button(give: Give) -> None:

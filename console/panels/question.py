@@ -52,11 +52,9 @@ def _render_decision(predicted: PredictedError) -> str:
     shown = "".join(
         tag("div", tag("dt", text(what)) + tag("dd", text(figure), class_="num")) for figure, what in figures
     )
-    kind = "ok" if predicted.is_within else "bad"
-    if predicted.is_within and predicted.limit_mm > predicted.margin_mm:
-        kind = "warn"
+    kind = predicted.verdict.colour
     sign = {"ok": "✓", "warn": "!", "bad": "✗"}[kind]
-    return tag("dl", shown, class_="decides") + tag("p", f"{sign} {text(predicted.verdict)}", class_=kind)
+    return tag("dl", shown, class_="decides") + tag("p", f"{sign} {text(predicted.sentence)}", class_=kind)
 
 
 def _render_identity(question: Questioned) -> str:

@@ -55,7 +55,7 @@ class AcPcPanel:
         """Show the coordinates of the current draft and crosshair."""
         draft = self._editor.draft
         frame = draft.ac_pc
-        self._table.set_content(tell_coordinates(draft, self._page_view.way, self._page_view.place_mm))
+        self._table.set_content(render_coordinates(draft, self._page_view.way, self._page_view.place_mm))
         words = NO_FRAME if frame is None else f"AC to PC {frame.length_mm:.1f} mm; origin halfway"
         self._frame.set_content(tag("p", text(words), class_="dim"))
         self._typed.set_visibility(frame is not None)
@@ -85,7 +85,7 @@ class AcPcPanel:
             self._go(frame.to_lps_mm(place))
 
 
-def tell_coordinates(draft: Draft, chosen: str, crosshair_mm: Point) -> str:
+def render_coordinates(draft: Draft, chosen: str, crosshair_mm: Point) -> str:
     """Build the table of crosshair, entry and target in both frames."""
     way = next((item for item in draft.ways if item.identifier == chosen), None)
     places = [("crosshair", crosshair_mm)]

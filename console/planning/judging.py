@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
+from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.errors import NotReachable, PlanMistakes
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import skull_angle_rad
@@ -23,10 +24,12 @@ from procedures.planning.paths import check_paths
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan
 from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
+from procedures.planning.pose_name import name_body
 from procedures.planning.structures import StructureDistance, measure_distances
 from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck, Unmet
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
@@ -40,7 +43,7 @@ class ExpectedError:
     """Expected error at one target. Its components add up in quadrature to `rms_mm`."""
 
     rms_mm: float
-    limit_mm: float  # contains it with 95 %
+    limit_mm: float  # contains it with `DEFAULT_CONFIDENCE`
     shares_mm: tuple[tuple[str, float], ...]
     with_arm: bool  # otherwise from the markers alone
 
@@ -163,7 +166,7 @@ def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
     closest = [item.preview.closest for item in check.motions if item.preview.closest is not None]
     if closest:
         least = min(closest, key=lambda item: item.distance_mm)
-        pair = f"{least.first}, {least.second}"
+        pair = f"{name_body(least.first)}, {name_body(least.second)}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
         f"at {name} the guide is turned by {math.degrees(turn):+.0f}° about its axis"
@@ -211,12 +214,10 @@ def expected(judged: Judgement, draft: Draft) -> str:
 
 
 def page_advice(problem: RonnaError) -> str:
-    """Return what to do about a problem without command lines, which are for whoever set up the planner."""
-    sentences = re.split(r"(?<=[.;:]) ", problem.advice)
-    kept = " ".join(item for item in sentences if not COMMAND.search(item))
-    return (
-        kept or f"Ask whoever set up this planner: the list of errors says what to do about {problem.code}."
-    )
+    """Return what to do about a problem at a page; what needs a command is for whoever set up the planner."""
+    if problem.page_advice and not COMMAND.search(problem.page_advice):
+        return problem.page_advice
+    return f"Ask whoever set up this planner: the list of errors says what to do about {problem.code}."
 
 
 def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:
@@ -246,12 +247,12 @@ def _skull_text(name: str, angle_deg: float | None) -> str:
 
 
 def _target_html(name: str, item: ExpectedError, margin_mm: float) -> str:
-    exceeds_margin = item.rms_mm > margin_mm
-    words = f"{name}: {item.rms_mm:.2f} mm rms, {item.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
+    judged = judge_error(margin_mm, item.rms_mm, item.limit_mm)
+    limit = f"{item.limit_mm:.2f} mm at {DEFAULT_CONFIDENCE:.0%}"
     line = tag(
         "p",
-        text(words + (" — exceeds the margin" if exceeds_margin else "")),
-        class_="bad" if exceeds_margin else "big",
+        text(f"{name}: {item.rms_mm:.2f} mm rms, {limit}; margin {margin_mm:g} mm: {judged}"),
+        class_="big" if judged is MarginVerdict.PREDICTED_WITHIN else judged.colour,
         data_expected=name,
         data_rms=f"{item.rms_mm:.4f}",
     )

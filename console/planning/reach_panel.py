@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 from nicegui import ui
@@ -11,6 +10,7 @@ from console.panels.html import tag, text
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import Judgement, mark_outdated
 from console.planning.plan_editor import PlanEditor
+from procedures.planning.pose_name import MARKER, PoseKind
 from procedures.planning.visits import Unmet
 from procedures.registration.points import FEWEST_PAIRS
 from ronna_hw.errors import RonnaError
@@ -20,17 +20,6 @@ ADVICE = (
 )
 NO_FILES = (
     "There is no theatre file where this planner was started. Ask whoever set up the theatre to put it there."
-)
-# Names of poses and keys in the check's reasons, and what they are called here.
-WORDS = (
-    (re.compile(r"\S+/target"), lambda found: "the target"),
-    (re.compile(r"\S+/fiducial (\d+)"), lambda found: f"marker {int(found[1]) + 1}"),  # a pose, from 0
-    (re.compile(r"fiducial (\d+)"), lambda found: f"marker {found[1]}"),  # a body, from 1
-    (
-        re.compile(r", with the plan's standoff_mm of ([\d.]+)"),
-        lambda found: f" at a stand-off of {found[1]} mm",
-    ),
-    (re.compile(r" \[[A-Z]+-\d+\]"), lambda found: ""),
 )
 
 
@@ -90,8 +79,11 @@ def tell_trajectories(judged: Judgement) -> str:
     unmet_by_name = {way.identifier: _find_unmet(judged, way.identifier) for way in _complete(judged.draft)}
     elsewhere = [item for item in judged.unmet if all(item not in found for found in unmet_by_name.values())]
     lines = [_trajectory_html(name, found, whole=not judged.unmet) for name, found in unmet_by_name.items()]
-    lines += [tag("li", text(f"At {item.pose}: {reword(item.reason)}"), class_="bad") for item in elsewhere]
-    lines += [tag("li", text(reword(item))) for item in judged.reached]
+    lines += [
+        tag("li", text(f"At {item.pose.in_sentence(MARKER)}: {item.words}"), class_="bad")
+        for item in elsewhere
+    ]
+    lines += [tag("li", text(item)) for item in judged.reached]
     if len(judged.draft.markers) < FEWEST_PAIRS:
         lines.append(tag("li", "Only targets were tried: fewer than three markers are known.", class_="warn"))
     advice = tag("p", ADVICE, class_="advice") if judged.unmet else ""
@@ -103,7 +95,7 @@ def _complete(draft: Draft) -> list[DraftTrajectory]:
 
 
 def _find_unmet(judged: Judgement, name: str) -> list[Unmet]:
-    return [item for item in judged.unmet if item.pose.startswith(f"{name}/")]
+    return [item for item in judged.unmet if item.pose.trajectory == name]
 
 
 def _trajectory_html(name: str, unmet: list[Unmet], *, whole: bool) -> str:
@@ -111,15 +103,8 @@ def _trajectory_html(name: str, unmet: list[Unmet], *, whole: bool) -> str:
         words = "within reach" if whole else "no obstacle found to its own poses"
         return tag("li", text(f"{name}: {words}"), class_="ok", data_reached=name)
     first = unmet[0]
-    where = reword(first.pose)
-    what = "the guide" if where == "the target" else "the stereo head"
-    words = f"{name}: not within reach. {what.capitalize()} does not get to {where}: {reword(first.reason)}"
+    what = "guide" if first.pose.kind is PoseKind.TARGET else "stereo head"
+    where = first.pose.in_sentence(MARKER)
+    words = f"{name}: not within reach. The {what} does not get to {where}: {first.words}"
     more = f"; nor to {len(unmet) - 1} more of its poses" if unmet[1:] else ""
     return tag("li", text(words + more), class_="bad", data_unreached=name)
-
-
-def reword(words: str) -> str:
-    """Replace names of poses and keys of files by words of the theatre."""
-    for pattern, replacement in WORDS:
-        words = pattern.sub(replacement, words)
-    return words

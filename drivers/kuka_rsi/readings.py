@@ -12,7 +12,7 @@ from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
 from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import Clock
-from ronna_hw.devices.capabilities import MESSAGES, Fact
+from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
@@ -92,7 +92,7 @@ def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
         return
     yield Fact("operating mode", str(state.mode), state.mode in MODES, MODE_ADVICE)
     yield Fact(
-        "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
+        EMERGENCY_STOP, "pressed" if state.emergency_stop else "released", not state.emergency_stop,
         "Release the emergency stop.",
     )  # fmt: skip
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close the guard.")

@@ -263,8 +263,8 @@ def _motion_row(motion: PreviewedMotion) -> list[str]:
     closest, head = seen.closest, seen.nearest_to_head_mm
     ranges = [f"{math.degrees(low):.0f}..{math.degrees(high):.0f}" for low, high in seen.joint_ranges_rad]
     return [
-        motion.motion.start,
-        motion.motion.end,
+        str(motion.motion.start),
+        str(motion.motion.end),
         motion.motion.kind,
         f"{seen.duration_s:.1f}",
         "-" if closest is None else f"{closest.distance_mm:.0f} {closest.first}, {closest.second}",

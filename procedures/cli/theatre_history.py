@@ -25,14 +25,25 @@ def theatre_history(
 ) -> None:
     """List the states of a theatre file that was updated by calibrations and ronna-tool, oldest first.
 
-    Exit codes: 0 done, 2 usage or a bad file, 3 --by is no name, or a run uses the theatre.
+    Exit codes: 0 done, 2 usage or a bad file, 3 --by is no name, the history was changed, or a run uses the
+    theatre.
     """
-    from procedures.runs.theatre_history import Signature, describe_state, find_state, read_states
+    from procedures.runs.theatre_history import (
+        Signature,
+        describe_state,
+        find_state,
+        history_path,
+        read_states,
+    )
     from procedures.runs.theatre_history import restore as restore_state
+    from procedures.runs.theatre_history_file import read_history
     from ronna_hw.config import read_theatre_file
 
     read_theatre_file(theatre)
     states = read_states(theatre)
+    cut_off = read_history(history_path(theatre)).cut_off
+    for number in cut_off:
+        terminal.tell(f"line {number} of {history_path(theatre).name} was cut off by a crash: not counted")
     if restore is not None:
         from procedures.runs.theatre_lock import require_free_theatre
         from ronna_hw.devices.lifecycle import require_person
@@ -49,17 +60,20 @@ def theatre_history(
         terminal.tell(f"state {restore} is in force again in {theatre}")
         return
     made_with = None if run is None else _read_hash(run)
-    number = None if made_with is None else find_state(states, made_with)
+    run_state = None if made_with is None else find_state(states, made_with)
     if as_json:
         rows = [
             {
                 "number": one.number,
                 "sha256": one.sha256,
-                "update": None if one.update is None else one.update.model_dump(exclude={"former", "text"}),
+                "update": None
+                if one.update is None
+                else one.update.model_dump(exclude={"former", "text", "previous"}),
             }
             for one in states
         ]
-        terminal.print_json({"states": rows, **({} if run is None else {"run_state": number})})
+        of_run = {} if run is None else {"run_state": run_state}
+        terminal.print_json({"states": rows, "cut_off_lines": list(cut_off), **of_run})
         return
     terminal.print_table(
         f"States of {theatre}; the last is in force",
@@ -67,7 +81,7 @@ def theatre_history(
         [(one.number, one.sha256[:12], describe_state(one)) for one in states],
     )
     if run is not None:
-        state = f"state {number}" if number is not None else "a state that this history does not know"
+        state = f"state {run_state}" if run_state is not None else "a state that this history does not know"
         terminal.say(f"{run.name} was made with {state}")
 
 

@@ -221,7 +221,7 @@ class StepContext:
 
     def require_yes(self, question: Question) -> None:
         """Ask the operator a question and record the answer. Raises PRO-002 unless it is yes."""
-        if self.choose(question) != YES:
+        if self._questions.ask_in_time(question) != YES:
             raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value_line)
 
     def perform_task(self, task: Task) -> tuple[float, ...]:

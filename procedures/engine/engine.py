@@ -76,7 +76,7 @@ class Engine:
         self.running: StepKey | None = None
         self.compare_place = setting.workcell.compare_place  # before a step begins
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
-        setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
+        setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 
     @property
     def upcoming(self) -> StepKey | None:

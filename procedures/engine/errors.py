@@ -129,6 +129,13 @@ class TheatreNotNoted(RefusedError):
     action = "Make that file writable for a group of everyone who uses this arm (chgrp, chmod g+w)."
 
 
+class HistoryChanged(RefusedError):
+    """A line of a theatre file's history is not as it was written."""
+
+    code = "PRO-046"
+    action = "Put the history back from a backup, or move it away: it then begins with the file as it is."
+
+
 class TheatreInUse(RefusedError):
     """The devices of the theatre are in use by another program."""
 

@@ -1,4 +1,4 @@
-"""Questions to the operator and tasks of the room's staff, recorded in journal and events."""
+"""Questions to the operator and tasks of the theatre staff, recorded in journal and events."""
 
 from __future__ import annotations
 
@@ -77,6 +77,16 @@ class Questions:
             raise
         self._events.publish(Answered(question=numbered.number, answer=answer.word, by=signed.get("by", "")))
         return answer
+
+    def ask_in_time(self, question: Question) -> str:
+        """Ask the operator and return the word. Raises PRO-002 if nobody answers within the time limit."""
+        word = self.ask(question).word
+        if word == question.silence and (late_s := self.unanswered_s) is not None:
+            raise NotConfirmed(
+                f"no answer within {late_s:g} s to: {question.subject}",
+                action="Nothing was done; the step asks again when it is repeated.",
+            )
+        return word
 
     def _misread(self, question: Question) -> None:
         """Record a failed read-back without the typed text, which may identify another patient."""

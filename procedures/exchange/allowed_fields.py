@@ -52,7 +52,7 @@ DOCUMENT_FIELDS = {
     "name": "of a sphere: M1, M2, ...",
 }
 INDEX_FIELDS = {
-    "ending": "how the run ended: done, in doubt, failed, interrupted, ...",
+    "ending": "how the run ended: done, in doubt, missed, failed, interrupted, ...",
     "code": "of the error that ended it",
     "simulated": "whether the theatre was simulated",
     "files": "what each file holds",

@@ -22,7 +22,7 @@ from procedures.exchange.trajectory_lines import (
 )
 from procedures.journal.results import StepResult
 from procedures.postoperative.comparison import FoundTrajectory
-from procedures.reporting.ending import Ending, run_ending
+from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import load_check, load_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration, find_used_registrations
@@ -47,6 +47,7 @@ class CaseResults:
     """Results of a case, finished or not; trajectories are keyed by their name in the plan."""
 
     run: RunFolder
+    ending: Ending
     ct: CtIdentity
     spheres: Stored[LocalizedFiducials] | None
     plan: CheckedPlan | None
@@ -74,17 +75,12 @@ class CaseResults:
         ]
 
     @property
-    def ending(self) -> Ending:
-        """How the run ended, by its journal."""
-        return run_ending(self.run.journal)
-
-    @property
     def simulated(self) -> bool:
         """Whether the theatre was simulated: only there is the true error known."""
         return bool(self.run.opened.get("banner"))
 
     def absent(self) -> dict[str, str]:
-        """Say what the run does not have, and why."""
+        """Map missing results to reasons."""
         ended = f"the run ended before: {self.ending.word}"
         missing: dict[str, str] = {}
         if self.spheres is None:
@@ -157,12 +153,12 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
     `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-003 for a run without
     a CT, REC-001, REC-003.
     """
-    imported = run.standing(ImportedCt)
+    imported, reading = run.standing(ImportedCt), RunReading(run, ())
     if not imported:
         raise NothingToExport(
             f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
             expected="a case that imported its CT",
-            got=f"a run without, {run_ending(run.journal).word}",
+            got=f"a run without, {ending_of(reading, None).word}",
         )
     ct = imported[-1].result
     plan = _last(run, CheckedPlan)
@@ -171,10 +167,11 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
     spheres = run.standing(LocalizedFiducials)
-    after = load_check(reading := RunReading(run, ()))
+    after = load_check(reading)
     truth = (load_truth(run.path) or find_truth(run.path)) if run.opened.get("banner") else None
     return CaseResults(
         run=run,
+        ending=ending_of(reading, truth),
         ct=CtIdentity(ct.series_instance_uid, ct.frame_of_reference_uid, ct.study_instance_uid),
         spheres=spheres[-1] if spheres else None,
         plan=plan,

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import overload
 
 from procedures.engine.errors import NotRecorded
+from procedures.engine.replay.recorded_answers import describe_torn_end
 from procedures.exchange.raw_readings import iterate_steps
+from ronna_hw.bounded_input import InputRefused
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import identify_strays
 from ronna_hw.loaded_run import Column, RunTable, StereoPictures
@@ -88,7 +90,11 @@ def recorded_tables(run: Path) -> RecordedTables:
                     )
                 )
                 loaders.append(one.load)
-    except NotRecorded as error:  # of a run that goes on, the last reading may be half written
+        problem = describe_torn_end(run)
+    except (
+        NotRecorded,
+        InputRefused,
+    ) as error:  # of a run that goes on, the last reading may be half written
         problem = str(error)
     return RecordedTables(_strays(frames), RunTable.of(LOOKS, looks), RecordedPictures(loaders), problem)
 

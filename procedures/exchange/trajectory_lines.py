@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from procedures.exchange.allowed_fields import FOUND, PLANNED, REACHED
 from procedures.exchange.export_tables import CT_FROM_LATER_CT, CT_FROM_ROBOT, IN_CT, CtIdentity, format_table
 from procedures.exchange.slicer_markups import Colour, Point, build_markup, format_markups
+from procedures.planning.guide import tip_beyond_tool_mm
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory
 from procedures.steps.clinical.work_progress import DepthStop
+from procedures.strategies.trajectory import split_along
 from ronna_hw.frames import Transform
 from ronna_hw.tool_record import GuideBore
 
@@ -69,12 +71,11 @@ def reached_line(
 ) -> TrajectoryLine:
     """Return the line of the held guide, from its point nearest to the planned entry to the instrument's tip.
 
-    The origin of the tool is `reach` beyond the lower end of the guide. The instrument, stopped at the upper
-    end, protrudes by what its depth stop leaves beyond the bore.
+    The depth stop holds the tip, see `tip_beyond_tool_mm`.
     """
     held = robot_from_ct.inverse() @ robot_from_tool
     axis = held.rotation_matrix[:, 2]
-    tip = held.translation_mm + (stop.read_mm - stop.bore_mm - bore.reach_mm) * axis
+    tip = held.translation_mm + tip_beyond_tool_mm(stop.read_mm, stop.bore_mm, bore.reach_mm) * axis
     entry = tip + float((np.array(planned.entry_mm) - tip) @ axis) * axis
     return TrajectoryLine(label, REACHED, _point(entry), _point(tip))
 
@@ -88,8 +89,7 @@ def found_line(label: str, found: FoundTrajectory) -> TrajectoryLine:
 def deviation(line: TrajectoryLine, planned: PlannedTrajectory) -> Deviation:
     """Return how far the end of a line is from the planned target."""
     off = np.subtract(line.end_mm, planned.target_mm)
-    axial_mm = float(off @ planned.trajectory.axis_ct)
-    lateral_mm = float(np.linalg.norm(off - axial_mm * planned.trajectory.axis_ct))
+    lateral_mm, axial_mm = split_along(off, planned.trajectory.axis_ct)
     return Deviation(float(np.linalg.norm(off)), lateral_mm, axial_mm)
 
 

@@ -21,7 +21,7 @@ from procedures.workcell.patient_frame import as_patient
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
-from ronna_hw.devices.strays import average_strays
+from ronna_hw.devices.strays import LEAST_SHARE, average_strays
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
@@ -33,7 +33,6 @@ FRAMES = 12  # 0.2 s: noise of 0.02 mm for the frame on the arm, 0.05 mm for a s
 LINE_MM = 1.0  # from a line: the tracker's bias differs between places by some tenths
 OTHER_LINE_MM = 4.0  # to a marker on the arm, perhaps located by the arm alone: its mount is off by 3.5 mm
 SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
-LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
 
 
 @dataclass(frozen=True)

@@ -121,6 +121,7 @@ class MarkerCountWrong(DataError):
 
     code = "CT-016"
     action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
+    page_action = "Compare the candidates with the images; scan again, or correct the expected count."
     exit_code = EXIT_REFUSED
 
     def __init__(self, what: str, *, candidates: tuple[Candidate, ...]) -> None:

@@ -12,9 +12,11 @@ MEGABYTE = 1_000_000
 def describe_shortage(folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> str | None:
     """Describe a lack of free space where a run is written, or return None if there is enough."""
     try:
-        free = shutil.disk_usage(folder).free
+        total, _, free = shutil.disk_usage(folder)
     except OSError as error:
         return f"the run folder cannot be read ({error.strerror}): mount it again"
+    if not total:  # such as /proc
+        return "no files can be written there: choose another folder"
     if free >= least_bytes:
         return None
     return (

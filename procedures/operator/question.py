@@ -17,6 +17,7 @@ from typing import Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from procedures.operator.margin import MarginVerdict, judge_error
 from ronna_hw.text import strip_unit
 
 
@@ -108,17 +109,17 @@ class PredictedError(BaseModel):
     margin_mm: float
 
     @property
-    def is_within(self) -> bool:
+    def verdict(self) -> MarginVerdict:
         """Whether the plan accepts it."""
-        return self.rms_mm <= self.margin_mm
+        return judge_error(self.margin_mm, self.rms_mm, self.limit_mm)
 
     @property
-    def verdict(self) -> str:
-        """Whether it is within the margin, with the limit of the error spelled out."""
+    def sentence(self) -> str:
+        """The verdict, with the limit of the error spelled out."""
         limit = f"{self.limit_mm:.2f} mm"
-        if self.is_within and self.limit_mm > self.margin_mm:
+        if self.verdict is MarginVerdict.LIMIT_BEYOND:
             return f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
-        within = "within" if self.is_within else "BEYOND"
+        within = "within" if self.verdict is MarginVerdict.PREDICTED_WITHIN else "BEYOND"
         return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 
@@ -151,6 +152,7 @@ class Identity(BaseModel):
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
+HELP = "help"  # in place of any answer: what can be typed
 MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
@@ -247,6 +249,11 @@ class Question:
         """Whether a continuing answer came with a wrong read-back value."""
         typed = answer.typed if answer.word == self.answers[0] else None
         return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
+
+    @staticmethod
+    def asks_for_help(answer: Answer) -> bool:
+        """Whether `help` was typed as the value to be read back: no try, and no value either."""
+        return answer.typed is not None and pick_answer(answer.typed, (HELP,)) is not None
 
     def why_refused(self, answer: Answer) -> str:
         """Return why an answer is refused, or an empty string if it is valid."""

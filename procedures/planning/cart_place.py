@@ -17,7 +17,6 @@ from procedures.planning.visits import (
     ArmSetting,
     Axes,
     PathCheck,
-    Unmet,
     Visit,
     build_target_visit,
     list_localizations,
@@ -92,7 +91,7 @@ class CartCase:
         if hidden:
             return Verdict(None, "home", hidden)
         for unmet in check_fixed_places(setting):
-            return Verdict(None, unmet.pose, unmet.reason)
+            return Verdict(None, str(unmet.pose), unmet.reason)
         for found in known:
             if self._serves(setting, found):
                 return Verdict(found)
@@ -145,9 +144,8 @@ class CartCase:
                     last_error = error
             else:
                 if last_error is not None:
-                    return Verdict(
-                        None, axis.identifier, Unmet.from_error(axis.identifier, last_error).reason
-                    )
+                    reason = f"{last_error.summary} [{last_error.code}]"
+                    return Verdict(None, axis.identifier, reason)
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
@@ -160,7 +158,7 @@ class CartCase:
         guide = setting.flange_from_tool.inverse()
         stereo = (setting.flange_from_stereo or setting.flange_from_tool).inverse()
         for visit in visits:
-            tool = guide if visit.fiducial is None else stereo
+            tool = guide if visit.name.fiducial is None else stereo
             for pose in (visit.pose, visit.approach):
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
@@ -192,4 +190,4 @@ def _to_verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
     if check.passed and check.branch is not None:
         return Verdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
     first = check.unmet[0] if check.unmet else None
-    return Verdict(None, first.pose if first else "", first.reason if first else "no branch works")
+    return Verdict(None, str(first.pose) if first else "", first.reason if first else "no branch works")

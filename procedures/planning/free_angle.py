@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import check_fixed_places
 from procedures.planning.paths import check_axes, check_branch, order_branches
-from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, VisitKind, list_localizations
+from procedures.planning.pose_name import PoseKind, PoseName
+from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, list_localizations
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
 from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
@@ -116,7 +117,7 @@ class _Search:
             if check.passed:
                 return TurnedPaths(check, turned, chosen)
             # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
-            failed = {problem.pose.partition("/")[0] for problem in check.unmet}
+            failed = {problem.pose.trajectory for problem in check.unmet}
             for name in [one for one in chosen if one in failed]:
                 other = next(ranked[name], None)
                 if other is None:
@@ -176,7 +177,7 @@ class _Search:
             try:
                 visits = list_localizations(self.setting, one, self.fiducials_mm, branch)
             except LimitError as error:
-                unmet.append(Unmet.from_error(f"{one.identifier}/fiducials", error))
+                unmet.append(Unmet.from_error(PoseName(PoseKind.FIDUCIALS, one.identifier), error))
             else:
                 unmet += self.sight.unmet(visits, self.setting.robot_from_ct.apply(self.fiducials_mm))
         return tuple(unmet)
@@ -199,13 +200,11 @@ class WristState:
     @classmethod
     def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
         """Evaluate the poses of one trajectory. The check must have reached its target."""
-        turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
+        turns: dict[PoseKind, list[float]] = {PoseKind.FIDUCIAL: [], PoseKind.TARGET: []}
         for one in check.reached:
-            turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
+            turns[one.visit.name.kind].append(kinematics.wrist_turn_rad(one.at_rad))
         changes = [
-            abs(target - sphere)
-            for target in turns[VisitKind.TARGET]
-            for sphere in turns[VisitKind.LOCALIZATION]
+            abs(target - sphere) for target in turns[PoseKind.TARGET] for sphere in turns[PoseKind.FIDUCIAL]
         ]
         bends = [
             kinematics.wrist_bend_rad(joints)
@@ -251,7 +250,7 @@ def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict
     """
     reasons: dict[str, str] = {}
     for unmet in check.unmet:
-        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
+        reasons.setdefault(unmet.pose.trajectory, f"{unmet.pose}: {unmet.reason}")
     own = {one.identifier: reasons[one.identifier] for one in trajectories if one.identifier in reasons}
     if len(own) == len(reasons):
         return own

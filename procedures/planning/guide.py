@@ -44,6 +44,15 @@ def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> fl
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
+def tip_beyond_tool_mm(stop_mm: float, bore_mm: float, reach_mm: float) -> float:
+    """Return how far along the axis the tip is from the tool's origin, for a depth stop on the guide.
+
+    `bore_mm` and `reach_mm` are the guide's. Inverse of `depth_stop_mm`: a guide at its rest position has the
+    tip at the target.
+    """
+    return stop_mm - bore_mm - reach_mm
+
+
 def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
     """Yield trajectories whose depth stop would be beyond the instrument's end, with its position in mm."""
     for one in plan.trajectories:

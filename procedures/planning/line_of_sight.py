@@ -16,7 +16,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.visits import Unmet, Visit, VisitKind
+from procedures.planning.pose_name import MARKER, SPHERE
+from procedures.planning.visits import Unmet, Visit
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
 from ronna_hw.arm.kinematics import ArmBodies
@@ -51,18 +52,22 @@ class StereoSight:
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
         """List localizations with a neighbour touching the sphere's outline. Spheres (n, 3) are in robot mm.
 
-        Row k of the spheres is the one measured by a visit with `fiducial` k.
+        Row k of the spheres is the one measured by a visit of `fiducial` k.
         """
         spheres = np.asarray(spheres_mm, dtype=float).reshape(-1, 3)
         found = []
         for visit in visits:
-            if visit.kind is not VisitKind.LOCALIZATION or visit.fiducial is None:
+            fiducial = visit.name.fiducial
+            if fiducial is None:
                 continue
             for name, camera_mm in (("left", self.left_mm), ("right", self.right_mm)):
-                neighbour = _find_touching(visit.pose.apply(camera_mm), spheres, visit.fiducial)
+                neighbour = _find_touching(visit.pose.apply(camera_mm), spheres, fiducial)
                 if neighbour is not None:
-                    reason = f"sphere {neighbour + 1} is in front of or behind it in the {name} camera"
-                    found.append(Unmet(visit.identifier, reason))
+                    reason, words = (
+                        f"{one} {neighbour + 1} is in front of or behind it in the {name} camera"
+                        for one in (SPHERE, MARKER)
+                    )
+                    found.append(Unmet(visit.name, reason, words))
         return tuple(found)
 
 

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from procedures.planning.pose_name import GAUGE, HOME, MARKER, PoseKind, PoseName, name_body
 from procedures.planning.scene import PlanningScene
-from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -21,7 +22,6 @@ from ronna_hw.errors import LimitError
 from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
-HOME, GAUGE = "home", "gauge"
 MOVE, LINE, BACK = "move", "line", "back"
 AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 
@@ -34,8 +34,8 @@ class Motion:
     sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`).
     """
 
-    start: str
-    end: str
+    start: PoseName
+    end: PoseName
     plan: MotionPlan
     around: Surroundings
     is_cleared: bool = False
@@ -60,7 +60,8 @@ class PreviewedMotion:
     def as_payload(self) -> dict[str, Any]:
         """Return plain values for a record."""
         motion = self.motion
-        return {"from": motion.start, "to": motion.end, "kind": motion.kind, **self.preview.as_payload()}
+        ends = {"from": str(motion.start), "to": str(motion.end), "kind": motion.kind}
+        return {**ends, **self.preview.as_payload()}
 
 
 def find_unclear(
@@ -75,8 +76,8 @@ def find_unclear(
 
     With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
-    found: dict[str, Unmet] = {}
-    standoffs_mm = {f"{one.identifier}/target": one.standoff_mm for one in trajectories}
+    found: dict[PoseName, Unmet] = {}
+    standoffs_mm = {PoseName(PoseKind.TARGET, one.identifier): one.standoff_mm for one in trajectories}
     for motion in plan_motions(setting, scene, check, trajectories):
         if motion.is_cleared:
             continue
@@ -86,9 +87,8 @@ def find_unclear(
         if breach is not None:
             pose = motion.start if motion.end == HOME else motion.end
             short_mm = motion.around.margin_mm - breach.distance_mm
-            found.setdefault(
-                pose, Unmet(pose, _describe_collision(motion, breach, standoffs_mm.get(pose)), short_mm)
-            )
+            told = _describe_collision(motion, breach, standoffs_mm.get(pose))
+            found.setdefault(pose, Unmet(pose, *told, short_mm))
             if first_only:
                 break
     return tuple(found.values())
@@ -106,11 +106,11 @@ def check_fixed_places(setting: ArmSetting) -> tuple[Unmet, ...]:
     for motion in _plan_gauge_motions(setting, setting.scene):
         breach = sweep_path(setting.kinematics, motion.plan, motion.around).refused
         if breach is not None:
-            return (Unmet(GAUGE, _describe_collision(motion, breach)),)
+            return (Unmet(GAUGE, *_describe_collision(motion, breach)),)
     return ()
 
 
-def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
+def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[PoseName, JointVector]]:
     yield HOME, setting.start_rad
     yield HOME, approach_joints(setting.start_rad, ONE_SIDE)
     if setting.gauge_rad is not None:
@@ -147,41 +147,41 @@ def plan_motions(
 ) -> Iterator[Motion]:
     """Plan the motions from home through all visits and back home."""
     by_name = {one.identifier: one for one in trajectories}
-    here: tuple[str, JointVector] = (HOME, setting.start_rad)
-    kind: VisitKind | None = None
+    here: tuple[PoseName, JointVector] = (HOME, setting.start_rad)
+    kind: PoseKind | None = None
     around = Surroundings()
     stereo = setting.flange_from_stereo or setting.flange_from_tool
     for reached in check.reached:
         visit = reached.visit
-        if visit.kind is VisitKind.LOCALIZATION:
+        if visit.name.kind is PoseKind.FIDUCIAL:
             before, around = around, scene.with_stereo_head(setting.robot_from_ct, stereo)
         else:
-            trajectory = by_name[visit.trajectory]
+            trajectory = by_name[visit.name.trajectory]
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
-        if kind is not None and visit.kind is not kind:  # tools are exchanged at home
+        if kind is not None and visit.name.kind is not kind:  # tools are exchanged at home
             yield from _plan_homing(setting, here, before)
             here = (HOME, setting.start_rad)
-        if visit.kind is VisitKind.TARGET and kind is not visit.kind:
+        if visit.name.kind is PoseKind.TARGET and kind is not visit.name.kind:
             yield from (
                 replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene)
             )  # see `check_fixed_places`
-        kind = visit.kind
+        kind = visit.name.kind
         yield from _plan_visit(setting, here, reached, around)
-        here = (visit.identifier, reached.approach_rad)
-        if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
+        here = (visit.name, reached.approach_rad)
+        if visit.name.kind is PoseKind.TARGET:  # and the guide on its gauge, before the next
             yield from _plan_homing(setting, here, around)
             here = (HOME, setting.start_rad)
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
-    if kind is VisitKind.LOCALIZATION:
+    if kind is PoseKind.FIDUCIAL:
         yield from _plan_homing(setting, here, around)
 
 
 def _plan_visit(
-    setting: ArmSetting, here: tuple[str, JointVector], reached: Reached, around: Surroundings
+    setting: ArmSetting, here: tuple[PoseName, JointVector], reached: Reached, around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = here
-    name, kinematics, limits = reached.visit.identifier, setting.kinematics, setting.limits
+    name, kinematics, limits = reached.visit.name, setting.kinematics, setting.limits
     straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
     if start == HOME:
         yield straight
@@ -191,7 +191,7 @@ def _plan_visit(
         yield from _plan_homing(setting, here, around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
-    onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
+    onto = AXIAL_SPEED_FRACTION if reached.visit.name.kind is PoseKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
     yield Motion(name, name, _reverse(setting, reached.line), around, is_cleared=True, is_retrace=True)
 
@@ -203,7 +203,7 @@ def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
 
 
 def _plan_homing(
-    setting: ArmSetting, here: tuple[str, JointVector], around: Surroundings
+    setting: ArmSetting, here: tuple[PoseName, JointVector], around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = here
     arm, home_rad, limits = setting.kinematics, setting.start_rad, setting.limits
@@ -212,18 +212,32 @@ def _plan_homing(
     yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, is_cleared=True)
 
 
-def _describe_collision(motion: Motion, breach: ClosestPair, standoff_mm: float | None = None) -> str:
-    """Describe a collision. `standoff_mm` is the planned stand-off at the target where the motion ends."""
-    lead_in = (
-        "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
-    )
+def _describe_collision(
+    motion: Motion, breach: ClosestPair, standoff_mm: float | None = None
+) -> tuple[str, str]:
+    """Describe a collision for records, and in a surgeon's words.
+
+    `standoff_mm` is the planned stand-off at the target where the motion ends.
+    """
+    is_held = standoff_mm is not None and motion.kind == LINE and breach.fraction > AT_THE_END
     near = f"comes within {breach.distance_mm:.1f} mm of"
     if breach.distance_mm < 0.0:
         near = f"runs {-breach.distance_mm:.1f} mm into"
-    location = f"{breach.fraction:.0%} of the way"
-    if standoff_mm is not None and motion.kind == LINE and breach.fraction > AT_THE_END:
-        location = f"where the guide is held, with the plan's standoff_mm of {standoff_mm:g}"
-    return (
-        f"{lead_in} the {breach.first} {near} the {breach.second}, {location}: expected at least "
-        f"{motion.around.margin_mm:g} mm between them [ARM-007]"
+
+    def tell(start: str, end: str, bodies: tuple[str, str], held: str) -> str:
+        way = "on the line to it" if motion.kind == LINE else f"on the path from {start} to {end}"
+        place = f"where the guide is held, {held}" if is_held else f"{breach.fraction:.0%} of the way"
+        least = f"expected at least {motion.around.margin_mm:g} mm between them"
+        return f"{way} the {bodies[0]} {near} the {bodies[1]}, {place}: {least}"
+
+    pair = breach.first, breach.second
+    record = tell(
+        str(motion.start), str(motion.end), pair, f"with the plan's standoff_mm of {standoff_mm or 0.0:g}"
     )
+    words = tell(
+        motion.start.in_sentence(MARKER),
+        motion.end.in_sentence(MARKER),
+        (name_body(breach.first), name_body(breach.second)),
+        f"at a stand-off of {standoff_mm or 0.0:g} mm",
+    )
+    return f"{record} [ARM-007]", words

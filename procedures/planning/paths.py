@@ -12,6 +12,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from procedures.planning.motions import find_unclear
+from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import (
     ArmSetting,
     Axes,
@@ -19,7 +20,6 @@ from procedures.planning.visits import (
     Reached,
     Unmet,
     Visit,
-    VisitKind,
     build_target_visit,
     list_localizations,
     list_visits,
@@ -93,7 +93,7 @@ def check_branch(
                 setting.kinematics, visit, _select_tool(setting, visit), branch, near_rad, setting.limits
             )
         except LimitError as error:
-            unmet.append(Unmet.from_error(visit.identifier, error))
+            unmet.append(Unmet.from_error(visit.name, error))
             continue
         turns_rad = (abs(to - at) for at, to in zip(near_rad, here.approach_rad, strict=True))
         near_rad, largest_rad = here.approach_rad, max(largest_rad, *turns_rad)
@@ -114,13 +114,13 @@ def _iterate_visits(
         try:
             yield from list_localizations(setting, axis, fiducials_mm, branch)
         except LimitError as error:
-            unmet.append(Unmet.from_error(f"{axis.identifier}/fiducials", error))
+            unmet.append(Unmet.from_error(PoseName(PoseKind.FIDUCIALS, axis.identifier), error))
     for trajectory in axes.targeted:
         yield build_target_visit(setting, trajectory)
 
 
 def _select_tool(setting: ArmSetting, visit: Visit) -> Transform:
-    if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
+    if visit.name.kind is PoseKind.FIDUCIAL and setting.flange_from_stereo is not None:
         return setting.flange_from_stereo
     return setting.flange_from_tool
 

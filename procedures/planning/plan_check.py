@@ -56,6 +56,7 @@ FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
 # Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
 WIDE_MARGIN_MM, USUAL_MARGIN_MM = 5.0, 2.0
 NEAR_STANDOFF_MM, USUAL_STANDOFF_MM = 10.0, 30.0  # 30 in centimetres is less
+MOST_MISTYPED = 2  # characters in which a mistyped series UID differs
 KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 
@@ -195,7 +196,7 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
     """Check that the plan belongs to this series and that every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
-            "the plan belongs to another CT series",
+            f"the plan belongs to another CT series{_first_difference(plan, volume)}",
             expected=plan.series_instance_uid,
             got=volume.series_instance_uid,
         )
@@ -221,8 +222,8 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
         findings.append(
             WrongOrientation(
                 "the CT was taken in a different patient position",
-                expected=plan.patient_orientation.value,
-                got=volume.patient_position,
+                expected=f"{plan.patient_orientation.value} (patient_orientation of the plan)",
+                got=f"{volume.patient_position} (of the CT)",
             )
         )
     if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
@@ -323,10 +324,25 @@ def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     return list(warnings_by_pair.values())
 
 
+def _first_difference(plan: Plan, volume: Volume) -> str:
+    """Say where two series UIDs of equal length differ by a digit or two, as mistyped ones do."""
+    planned, found = plan.series_instance_uid, volume.series_instance_uid
+    places = [
+        number for number, (one, other) in enumerate(zip(planned, found, strict=False), 1) if one != other
+    ]
+    if len(planned) != len(found) or len(places) > MOST_MISTYPED:
+        return ""
+    return f", whose UID differs in character {' and '.join(map(str, places))} only: mistyped?"
+
+
 def _check_tool(plan: Plan) -> list[RonnaError]:
     if plan.tool in KNOWN_TOOLS:
         return []
-    return [UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)]
+    return [
+        UnknownTool(
+            "`tool` of the plan is unknown", expected=" or ".join(map(repr, KNOWN_TOOLS)), got=repr(plan.tool)
+        )
+    ]
 
 
 def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:

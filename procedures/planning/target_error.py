@@ -23,7 +23,8 @@ from procedures.planning.guide import (
 )
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
-from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.planning.pose_name import PoseKind
+from procedures.planning.visits import ArmSetting, PathCheck, Reached
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
@@ -62,7 +63,7 @@ def predict_with_arm(
     setting = theatre.arm
     sphere_visits, target = select_poses(setting, check, identifier)
     rotation = setting.robot_from_ct.rotation_matrix
-    fiducials = [one.visit.fiducial for one in sphere_visits if one.visit.fiducial is not None]
+    fiducials = [one.visit.name.fiducial for one in sphere_visits if one.visit.name.fiducial is not None]
     tip_mm = np.asarray(setting.robot_from_ct.apply(planned.target_mm), dtype=float)
     zero = np.zeros((len(sphere_visits), 3, 3))
     sources = [
@@ -81,10 +82,10 @@ def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tupl
     target = next(
         one
         for one in check.reached
-        if one.visit.kind is VisitKind.TARGET and one.visit.trajectory == identifier
+        if one.visit.name.kind is PoseKind.TARGET and one.visit.name.trajectory == identifier
     )
-    all_localizations = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
-    own = [one for one in all_localizations if one.visit.trajectory == identifier]
+    all_localizations = [one for one in check.reached if one.visit.name.kind is PoseKind.FIDUCIAL]
+    own = [one for one in all_localizations if one.visit.name.trajectory == identifier]
     return own if setting.strategy.localizes_per_trajectory else all_localizations, target
 
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.planning.errors import NotReachable
+from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.scene import PlanningScene
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
@@ -28,25 +28,14 @@ from ronna_hw.vectors import JointVector
 APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
 
 
-class VisitKind(StrEnum):
-    """Purpose of a pose."""
-
-    LOCALIZATION = "localization"
-    TARGET = "target"
-
-
 @dataclass(frozen=True)
 class Visit:
     """Pose ROBOT <- TOOL to be visited, with an approach point back along the tool axis.
 
-    `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
-    distance of the approach point from the pose; the retreat is the same line reversed.
+    `approach_mm` is the distance of the approach point from the pose; the retreat is the same line reversed.
     """
 
-    identifier: str
-    kind: VisitKind
-    trajectory: str
-    fiducial: int | None
+    name: PoseName
     pose: Transform
     approach_mm: float
 
@@ -72,19 +61,20 @@ class Reached:
 
 @dataclass(frozen=True)
 class Unmet:
-    """A pose that fails, and the reason.
+    """A pose that fails, and the reason: for records and commands, and in a surgeon's `words`.
 
     `short_mm` is how much clearance a motion to the pose lacks; None if that is not what fails.
     """
 
-    pose: str
+    pose: PoseName
     reason: str
+    words: str
     short_mm: float | None = None
 
     @classmethod
-    def from_error(cls, pose: str, error: LimitError) -> Self:
+    def from_error(cls, pose: PoseName, error: LimitError) -> Self:
         """Build the failure from an error raised by the arm's kinematics or planner."""
-        return cls(pose, f"{error.summary} [{error.code}]")
+        return cls(pose, f"{error.summary} [{error.code}]", error.summary)
 
 
 @dataclass(frozen=True)
@@ -110,12 +100,12 @@ class PathCheck:
         angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
-    def at(self, identifier: str) -> Reached:
-        """Return the visit with this identifier; raises KeyError."""
+    def at(self, name: PoseName) -> Reached:
+        """Return the visit of this pose; raises KeyError."""
         for one in self.reached:
-            if one.visit.identifier == identifier:
+            if one.visit.name == name:
                 return one
-        raise KeyError(identifier)
+        raise KeyError(str(name))
 
     def require(self, advice: str | None = None) -> None:
         """Raise PLAN-007 with all failures, if any. `advice` replaces the usual action."""
@@ -226,14 +216,7 @@ def list_localizations(
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
     return tuple(
-        Visit(
-            f"{axis.identifier}/fiducial {index}",
-            VisitKind.LOCALIZATION,
-            axis.identifier,
-            index,
-            pose,
-            setting.approach_mm,
-        )
+        Visit(PoseName(PoseKind.FIDUCIAL, axis.identifier, index), pose, setting.approach_mm)
         for index, pose in enumerate(poses)
     )
 
@@ -241,5 +224,4 @@ def list_localizations(
 def build_target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
     """Build the visit to a target, with the guide outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
-    name = trajectory.identifier
-    return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)
+    return Visit(PoseName(PoseKind.TARGET, trajectory.identifier), pose, setting.approach_mm)

@@ -28,6 +28,7 @@ from procedures.postoperative.errors import (
 )
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
+from procedures.strategies.trajectory import split_along
 from ronna_hw.calibration import Numbers3, Strict
 
 Array = NDArray[np.float64]
@@ -168,7 +169,7 @@ def _compare_trajectory(planned: PlannedTrajectory, line: PlannedLine, found: Ca
     if found.kind is FoundKind.DRILL_HOLE:
         at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
     off = at_target - line.target_mm
-    depth_mm = float(off @ along)
+    lateral_mm, depth_mm = split_along(off, along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
     has_tip = found.kind is FoundKind.INSTRUMENT
     return FoundTrajectory(
@@ -181,7 +182,7 @@ def _compare_trajectory(planned: PlannedTrajectory, line: PlannedLine, found: Ca
         tip_mm=_to_point(point_mm) if has_tip else None,
         entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
-        lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
+        lateral_mm=lateral_mm,
         depth_error_mm=depth_mm if has_tip else None,
         angle_deg=float(np.degrees(angle_rad)),
         doubts=found.doubts,

@@ -146,6 +146,15 @@ class Landmark:
         """Largest accepted distance of a reading from the match, at most half that of a mirror image."""
         return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
 
+    def may_be_mirrored(self, point_mm: Array) -> bool:
+        """Whether a point touched away from the match may be this landmark in a mirrored CT.
+
+        Mirror images within the limit of the match are not among those listed, but may be touched.
+        """
+        from_match_mm = float(np.linalg.norm(point_mm - self.matched_mm))
+        from_mirrored_mm = float(np.linalg.norm(self.mirrored_mm - point_mm, axis=1).min())
+        return min(from_mirrored_mm, from_match_mm - READING_LIMIT_MM) <= READING_LIMIT_MM
+
 
 def choose_landmark(
     matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior

@@ -86,15 +86,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
         spheres=_spheres(reading, pose),
         trajectories=_trajectories(plan, poses, pose),
         predictions=tuple(
-            PredictedError(
-                target=one.target,
-                rms_mm=one.rms_mm,
-                limit_mm=one.limit_mm,
-                confidence=one.confidence,
-                margin_mm=margins_mm[one.target],
-            )
-            for one in predictions
-            if one.target in margins_mm
+            one.against(margins_mm[one.target]) for one in predictions if one.target in margins_mm
         ),
         tables=(
             *(budget_table(one) for one in predictions),

@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
-from procedures.reporting.outcome import RunError
+from procedures.operator.margin import MarginVerdict
+from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.run_reading import RunReading
+from procedures.reporting.tables import target_rows
+from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
@@ -41,9 +45,10 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 @dataclass(frozen=True)
 class Ending:
-    """Ending: `word` is done, in doubt, failed, refused, aborted, interrupted, left, killed or not begun.
+    """Ending of a run.
 
-    `list` and `show` say running for killed while a program holds the run.
+    `word` is done, in doubt, missed, failed, refused, aborted, interrupted, left, killed or not begun; while
+    a program holds the run, `find_ending` says running for killed.
     """
 
     word: str
@@ -52,8 +57,21 @@ class Ending:
     instrument_in: str | None = None  # the trajectory it was still in
 
 
-def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """Determine the ending from the journal. `error` is the command's error, if known."""
+def ending_of(reading: RunReading, truth: Truth | None, error: RunError | None = None) -> Ending:
+    """Determine the ending: by the journal, and missed if the known error at a target is beyond its margin.
+
+    `error` is the command's error, if known.
+    """
+    ending = _by_journal(reading.run.journal, error)
+    rows = target_rows(reading, truth or Truth()) if ending.word in ("done", "in doubt") else ()
+    beyond = sum(row.verdict is MarginVerdict.BEYOND for row in rows)
+    if not beyond:
+        return ending
+    sentence = f"{format_count(beyond, 'target')} beyond the margin of the plan. {ending.sentence}"
+    return replace(ending, word="missed", sentence=sentence)
+
+
+def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)
@@ -67,18 +85,6 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
-
-
-def judge(ending: Ending, verdicts: Sequence[str]) -> Ending:
-    """Return the ending of a report: missed if every step was done, but an error is beyond its margin."""
-    beyond = verdicts.count("beyond")
-    if not beyond or ending.word not in ("done", "in doubt"):
-        return ending
-    return replace(
-        ending,
-        word="missed",
-        sentence=f"{format_count(beyond, 'target')} beyond the margin of the plan. {ending.sentence}",
-    )
 
 
 def advise(ending: Ending, *, is_case: bool) -> str:
@@ -160,7 +166,7 @@ def _describe_incidents(journal: Sequence[Line]) -> str:
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
     counters = [
-        (_count_emergency_stops(journal), "emergency stop", ""),
+        (_count_emergency_stops(journal), EMERGENCY_STOP, ""),
         (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
         (len(paused), "pause", ""),
         (resumes(journal), "resume", ""),
@@ -192,7 +198,7 @@ def _count_emergency_stops(journal: Sequence[Line]) -> int:
 
 
 def _is_stop(line: Line) -> bool:
-    return any("emergency stop" in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
+    return any(EMERGENCY_STOP in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
 
 
 def _append_error(sentence: str, error: RunError | None) -> tuple[str, str]:

@@ -157,14 +157,8 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 def _motion_name(one: MotionRow) -> str:
     """Describe a motion in words, counting spheres from 1."""
     if one.start == one.end:
-        return f"{_place_name(one.end)}, along the axis"
-    return f"{_place_name(one.start)} → {_place_name(one.end)}"
-
-
-def _place_name(name: str) -> str:
-    *_, last = name.split("/")
-    kind, _, number = last.partition(" ")
-    return f"sphere {int(number) + 1}" if kind == "fiducial" and number.isdigit() else last
+        return f"{one.end.words()}, along the axis"
+    return f"{one.start.words()} → {one.end.words()}"
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:

@@ -18,7 +18,7 @@ from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
-from procedures.reporting.ending import advise, judge, run_ending
+from procedures.reporting.ending import advise, ending_of
 from procedures.reporting.files import (
     REPORT_FOLDER,
     TRUTH_FILE,
@@ -52,7 +52,6 @@ from procedures.reporting.run_statistics import (
     times_taken,
 )
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
-from procedures.reporting.stacked_tables import label_cells
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -114,7 +113,7 @@ def write_report(
         "opened": reading.run.opened,
         "began": _host_time(reading, 0),
         "ended": _host_time(reading, -1),
-        "ending": (ending := judge(run_ending(reading.run.journal, error), [row.verdict for row in rows])),
+        "ending": (ending := ending_of(reading, truth, error)),
         "advice": advise(ending, is_case=not reading.run.opened.get("procedure")),
         "moves": moves(reading.run.journal),
         "unprinted": [],  # titles, as the page collects them
@@ -175,7 +174,7 @@ def write_report(
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
-    write_atomically(path, label_cells(_template().render(page)).encode())
+    write_atomically(path, _template().render(page).encode())
     return path
 
 

@@ -6,8 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.motions import BACK
-from procedures.reporting.numbers import NOT_KNOWN, millimetres, tenths
+from procedures.planning.pose_name import PoseName
+from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
@@ -30,16 +32,16 @@ class TargetRow:
     margin_mm: float | None = None  # accepted by the plan
 
     @property
-    def verdict(self) -> str:
+    def known_mm(self) -> float | None:
+        """The largest known error."""
+        return max((one for one in (self.error_mm, self.measured_mm) if one is not None), default=None)
+
+    @property
+    def verdict(self) -> MarginVerdict | None:
         """The error against the margin, or where no error is known what was predicted of it."""
         if self.margin_mm is None:
-            return NOT_KNOWN
-        known_mm = [one for one in (self.error_mm, self.measured_mm) if one is not None]
-        if known_mm:
-            return "within" if max(known_mm) <= self.margin_mm else "beyond"
-        if self.predicted.rms_mm > self.margin_mm:
-            return "predicted beyond"
-        return "predicted within" if self.predicted.limit_mm <= self.margin_mm else "rms within, limit beyond"
+            return None
+        return judge_error(self.margin_mm, self.predicted.rms_mm, self.predicted.limit_mm, self.known_mm)
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -63,31 +65,28 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     margin_mm = {} if plan is None else {one.id: one.margin_mm for one in plan.plan.trajectories}
     truths = {one.id: one for one in truth.targets}
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
-    rows = []
-    for used in reading.registrations:
-        for predicted in used.predictions:
-            target_truth = truths.get(predicted.target)
-            rows.append(
-                TargetRow(
-                    predicted.target,
-                    depth_mm.get(predicted.target),
-                    predicted,
-                    None if target_truth is None else target_truth.application_error_mm,
-                    None if target_truth is None else target_truth.lateral_mm,
-                    None if target_truth is None else target_truth.axial_mm,
-                    measured_mm.get(predicted.target),
-                    margin_mm.get(predicted.target),
-                )
-            )
-    return tuple(rows)
+    return tuple(
+        TargetRow(
+            one.target,
+            depth_mm.get(one.target),
+            one,
+            None if (true := truths.get(one.target)) is None else true.application_error_mm,
+            None if true is None else true.lateral_mm,
+            None if true is None else true.axial_mm,
+            measured_mm.get(one.target),
+            margin_mm.get(one.target),
+        )
+        for used in reading.registrations
+        for one in used.predictions
+    )
 
 
 @dataclass(frozen=True)
 class MotionRow:
     """Checked motion: end points, and clearance to the head and to any other body."""
 
-    start: str
-    end: str
+    start: PoseName
+    end: PoseName
     kind: str
     head_mm: float | None
     closest: ClosestApproach | None
@@ -153,5 +152,5 @@ def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[Mo
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews
-        if trajectory in (one.start.split("/")[0], one.end.split("/")[0]) and one.kind != BACK
+        if trajectory in (one.start.trajectory, one.end.trajectory) and one.kind != BACK
     )

@@ -122,9 +122,12 @@ def build_finished_outcome(
     truth: Truth | None = None,
 ) -> FinishedRun:
     """Return the outcome of a finished case, asking the verifier for missing `truth`. Raises PRO-013."""
+    from procedures.engine.run_folder import targets_in_doubt
+    from procedures.operator.margin import MarginVerdict
     from procedures.reporting.files import store_truth
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
-    from procedures.reporting.run_reading import registrations_of
+    from procedures.reporting.run_reading import read_for_report, registrations_of
+    from procedures.reporting.tables import target_rows
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan
     from procedures.steps.clinical.results import ConfirmedTarget
@@ -148,17 +151,16 @@ def build_finished_outcome(
             if (look := case.find(ConfirmedTarget, name)) and look.result.link
         ),
     ]
-    planned = case.get(CheckedPlan).result.plan.trajectories
-    depth_mm = {one.id: one.depth_mm for one in planned}
-    measured_mm = {name: _read_measured_error_mm(case, name) for name in names}
-    errors_mm = {one.id: one.application_error_mm for one in truth.targets}
-    known_mm = {name: max(errors_mm.get(name, 0.0), measured_mm.get(name) or 0.0) for name in names}
+    plan = case.get(CheckedPlan).result
+    reading = read_for_report(case.folder, every_file=False)
+    rows = {row.target: row for row in target_rows(reading, truth)}
+    errors_mm = [one.application_error_mm for one in truth.targets]
     beyond_margin_mm = {
-        one.id: error_mm for one in planned if (error_mm := known_mm.get(one.id, 0.0)) > one.margin_mm
+        row.target: row.known_mm
+        for row in rows.values()
+        if row.verdict is MarginVerdict.BEYOND and row.known_mm is not None
     }
-    from procedures.engine.run_folder import targets_in_doubt
-
-    in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
+    in_doubt = targets_in_doubt(reading.run.journal)
     return FinishedRun(
         run=case.folder.name,
         outcome="missed" if beyond_margin_mm else "in doubt" if in_doubt else "done",
@@ -174,26 +176,19 @@ def build_finished_outcome(
         targets=tuple(
             TargetOutcome(
                 id=name,
-                depth_mm=depth_mm[name],
-                predicted_tre_mm=registered[name].prediction(name).rms_mm,
-                application_error_mm=errors_mm.get(name),
-                measured_error_mm=measured_mm.get(name),
+                depth_mm=plan.trajectory(name).depth_mm,
+                predicted_tre_mm=rows[name].predicted.rms_mm,
+                application_error_mm=rows[name].error_mm,
+                measured_error_mm=rows[name].measured_mm,
             )
             for name in names
         ),
         left_out=left_out,
         beyond_margin=beyond_margin_mm,
         in_doubt=in_doubt,
-        mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
-        max_application_error_mm=max(errors_mm.values(), default=None),
+        mean_application_error_mm=sum(errors_mm) / len(errors_mm) if errors_mm else None,
+        max_application_error_mm=max(errors_mm, default=None),
         late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),
         sim_s=round(theatre_time_s, 3),
         wall_s=round(wall_s, 3),
     )
-
-
-def _read_measured_error_mm(case: Case, trajectory: str) -> float | None:
-    from procedures.steps.clinical.target_measurement import MeasuredTarget
-
-    measured = case.find(MeasuredTarget, trajectory)
-    return None if measured is None else measured.result.error_mm

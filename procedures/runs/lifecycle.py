@@ -186,7 +186,10 @@ def _hold_configured_theatre(
     note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
     not_home = arm_not_home(note, folder)
     if request.ask and (control := os.environ.get(VARIABLE)):  # it is not needed to acknowledge a fault
-        room = observers.by_word(SimulatedRoom(control))
+        staff = SimulatedRoom(control)
+        if resumption is None or resumption.asks:
+            _tell_wristband(request, staff, observers)
+        room = observers.by_word(staff)
     else:
         room = observers.staff(is_simulated(read_theatre_file(file)))
     return not_home, room if observers.executor is None else observers.executor.staff(room)
@@ -233,8 +236,15 @@ def _start_simulated(
     stack.push(staff.tell_missed_faults(observers.announce))
     if not request.ask:
         return simulated, staff
+    _tell_wristband(request, staff, observers)
     room = observers.by_word(staff)
     return simulated, room if observers.executor is None else observers.executor.staff(room)
+
+
+def _tell_wristband(request: RunRequest, staff: SimulatedRoom, observers: RunObservers) -> None:
+    """Say what the simulated patient's wristband reads, which the person who is asked cannot see."""
+    if isinstance(request.procedure, CaseProcedure):
+        observers.announce(f"the simulated patient's wristband reads {staff.read_wristband()}")
 
 
 def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:

@@ -19,15 +19,27 @@ from procedures.exchange.run_tables import (
     spheres_table,
     targets_table,
 )
-from procedures.reporting.ending import run_ending
+from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.runs.folders import find_run_holder, require_run
-from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
+from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.frames import Transform
+from ronna_hw.host.files import open_regular
 from ronna_hw.loaded_run import RunTable
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
+from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
+
+TAPE = f"{READINGS_FOLDER}/{READINGS_FILE}"
+PIXELS = f"{READINGS_FOLDER}/{PIXELS_FILE}"
+
+
+def find_ending(reading: RunReading, truth: Truth | None) -> Ending:
+    """Determine how a run ended, or that a program still has it open."""
+    ending = ending_of(reading, truth)
+    holder = find_run_holder(reading.folder) if ending.word == "killed" else None
+    return ending if holder is None else Ending("running", f"{holder} has it open.")
 
 
 class RunArrays:
@@ -41,7 +53,11 @@ class RunArrays:
         self.path = folder
         self._reading = RunReading(run_of(found), ())
         self._truth = (None if truth_changed else load_truth(folder)) or Truth()
-        self._problems = tuple(map(str, found.problems))
+        self._found = found
+        self._problems = list(map(str, found.problems))
+        if not (folder / SEAL_FILE).exists():
+            self._problems.append(f"{SEAL_FILE}: missing: no seal confirms the files as the run left them")
+        self._note_changes(EVENTS_FILE, TAPE)
 
     def __repr__(self) -> str:
         return "\n  ".join((f"run {self.name}: {self.outcome}", *self.notes))
@@ -52,18 +68,13 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        word = run_ending(self._reading.run.journal).word
-        return "running" if word == "killed" and find_run_holder(self.path) is not None else word
+        return find_ending(self._reading, self._truth).word
 
     @property
     def notes(self) -> tuple[str, ...]:
-        missing = [
-            name
-            for name in (EVENTS_FILE, f"{READINGS_FOLDER}/{READINGS_FILE}")
-            if not (self.path / name).exists()
-        ]
+        unreadable = (self._explain_unreadable(name) for name in (EVENTS_FILE, TAPE))
         ends_early = self._recorded.ends_early if "_recorded" in self.__dict__ else ""
-        return (*self._problems, *(f"{name}: missing" for name in missing), *filter(None, [ends_early]))
+        return tuple(dict.fromkeys(filter(None, (*self._problems, *unreadable, ends_early))))
 
     @cached_property
     def targets(self) -> RunTable:
@@ -87,13 +98,28 @@ class RunArrays:
 
     @cached_property
     def events(self) -> RunTable:
-        if not (self.path / EVENTS_FILE).is_file():
+        if self._explain_unreadable(EVENTS_FILE):
             return RunTable.of(EVENTS, ())
         return events_table(self.path)
 
     @cached_property
     def _recorded(self) -> RecordedTables:
+        self._note_changes(PIXELS)  # only here, being most of a run
         return recorded_tables(self.path)
+
+    def _note_changes(self, *names: str) -> None:
+        """Note how files differ from their hashes in the journal's last line or in the seal."""
+        if self._found.chain.is_closed or (self.path / SEAL_FILE).exists():
+            self._problems += map(str, self._found.check_files(names))
+
+    def _explain_unreadable(self, name: str) -> str:
+        try:
+            open_regular(self.path / name).close()
+        except FileNotFoundError:
+            return f"{name}: missing"
+        except OSError as error:
+            return f"{name}: {explain_unreadable(error)}"
+        return ""
 
     @property
     def strays(self) -> RunTable:

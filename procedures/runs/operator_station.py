@@ -36,6 +36,7 @@ from procedures.runs.orders import (
     RunTo,
     SentOrder,
     Stop,
+    activity_of,
 )
 
 if TYPE_CHECKING:
@@ -219,9 +220,8 @@ class OperatorStation:
     def _state(self) -> CaseActivity:
         if self._engine is None:
             return CaseActivity.OPENING
-        if self._question is not None:
-            return PAUSED if self._question.question.topic is Topic.PAUSE else CaseActivity.ASKING
-        return CaseActivity.RUNNING if self._waiting_for is None else WAITING
+        topic = None if self._question is None else self._question.question.topic
+        return activity_of(topic, is_waiting=self._waiting_for is not None)
 
     def _find_refusal(self, sent: SentOrder) -> str:
         """Return the reason for refusing an order in the current state, or an empty string."""
@@ -310,6 +310,8 @@ class OperatorStation:
         by = Signature(self._seat.holder, session, current.shown)
         answer = Answer(order.answer, order.typed, order.readings, by)
         if question.read_back is not None and question.is_misread(answer):
+            if question.asks_for_help(answer):
+                return f"type {question.read_back.what}"
             current.misread += 1
             wrong = f"{answer.typed!r} {question.read_back.wrong.rstrip('.')}"
             if current.misread < MOST_MISREAD:

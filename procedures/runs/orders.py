@@ -23,6 +23,7 @@ from pydantic import (
 )
 
 from procedures.operator.checkpoint import ABORT, CONTINUE
+from procedures.operator.question import Topic
 from ronna_hw.bounded_input import check_json
 
 LONGEST_BYTES = 65_536  # of one order
@@ -187,6 +188,13 @@ OPEN = frozenset({WAITING, RUNNING, ASKING, PAUSED})
 ANY = OPEN | {OPENING}
 AT_REST = frozenset({WAITING, PAUSED})
 NEVER: frozenset[CaseActivity] = frozenset()
+
+
+def activity_of(topic: str | None, *, is_waiting: bool) -> CaseActivity:
+    """Return the activity of an open theatre with an open question of this topic, or waiting for an order."""
+    if topic is not None:
+        return PAUSED if topic == Topic.PAUSE else ASKING
+    return WAITING if is_waiting else RUNNING
 
 
 @dataclass(frozen=True)

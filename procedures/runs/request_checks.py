@@ -19,7 +19,8 @@ from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import read_theatre_file
-from ronna_hw.control_port import VARIABLE
+from ronna_hw.control_port import VARIABLE, require_theatre
+from ronna_hw.phantom_identity import parse_patient_id
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
@@ -51,7 +52,10 @@ def check_theatre(request: RunRequest) -> None:
 
 
 def check_asking(request: RunRequest) -> None:
-    """Raise CLI-001 if a run with --ask has no terminal, or its theatre no staff who can be told by words."""
+    """Raise CLI-001 if a run with --ask has no terminal, or its theatre no staff who can be told by words.
+
+    CTL-001 to CTL-003 unless the control port is that of the theatre: its staff would work in another room.
+    """
     if not request.ask:
         return
     if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
@@ -62,18 +66,21 @@ def check_asking(request: RunRequest) -> None:
         )
     if request.config is None:
         return
-    if not is_simulated(read_theatre_file(request.config)):
+    theatre = read_theatre_file(request.config)
+    if not is_simulated(theatre):
         raise UsageMistake(
             "--ask is for a simulated theatre",
             got=str(request.config),
             action="Omit it: on real devices every question is asked, and people do the manual work.",
         )
-    if not os.environ.get(VARIABLE):
+    if not (control := os.environ.get(VARIABLE)):
         raise UsageMistake(
             f"--ask needs the control port of the theatre in {VARIABLE}, where manual work is done by a word",
             action='Type eval "$(ronna-sim env THEATRE-FOLDER)"; a new run may omit --ask, and the work is '
             "done with ronna-sim.",
         )
+    if theatre.identity:  # a file written by hand has none to compare
+        require_theatre(control, theatre.identity, request.config)
 
 
 def check_case(request: RunRequest, out: Path) -> None:
@@ -138,8 +145,11 @@ def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice:
     path, header = next(iterate_images(ct, tags), (ct, None)) if ct.is_dir() else (ct, None)
     if header is None or read_attribute_text(path, header, tags[1]) != series_instance_uid:
         return
-    scene, _, seed = read_attribute_text(path, header, tags[0]).rpartition("-")
-    if scene in PATIENT_SCENES and seed.isdigit() and (scene, int(seed)) != (choice.scene, choice.scene_seed):
+    patient = parse_patient_id(read_attribute_text(path, header, tags[0]))
+    if patient is None or patient == (choice.scene, choice.scene_seed):
+        return
+    scene, seed = patient
+    if scene in PATIENT_SCENES:
         same_scene = scene == choice.scene
         raise WrongSeries(
             f"{plan_file.name} belongs to the simulated patient of scene {scene}, seed {seed}",

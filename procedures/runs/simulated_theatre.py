@@ -60,6 +60,8 @@ class SimulatedTheatre:
             request.speed,
             "--out",
             str(folder),
+            "--run",
+            folder.parent.name,
             *extra_options,
             on_controller_message=on_controller_message,
         )
@@ -166,6 +168,10 @@ class SimulatedRoom:
             numbers=list(task.numbers),
         )
         return tuple(float(reading) for reading in answer.get("readings", ()))
+
+    def read_wristband(self) -> str:
+        """Return the identifier on the simulated patient's wristband."""
+        return str(ask_control_port(self._control, "wristband")["wristband"])
 
     def tell_missed_faults(self, tell: Callable[[str], None]) -> Callable[[object, object, object], None]:
         """Return an exit callback that reports room faults scheduled too late to take effect."""

@@ -1,52 +1,32 @@
 """Updates of a theatre file in place, and its history: each earlier state, who changed it, when and by what.
 
 FOLDER/theatre.toml               the theatre file, updated atomically
-FOLDER/theatre.toml.history       one JSON line for each update, with the file as it became
+FOLDER/theatre.toml.history       lines for each update, with the file as it became
 
 The history is written first and locked for the whole update, so two updates follow one another and neither is
 lost. A run records the hash of its theatre file; the history says which state that was, and can restore it.
+The lines are those of `theatre_history_file`.
 """
 
 from __future__ import annotations
 
 import fcntl
 import getpass
-import hashlib
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
-from procedures.runs.theatre_tables import with_tables
+from procedures.runs.theatre_history_file import CarriedOut, Update, append, hash_bytes, read_history
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from ronna_hw.records import write_atomically
 
 SUFFIX = ".history"
-LARGEST_HISTORY_BYTES = 100_000_000  # thousands of updates
 Tables = dict[str, dict[str, object]]
-
-
-class Update(BaseModel):
-    """One line of a history."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    time: str  # UTC
-    by: str  # name given to the command, else the account
-    account: str  # USER@COMPUTER
-    command: str
-    source: str = ""  # folder of the calibration
-    changes: tuple[str, ...]  # such as "calibration.tool_tip: OLD -> NEW"
-    sha256_before: str
-    sha256_after: str
-    former: str | None = None  # text of the file before, unless the line above has it
-    text: str  # of the file after
 
 
 @dataclass(frozen=True)
@@ -77,12 +57,14 @@ def history_path(theatre: Path) -> Path:
 def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
     """Put new entries into a theatre file's tables, keeping its comments.
 
-    Raises CFG-001 without writing anything if the file would be invalid.
+    Raises CFG-001 without writing anything if the file would be invalid, PRO-046 if its history was changed.
     """
+
+    from procedures.runs.theatre_tables import replace_tables  # few commands update: the others start sooner
 
     def change(content: bytes) -> bytes:
         text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        return with_tables(text, tables).encode()
+        return replace_tables(text, tables).encode()
 
     with _locked(theatre) as history:
         _replace(theatre, history, change, signature)
@@ -113,36 +95,41 @@ def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], sign
         return
     after = parse_toml_bytes(new, theatre.name, BadTheatreFile)
     parse_theatre(after, f"{theatre.name} with the update")
-    account, earlier = getpass.getuser(), _read_updates(history_path(theatre))
-    update = Update(
-        time=datetime.now(UTC).isoformat(timespec="seconds"),
-        by=signature.by or account,
-        account=f"{account}@{socket.gethostname()}",
-        command=signature.command,
-        source=signature.source,
-        changes=tuple(_describe_changes(before, after)),
-        sha256_before=_sha256(content),
-        sha256_after=_sha256(new),
-        former=None if earlier and earlier[-1].sha256_after == _sha256(content) else content.decode(),
-        text=new.decode(),
-    )
-    _append(history, update)
-    mode = theatre.stat().st_mode
-    write_atomically(theatre, new)
-    theatre.chmod(mode)
-
-
-def _append(history: int, update: Update) -> None:
-    """Append a line and flush it to disk, starting afresh after a line that a crash cut off."""
+    path = history_path(theatre)
+    account, earlier = getpass.getuser(), read_history(path)
+    is_known = bool(earlier.updates) and earlier.updates[-1].sha256_after == hash_bytes(content)
     size = os.fstat(history).st_size
-    torn = size > 0 and os.pread(history, 1, size - 1) != b"\n"
-    line = ("\n" if torn else "") + update.model_dump_json() + "\n"
-    os.write(history, line.encode())
-    os.fsync(history)
+    written = append(
+        history,
+        path,
+        Update(
+            time=_format_now(),
+            by=signature.by or account,
+            account=f"{account}@{socket.gethostname()}",
+            command=signature.command,
+            source=signature.source,
+            changes=tuple(_describe_changes(before, after)),
+            sha256_before=hash_bytes(content),
+            sha256_after=hash_bytes(new),
+            former=None if is_known else content.decode(),
+            text=new.decode(),
+            previous=earlier.end_sha256,
+        ),
+    )
+    mode = theatre.stat().st_mode
+    try:
+        write_atomically(theatre, new)
+        theatre.chmod(mode)
+    except BaseException:
+        if read_bounded(theatre, LARGEST_TOML_BYTES) == content:
+            os.ftruncate(history, size)  # nothing came of it
+        raise
+    with suppress(OSError):  # the update is in force; without this line the file's hash says so
+        append(history, path, CarriedOut(carried_out=_format_now(), previous=written))
 
 
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _format_now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _describe_changes(before: dict[str, object], after: dict[str, object]) -> Iterator[str]:
@@ -157,7 +144,8 @@ def _describe_changes(before: dict[str, object], after: dict[str, object]) -> It
         then, now = (entries if isinstance(entries, dict) else {} for entries in (then, now))
         for key in sorted(then.keys() | now.keys()):
             if then.get(key) != now.get(key):
-                yield f"{name}.{key}: {_identifier(then.get(key))} -> {_identifier(now.get(key))}"
+                former, new = _identifier(then.get(key)), _identifier(now.get(key))
+                yield f"{name}.{key}: {former} -> {new if new != former else 'the same with other values'}"
 
 
 def _identifier(record: object) -> str:
@@ -167,40 +155,27 @@ def _identifier(record: object) -> str:
 def read_states(theatre: Path) -> tuple[State, ...]:
     """Return every known state of a theatre file, oldest first; the last is the present one.
 
-    Updates that a crash kept from being carried out, and lines cut off by one, are left out.
+    An update that was in force stays listed, whatever became of the file since. Left out are those cut off
+    before the file was replaced. Raises PRO-046 if the history was changed.
     """
     theatre = theatre.resolve()
     present = read_bounded(theatre, LARGEST_TOML_BYTES)
-    updates = _read_updates(history_path(theatre))
-    followed_by = [*(one.sha256_before for one in updates), _sha256(present)][1:]
+    history = read_history(history_path(theatre))
+    followed_by = [*(one.sha256_before for one in history.updates), hash_bytes(present)][1:]
     states: list[State] = []
 
     def add(text: str, sha256: str, update: Update | None = None) -> None:
         if update is not None or not states or states[-1].sha256 != sha256:
             states.append(State(len(states), sha256, text, update))
 
-    for update, next_sha256 in zip(updates, followed_by, strict=True):
-        if next_sha256 == update.sha256_before:  # not carried out
+    for index, (update, next_sha256) in enumerate(zip(history.updates, followed_by, strict=True)):
+        if index not in history.carried_out and next_sha256 == update.sha256_before:
             continue
         if update.former is not None:
             add(update.former, update.sha256_before)
         add(update.text, update.sha256_after, update)
-    add(present.decode(), _sha256(present))
+    add(present.decode(), hash_bytes(present))
     return tuple(states)
-
-
-def _read_updates(path: Path) -> list[Update]:
-    try:
-        lines = read_bounded(path, LARGEST_HISTORY_BYTES).splitlines()
-    except FileNotFoundError:
-        return []
-    updates = []
-    for line in lines:
-        try:
-            updates.append(Update.model_validate_json(line))
-        except ValidationError:  # cut off by a crash: nothing followed from it
-            continue
-    return updates
 
 
 def describe_updates_since(theatre: Path, sha256: str) -> str | None:

@@ -3,72 +3,58 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-TablePath = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
+import tomlkit
+from tomlkit.items import AoT, Comment, Item, Table, Whitespace
+
+from ronna_hw.config import BadTheatreFile
 
 
-def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return TOML text with the table entries replaced, or appended if they are new.
+def replace_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return TOML text with the table entries replaced, or added if they are new; all else stays as written.
 
-    The outcome is compared with the intended content: if these tables have no headers of their own, comments
-    are lost.
+    Raises CFG-001 if the text is written in such a way that other entries would change.
     """
-    import tomli_w
-
     intended_content = tomllib.loads(text)
-    new: dict[TablePath, str] = {}
+    document = tomlkit.parse(text)
     for name, entries in tables.items():
-        intended_content[name] = {**intended_content.get(name, {}), **entries}
-        new |= {(name, key): tomli_w.dumps({name: {key: entry}}) for key, entry in entries.items()}
-    replaced = "".join(_remove_tables(text, new))
-    try:
-        kept = tomllib.loads(replaced) == intended_content
-    except tomllib.TOMLDecodeError:
-        kept = False
-    return replaced if kept else tomli_w.dumps(intended_content)
+        as_read = tomllib.loads(tomlkit.dumps(dict(entries)))  # a tuple is written as a list
+        intended_content[name] = {**intended_content.get(name, {}), **as_read}
+        document.setdefault(name, tomlkit.table(is_super_table=True))
+        for key, entry in entries.items():
+            table = document[name]  # anew each time: of a table in several places this is a copy
+            remarks = _take_remarks(table.get(key, table))
+            table[key] = entry
+            end = _last_table(document[name][key]) or document[name]
+            for remark in remarks:
+                end.add(remark)
+    replaced = tomlkit.dumps(document)
+    if tomllib.loads(replaced) != intended_content:
+        raise BadTheatreFile(
+            f"cannot replace {', '.join(tables)} without changing other entries",
+            expected="tables with headers, such as [calibration.tool_tip], and no dotted keys",
+            action="Write these tables with headers and repeat the command; nothing was changed.",
+        )
+    return replaced
 
 
-def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
-    """Yield the lines of TOML text, replacing existing tables by those in `new` and appending the rest.
-
-    Comments in front of the next header are kept.
-    """
-    to_write = dict(new)
-    skipping, remarks = False, list[str]()
-    for line in text.splitlines(keepends=True):
-        place = _parse_header(line)
-        if place is not None:
-            skipping = place[:2] in new
-            yield from remarks
-            remarks.clear()
-            if skipping:
-                yield to_write.pop(place[:2], "")
-        if not skipping:
-            yield line
-        elif place is None and (not line.strip() or line.lstrip().startswith("#")):
-            remarks.append(line)
-        else:
-            remarks.clear()  # of the record that is replaced
-    yield from remarks
-    for table in to_write.values():
-        yield f"\n{table}"
+def _take_remarks(entry: Item) -> list[Comment | Whitespace]:
+    """Remove the comments at the end of a table: they belong to the next header, but are parsed into it."""
+    remarks: list[Comment | Whitespace] = []
+    if (last := _last_table(entry)) is not None:
+        body = last.value.body
+        while body and isinstance(remark := body[-1][1], Comment | Whitespace):
+            remarks.insert(0, remark)
+            body.pop()
+    return remarks
 
 
-def _parse_header(line: str) -> TablePath | None:
-    """Parse a TOML table header into the table's path; return None for any other line."""
-    if not line.lstrip().startswith("["):
+def _last_table(entry: Item) -> Table | None:
+    """Return the table that ends the text of an entry; None for an entry without a header."""
+    if isinstance(entry, AoT):
+        return _last_table(entry[-1])
+    if not isinstance(entry, Table):
         return None
-    try:
-        inner: Any = tomllib.loads(line)
-    except tomllib.TOMLDecodeError:
-        return None
-    place: list[str] = []
-    while inner:
-        if isinstance(inner, list):
-            inner = inner[0]
-        else:
-            ((name, inner),) = inner.items()
-            place.append(name)
-    return tuple(place)
+    return (_last_table(entry.value.body[-1][1]) if entry.value.body else None) or entry

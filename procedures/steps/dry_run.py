@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 
 from procedures.engine.case import Case, StepKey
 from procedures.engine.setting import CaseSetting
-from procedures.planning.motions import BACK, HOME, LINE, MOVE
+from procedures.planning.motions import BACK, LINE, MOVE
+from procedures.planning.pose_name import HOME, PoseKind, PoseName
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.path_check import SPHERE, CheckedPaths, MotionPreview, motions_over_spheres
+from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import ConfirmedTarget, Relocalization
@@ -56,9 +57,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
     sphere_index = _sphere_below(paths, key, workcell)
     if sphere_index is None:
         return "the arm is not home; from home it would", *_describe_motions(motions)
-    reached = [
-        number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{sphere_index}")
-    ]
+    reached = [number for number, one in enumerate(motions, start=1) if one.end.fiducial == sphere_index]
     return f"the arm is over sphere {sphere_index + 1}; from there", *_describe_motions(
         motions[max(reached, default=0) :]
     )
@@ -113,26 +112,24 @@ def _describe_motions(motions: Sequence[MotionPreview]) -> tuple[str, ...]:
 
 
 def _belongs_to_step(motion: MotionPreview, key: StepKey) -> bool:
-    target = "/target"
+    target = PoseName(PoseKind.TARGET, key.trajectory or "")
     if key.name == MountedGuide.kind:
-        return motion.end == HOME and SPHERE in motion.start
+        return motion.end == HOME and motion.start.kind is PoseKind.FIDUCIAL
     if key.name == PositionedGuide.kind:
-        return motion.end == f"{key.trajectory}{target}" and motion.kind != BACK
+        return motion.end == target and motion.kind != BACK
     if key.name == Retreated.kind:
-        return motion.start == f"{key.trajectory}{target}" and motion.kind != LINE
+        return motion.start == target and motion.kind != LINE
     return False
 
 
 def _describe_motion(motion: MotionPreview) -> str:
     near = motion.closest
     passing = "" if near is None else f"; {near.first} clears {near.second} by {near.distance_mm:.0f} mm"
-    start, end = _number_spheres(motion.start), _number_spheres(motion.end)
+    start, end = _name_pose(motion.start), _name_pose(motion.end)
     ends = f"from {end}" if motion.kind == BACK else f"{start} to {end}" if start != end else f"onto {end}"
     speed = f"{motion.duration_s:.1f} s at up to {motion.largest_speed_mm_s:.0f} mm/s"
     return f"{motion.kind} {ends}, {speed}{passing}"
 
 
-def _number_spheres(name: str) -> str:
-    """Return a pose name with one-based sphere numbers."""
-    before, sphere, number = name.partition(SPHERE)
-    return f"{before}/sphere {int(number) + 1}" if sphere else name
+def _name_pose(name: PoseName) -> str:
+    return f"{name.trajectory}/{name.words()}" if name.trajectory else name.words()

@@ -74,6 +74,12 @@ class Trajectory:
         return np.subtract(self.target_mm, self.entry_mm) / self.depth_mm
 
 
+def split_along(offset_mm: Array, axis: Array) -> tuple[float, float]:
+    """Split an offset (3,) into its length across a unit axis (3,), and its part along it, in mm."""
+    along_mm = float(offset_mm @ axis)
+    return float(np.linalg.norm(offset_mm - along_mm * axis)), along_mm
+
+
 def reference_direction(axis: Array, at_mm: Array) -> Array:
     """Return unit tool x (3,) at free angle 0 for a tool axis (3,) and origin (3,) mm in the robot frame.
 

@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.own_packages import ForeignPackage, explain_failed_import, require_own_packages
 
 COMMANDS = {
@@ -32,11 +33,11 @@ COMMANDS = {
 
 def main() -> None:
     """Run the command by whose name this program was called."""
-    module = COMMANDS[Path(sys.argv[0]).name]
     try:
         require_own_packages()
     except ForeignPackage as foreign:
         _refuse(foreign)
+    module = _find_module(Path(sys.argv[0]))
     try:
         command = import_module(module).main
     except (ImportError, AttributeError) as error:
@@ -46,7 +47,22 @@ def main() -> None:
     command()
 
 
-def _refuse(error: ForeignPackage) -> NoReturn:
+def _find_module(program: Path) -> str:
+    """Return the command's module, also if the program was called by a link of another name."""
+    for name in (program.name, program.resolve().name):
+        if name in COMMANDS:
+            return COMMANDS[name]
+    from ronna_hw.command_line.errors import UsageMistake
+
+    mistake = UsageMistake(
+        f"{program.name!r} is no command",
+        expected=f"one of {', '.join(COMMANDS)}",
+        action="Call the installed program, or a symbolic link to it; a copy needs the same name.",
+    )
+    return _refuse(mistake)
+
+
+def _refuse(error: RonnaError) -> NoReturn:
     from ronna_hw.command_line.messages import fail_with
 
     fail_with(error)

@@ -55,6 +55,8 @@ class RecordsBytes(Protocol):
 
 
 MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowledging messages
+# The name of the fact of a pressed emergency stop, and part of the fault of an arm that it stopped.
+EMERGENCY_STOP = "emergency stop"
 
 
 @dataclass(frozen=True)

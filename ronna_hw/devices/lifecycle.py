@@ -200,11 +200,15 @@ def _deactivate(device: Device, timeout_s: float) -> None:
 
 
 def require_person(name: str) -> str:
-    """Validate and return a person's name; raises DEV-006 if it contains no letters."""
-    if not any(map(str.isalpha, name)):
+    """Validate and return a person's name; raises DEV-006 without letters, or with control characters.
+
+    A name is printed, and written into records: it may neither steer a terminal nor look like two lines.
+    """
+    has_letters = any(map(str.isalpha, name))
+    if not has_letters or not name.isprintable():
         raise PersonNotNamed(
             "an acknowledgement or confirmation needs the name of a person",
-            expected="letters",
+            expected="a name without control characters" if has_letters else "letters",
             got=repr(name) if name.strip() else "nothing",
         )
     return name

@@ -3,8 +3,8 @@
 A tracker reports strays in no fixed order: spheres change places in the list from one frame to the next. A
 standard deviation taken by place in the list is the distance between spheres, not the noise of one.
 
-Readings are assigned to the last known positions of the spheres so that the sum of distances is least, within
-a gate. An identity is never carried on by a guess. It ends where
+Readings are paired with the last known positions of the spheres within a gate, nearest first. An identity is
+never carried on by a guess. It ends where
 
 - readings and known spheres could be paired in more than one way within the gate, as when two spheres meet;
 - known spheres are missing while as many new ones appear: tracker or head was moved between two frames;
@@ -19,24 +19,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from ronna_hw.devices.errors import BadStrays
-from ronna_hw.devices.readings import TrackerFrame, Validity
-from ronna_hw.devices.strays import require_positions
+from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
 from ronna_hw.vectors import Vector3
 
 Array = NDArray[np.float64]
 
-# Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60
-# frames in a second it follows a motion of 300 mm/s.
-GATE_MM = 5.0
 KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
 # Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
 FEWEST_MOVED = 2  # from one frame to the next
 FEWEST_MOVED_UNSEEN = 3  # while they were hidden
-LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
 UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 
 
@@ -69,7 +64,7 @@ _NEW = _Sphere(np.zeros(3), None)
 def track_strays(
     frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM, least_share: float = LEAST_SHARE
 ) -> tuple[StrayTrack, ...]:
-    """Follow each stray sphere through the frames, whatever its place in their lists.
+    """Track stray spheres across unordered frames.
 
     Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
     belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.
@@ -77,10 +72,10 @@ def track_strays(
     """
     if not 0.0 <= least_share <= 1.0:
         raise BadStrays("the share must be between 0 and 1", got=f"{least_share}")
-    read = [frame for frame in frames if frame.validity is not Validity.STALE]
-    kept = [[one.position_mm for one in frame.strays if one.validity is Validity.OK] for frame in read]
+    read = select_strays(frames)
+    identities_by_frame = identify_strays([positions for _, positions in read], gate_mm=gate_mm)
     seen: dict[int, list[tuple[int, Vector3]]] = {}
-    for frame, positions, identities in zip(read, kept, identify_strays(kept, gate_mm=gate_mm), strict=True):
+    for (frame, positions), identities in zip(read, identities_by_frame, strict=True):
         for identity, position_mm in zip(identities.tolist(), positions, strict=True):
             seen.setdefault(identity, []).append((frame.stamp.device_clock, position_mm))
     seen.pop(UNKNOWN, None)
@@ -110,7 +105,7 @@ def identify_strays(
     for frame in frames:
         readings = require_positions(frame)
         distances_mm = cdist(readings, _stack([one.last_mm for one in spheres]))
-        pairs = _assign(distances_mm, gate_mm)
+        pairs = pair_nearest(distances_mm, gate_mm)
         if _has_moved(spheres, pairs, len(readings)):
             spheres, pairs, distances_mm = [], {}, np.zeros((len(readings), 0))
         within = distances_mm <= gate_mm
@@ -168,14 +163,3 @@ def _typical(moved_mm: Array) -> Array:
 
 def _stack(vectors: Sequence[Array]) -> Array:
     return np.array(vectors, dtype=float).reshape(-1, 3)
-
-
-def _assign(distances_mm: Array, gate_mm: float) -> dict[int, int]:
-    """Return the sphere for each reading that has one within the gate, with the least sum of distances."""
-    out_of_gate_mm = 1e3 * gate_mm  # so costly that as many as possible are assigned within the gate
-    rows, columns = linear_sum_assignment(np.where(distances_mm <= gate_mm, distances_mm, out_of_gate_mm))
-    return {
-        row: column
-        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-        if distances_mm[row, column] <= gate_mm
-    }

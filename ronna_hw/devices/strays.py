@@ -1,4 +1,8 @@
-"""Grouping of stray markers into spheres across frames, and averaging of each group."""
+"""Grouping of stray markers into spheres across frames, and averaging of each group.
+
+While nothing moves, a reading belongs to the sphere whose mean is within `GROUP_RADIUS_MM`. While something
+may move, `stray_tracks` compares it with the last position, within a wider gate.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,9 @@ from ronna_hw.vectors import Vector3
 Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
+# Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60
+# frames in a second it follows a motion of 300 mm/s.
+GATE_MM = 5.0
 LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
 OUTLIER_SIGMAS = 5.0  # from the median, in units of the median absolute deviation
 LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be its own outlier
@@ -62,13 +69,16 @@ class _GroupBuilder:
 
 def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
     """Average the strays inside the measuring volume, excluding repeated measurements (STALE)."""
-    measurements = [frame for frame in frames if frame.validity is not Validity.STALE]
-    return group_strays(
-        [
-            [stray.position_mm for stray in frame.strays if stray.validity is Validity.OK]
-            for frame in measurements
-        ]
-    )
+    return group_strays([positions for _, positions in select_strays(frames)])
+
+
+def select_strays(frames: Iterable[TrackerFrame]) -> list[tuple[TrackerFrame, list[Vector3]]]:
+    """Return each measured frame with its strays inside the measuring volume, mm. Repeats are left out."""
+    return [
+        (frame, [one.position_mm for one in frame.strays if one.validity is Validity.OK])
+        for frame in frames
+        if frame.validity is not Validity.STALE
+    ]
 
 
 def group_strays(
@@ -110,21 +120,25 @@ def require_positions(frame: Sequence[Vector3]) -> Array:
 
 
 def _assign(groups: list[_GroupBuilder], readings: Array, radius_mm: float) -> list[int]:
-    """Assign each reading to the nearest free group and return the unassigned readings."""
-    free = list(range(len(readings)))
-    if not groups or not free:
-        return free
-    centres = np.array([group.centre for group in groups])
-    distances = np.linalg.norm(readings[:, None] - centres[None], axis=-1)
-    while free:
-        reading, group = np.unravel_index(int(distances.argmin()), distances.shape)
-        if not distances[reading, group] <= radius_mm:
-            break
+    """Add each reading to its group and return the unassigned readings."""
+    centres = np.array([group.centre for group in groups]).reshape(-1, 3)
+    pairs = pair_nearest(np.linalg.norm(readings[:, None] - centres[None], axis=-1), radius_mm)
+    for reading, group in pairs.items():
         groups[group].add(readings[reading])
-        free.remove(int(reading))
-        distances[reading, :] = np.inf
-        distances[:, group] = np.inf
-    return free
+    return [reading for reading in range(len(readings)) if reading not in pairs]
+
+
+def pair_nearest(distances_mm: Array, within_mm: float) -> dict[int, int]:
+    """Pair readings (rows) with spheres (columns), each at most once, nearest pair first."""
+    left_mm = distances_mm.copy()
+    pairs: dict[int, int] = {}
+    while left_mm.size:
+        row, column = (int(one) for one in np.unravel_index(int(left_mm.argmin()), left_mm.shape))
+        if not left_mm[row, column] <= within_mm:
+            break
+        pairs[row] = column
+        left_mm[row, :] = left_mm[:, column] = np.inf
+    return pairs
 
 
 def _average(group: _GroupBuilder) -> StrayGroup:

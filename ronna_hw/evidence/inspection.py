@@ -150,6 +150,12 @@ class Inspection:
             self._require((Problem(name, what),))
         return content
 
+    def check_files(self, names: Collection[str]) -> tuple[Problem, ...]:
+        """Compare these files as they are now with their last known hashes."""
+        if not self.chain.lines:
+            return ()
+        return tuple(_check_named_files(self.folder, self.chain, self.manifest, names))
+
     def _require(self, problems: tuple[Problem, ...], action: str | None = None) -> Inspection:
         if problems:
             state = "as it was left" if self.changes else "finished"
@@ -177,9 +183,8 @@ def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str]
     if every_file and chain.lines:
         problems += _check_files(folder, chain, manifest)
     elif chain.lines:
-        problems += _check_sealed_files(
-            folder, chain, [name for name in files if os.path.lexists(folder / name)]
-        )
+        present = [name for name in files if os.path.lexists(folder / name)]
+        problems += _check_named_files(folder, chain, manifest, present)
     found = tuple(issue for issue in dict.fromkeys(problems) if not issue.out_of_reach)
     out_of_reach = dict.fromkeys(issue.file for issue in problems if issue.out_of_reach)
     return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
@@ -335,17 +340,24 @@ def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection
     yield from _report_added_files([name for name in expected if expected[name] is None and name in suspects])
 
 
-def _check_sealed_files(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
-    """Find problems with files covered only by the seal, and with the sealed journal."""
+def _check_named_files(
+    folder: Path, chain: Chain, manifest: Manifest, names: Collection[str]
+) -> Iterator[Problem]:
+    """Find problems with these files, by the journal's end or the seal, and with the sealed journal."""
+    at_end = manifest.files if chain.is_closed else {}
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
         yield Problem(SEAL_FILE, "changed")
     whole = seal is not None and (yield from _compare_with_seal(folder, chain, seal))
     for name in names:
-        if seal is None or not whole:
-            yield Problem(name, "not confirmed by a seal")
-        elif name in seal.files:
+        if name in at_end:
+            yield from compare_files(folder, {name: at_end[name]})
+        elif seal is not None and whole and name in seal.files:
             yield from compare_files(folder, {name: seal.files[name]})
+        elif not os.path.lexists(folder / name):
+            continue
+        elif seal is None or not whole:
+            yield Problem(name, "not confirmed by a seal")
         else:
             yield from _report_added_files([name])
 

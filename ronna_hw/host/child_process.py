@@ -8,13 +8,15 @@ process uses some processor time; one that uses none hangs.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from queue import Empty, SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
@@ -32,6 +34,8 @@ READY_TIMEOUT_S = 60.0  # a busy computer takes many times the seconds that a st
 IDLE_TIMEOUT_S = 10.0  # without processor time: it is halted, or waits for what does not come
 STOP_TIMEOUT_S = 2.0  # the contract of every command that prints READY, for SIGTERM
 MESSAGE_LINES_KEPT = 5
+LAST_ROUNDS = 5  # of looking for processes that were started while others were ended
+_PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 POLL_S = 1.0  # between two readings, each of which lists the computer's processes
 OUTPUT_POLL_S = 0.1  # host time
 
@@ -272,6 +276,33 @@ def descendants_of(number: int) -> list[psutil.Process]:
     except psutil.Error:
         return []
     return offspring
+
+
+@contextlib.contextmanager
+def end_descendants(stop_s: float = STOP_TIMEOUT_S) -> Iterator[None]:
+    """End what was started in the block and still runs at its end: SIGTERM, then SIGKILL after `stop_s`.
+
+    This process adopts orphans meanwhile, so that detached processes are found too.
+    """
+    import psutil  # imported late: device processes import little
+
+    set_option = ctypes.CDLL(None, use_errno=True).prctl
+    before = set(descendants_of(os.getpid()))
+    set_option(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    try:
+        yield
+    finally:
+        remaining = [one for one in descendants_of(os.getpid()) if one not in before]
+        for process in remaining:
+            with contextlib.suppress(psutil.Error):
+                process.terminate()
+        kill_all(psutil.wait_procs(remaining, timeout=stop_s)[1])
+        for _ in range(LAST_ROUNDS):  # what those started meanwhile; what cannot be killed ends nothing here
+            if not (late := [one for one in descendants_of(os.getpid()) if one not in before]):
+                break
+            kill_all(late)
+            psutil.wait_procs(late, timeout=stop_s)
+        set_option(_PR_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
 
 
 def kill_all(processes: list[psutil.Process]) -> None:

@@ -1,4 +1,4 @@
-"""Our packages on the path: are they ours, and whole?
+"""Detect foreign or overwritten packages on the import path.
 
 Their names are common: a program's own `sim.py`, or another distribution with a package `console`, may stand
 before them on the path. A wheel shares site-packages with others, and installers overwrite files of equal

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 DEPTH_STOP = "depth_stop"  # set it: one number, tip to stop in mm; the scale is read
 SKIN = "skin"
 DRILL = "drill"
@@ -15,3 +17,27 @@ CART_PUSH = "cart_push"  # lean on the locked cart from each side
 DIALS = "dials"  # of the calibration stand: raise the divot to the tip, read its x, y and z
 GAUGE = "gauge"  # read it: the arm's joints at it in deg, and the height between its dials in mm
 TOUCH = "touch"  # the head with a pointer, in a direction from its middle, LPS; x, y, z in $ROBROOT are read
+
+TASKS = (
+    DEPTH_STOP,
+    SKIN,
+    DRILL,
+    DURA,
+    INSERT,
+    OUT,
+    HEAD_CLAMP,
+    CART_PLACE,
+    CART_LOCK,
+    CART_PUSH,
+    DIALS,
+    GAUGE,
+    TOUCH,
+)
+
+
+class OnStand(StrEnum):
+    """Objects for the calibration stand: the ball, or the divot on a slide with three dials."""
+
+    NOTHING = "nothing"
+    BALL = "ball"
+    DIVOT = "divot"

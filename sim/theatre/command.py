@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import unicodedata
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from ronna_hw.control_port import VARIABLE, ask_control_port
+from ronna_hw.wire.room_tasks import OnStand
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import Carrier, OnStand
+from sim.world.options import Carrier
 
 if TYPE_CHECKING:
     import threading
@@ -101,6 +103,7 @@ def theatre(
             help="Change a parameter of the robot or the tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
+    run: Annotated[str, typer.Option(hidden=True, help="Run that it belongs to, and is listed as.")] = "",
     detach: DetachOption = False,
 ) -> None:
     """Simulate a whole theatre and write its theatre.toml, until terminated."""
@@ -114,6 +117,7 @@ def theatre(
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
+    _require_plain_name(out)
     if detach and not IN_BACKGROUND:
         start_in_background("theatre")
         return
@@ -147,9 +151,18 @@ def theatre(
             saved=read_saved_world(out) if continued else None,
             records=records,
         )
-        reasons = _serve(running, ended)
+        reasons = _serve(running, ended, run)
     if reasons:
         fail(reasons[0], EXIT_FAILED)
+
+
+def _require_plain_name(folder: Path) -> None:
+    """Raise CLI-005 if a control character in the folder's path would act on every terminal that lists it."""
+    path = str(folder.resolve())
+    if any(unicodedata.category(character) == "Cc" for character in path):
+        raise PathProblem(
+            f"--out: {path!r} has a control character", expected="a path of letters, digits and signs"
+        )
 
 
 def _require_same_world(context: typer.Context, folder: Path) -> None:
@@ -179,7 +192,7 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
             )
 
 
-def _serve(running: Theatre, ended: threading.Event) -> list[str]:
+def _serve(running: Theatre, ended: threading.Event, run: str) -> list[str]:
     """Serve until `ended` is set, and return the reason if a device ended unprompted."""
     from sim.world.process import announce
 
@@ -194,6 +207,7 @@ def _serve(running: Theatre, ended: threading.Event) -> list[str]:
         running.watch(report_end)
         announce(
             "theatre",
+            run=run,
             endpoints={
                 **running.endpoints,
                 "control": running.control,

@@ -77,7 +77,9 @@ class Theatre:
             _, standing_script = self.world.fault_script()
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
-        self._control = ControlPort(Room(self.world, folder))
+        known = None if saved is None else identity_of(self.file)
+        identity = known or uuid4().hex
+        self._control = ControlPort(Room(self.world, folder, identity=identity))
         self._children: list[ChildProcess] = []
         try:
             self.endpoints = self._start_devices(parameters, cycle_ms)
@@ -95,8 +97,7 @@ class Theatre:
                 content["robot"]["master"]["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
             content["calibration"] |= records
             refer_to_tip(content)
-            known = None if saved is None else identity_of(self.file)
-            write_theatre_file({"identity": known or uuid4().hex, **content}, self.file)
+            write_theatre_file({"identity": identity, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
             raise

@@ -30,7 +30,7 @@ IN_BACKGROUND = os.environ.pop(_MARK, None) is not None  # its own children are 
 
 
 class Handover:
-    """Whether this process has been handed over and no longer ends with its parent."""
+    """Daemon state."""
 
     done = False
 

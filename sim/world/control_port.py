@@ -6,6 +6,8 @@ the READY line. It is closed at the first line that is too long or no JSON objec
 for a while. Connections without the token cannot keep out those with it.
 
 Each further line is a request, with one answer:
+- `{"do": "identify"}`, answered with `identity`, as in the theatre file, and `folder`, both empty for a
+  simulator alone;
 - `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
 - `{"do": "fault", "line": "now: ..."}`;
 - `{"do": "clear_faults"}`, with a `line` only that fault;
@@ -13,7 +15,8 @@ Each further line is a request, with one answer:
 - `{"do": "move", "cart": 1, "by_mm": [60, -40, 0], "turn_deg": 5}`, answered once the cart has arrived; with
   `"anyway": true` also if an instrument is in the guide;
 - `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
-  inserting an instrument samples the truth at that target.
+  inserting an instrument samples the truth at that target;
+- `{"do": "wristband"}`, answered with `wristband`: the identifier that the patient wears.
 """
 
 from __future__ import annotations
@@ -36,8 +39,9 @@ from ronna_hw.bounded_input import parse_json
 from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.phantom_identity import format_patient_id
 from ronna_hw.text import printable
-from ronna_hw.wire.room_tasks import DEPTH_STOP
+from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import InstrumentInGuide
 from sim.world.carts import CartMove
 from sim.world.faults import (
@@ -53,7 +57,6 @@ from sim.world.faults import (
 from sim.world.faults.board import format_beginning
 from sim.world.faults.fault import Fault
 from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
-from sim.world.options import OnStand
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
@@ -191,9 +194,11 @@ class Room:
         folder: Path | None,
         devices: Sequence[str] = DEVICES,
         loaded: Callable[[], Sequence[str]] | None = None,
+        identity: str = "",
     ) -> None:
         self._world = world
         self._folder = folder
+        self._identity = identity
         self._devices = devices
         self._loaded = loaded
         self._staff = Staff(world, folder)
@@ -206,6 +211,7 @@ class Room:
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Execute a request, answering an unknown or invalid one with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
+            "identify": self._identify,
             "step": self._step,
             "work": self._work,
             "mount": self._mount,
@@ -214,6 +220,7 @@ class Room:
             "fault": self._fault,
             "clear_faults": self._clear_faults,
             "missed_faults": self._list_missed_faults,
+            "wristband": self._read_wristband,
         }
         action = actions.get(str(request.get("do")))
         if action is None:
@@ -236,6 +243,10 @@ class Room:
             traceback.print_exc()
             return _refusal(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
+
+    def _identify(self, _request: dict[str, Any]) -> dict[str, Any]:
+        folder = "" if self._folder is None else str(self._folder.resolve())
+        return {"identity": self._identity, "folder": folder}
 
     def _step(self, request: dict[str, Any]) -> None:
         name = str(request["name"])
@@ -320,6 +331,10 @@ class Room:
                 when = "while it lasted" if ends else "after that"
                 missed.append(f"{printable(fault.phrase)} had no effect: it began {step}, and {why} {when}")
         return {"missed": missed[:MOST_MISSED]}
+
+    def _read_wristband(self, _request: dict[str, Any]) -> dict[str, Any]:
+        scene = self._world.scene
+        return {"wristband": format_patient_id(scene.name, scene.seed)}
 
     def _step_of_onset(self, fault: Fault) -> str | None:
         """Describe the step in which a fault began, or return None if it did not begin in this theatre."""

@@ -5,14 +5,6 @@ from __future__ import annotations
 from enum import StrEnum
 
 
-class OnStand(StrEnum):
-    """Objects for the calibration stand: the ball, or the divot on a slide with three dials."""
-
-    NOTHING = "nothing"
-    BALL = "ball"
-    DIVOT = "divot"
-
-
 class InstrumentKind(StrEnum):
     """Kinds of instrument in a postoperative scan."""
 

@@ -32,8 +32,10 @@ END_LIMIT_S = 1.5  # then the process is killed, in case it hangs in a system ca
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
-def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
-    """Print the line `READY {json}`, after which clients may connect."""
+def announce(
+    device: str, endpoint: str | None = None, control: str | None = None, run: str = "", **more: object
+) -> None:
+    """Print the line `READY {json}`, after which clients may connect; it is registered as that of `run`."""
     resume_garbage_collection()
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
@@ -44,7 +46,7 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
     if _has_control_port(content):  # else it is a device of a theatre
         if IN_BACKGROUND:
             hand_over()
-        register(content, in_background=IN_BACKGROUND)
+        register(content, in_background=IN_BACKGROUND, run=run)
     print("READY " + json.dumps(content), flush=True)  # noqa: T201 - this line is the contract
     if IN_BACKGROUND:
         leave_output()

@@ -156,7 +156,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if time.monotonic() > limit_s:
-                    raise TheatreRunning(f"another theatre is running in {folder}") from None
+                    raise TheatreRunning(
+                        f"another theatre is running in {folder}",
+                        action=f"Stop it with ronna-sim stop {folder}, or give another folder.",
+                    ) from None
                 time.sleep(RETRY_S)  # a file lock cannot be awaited with a time limit
         yield
     finally:

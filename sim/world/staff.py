@@ -30,13 +30,13 @@ from ronna_hw.wire.room_tasks import (
     OUT,
     SKIN,
     TOUCH,
+    OnStand,
 )
 from sim.errors import StandNotReady
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
-from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
+from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
-from sim.world.options import OnStand
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
 from sim.world.truth import TrueGuide, append_sample, sample_instrument, tip_at_calibration
 from sim.world.world import World
@@ -48,6 +48,7 @@ SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
 
+THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT)
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
@@ -92,9 +93,21 @@ class Staff:
             TOUCH: lambda: self._touch(numbers),
         }
         _check_task(task, trajectory, numbers, tasks)
+        if task in THROUGH_THE_GUIDE:
+            self._require_guide(task)
         readings = tasks[task]()
         self._done[f"{task} {trajectory}"] += 1
         return readings
+
+    def _require_guide(self, task: str) -> None:
+        """Raise TaskRefused unless a guide is mounted: nothing else has a bore to work through."""
+        none, head, guide = tool_numbers(self._world.scene)
+        if (mounted := self._world.mounted_tool()) in (none, head):
+            raise TaskRefused(
+                f"{task} is done through the guide, tool {guide}; mounted is "
+                f"{'no tool' if mounted == none else f'the stereo head, tool {head}'}",
+                f"Mount the guide first: ronna-sim mount {guide}.",
+            )
 
     def _set_stop(self, trajectory: str, setting_mm: float) -> Readings:
         scene = self._world.scene

@@ -22,8 +22,8 @@ from ronna_hw.bounded_input import check_json
 from ronna_hw.clock import CLOCK, SharedClock
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.shared_memory import MemoryMap, text
+from ronna_hw.wire.room_tasks import OnStand
 from sim.errors import WorldUnavailable
-from sim.world.options import OnStand
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Numbers6, Scene, parse_scene_json
 

@@ -58,7 +58,7 @@ def test_nothing_is_hidden_on_a_phone_and_all_of_it_can_be_read(page: Any, repor
 def test_the_verdict_is_on_the_first_screen_of_a_phone(page: Any, report: Path) -> None:
     page.set_viewport_size(PHONE_PX)
     page.goto(report.as_uri())
-    verdict = page.locator("td.within").first.bounding_box()
+    verdict = page.locator("td.ok").first.bounding_box()
     assert verdict["y"] + verdict["height"] < PHONE_PX["height"]
 
 

@@ -21,6 +21,7 @@ from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import preview_motions
 from procedures.planning.paths import check_paths
+from procedures.planning.pose_name import GAUGE
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import find_strategy
@@ -122,7 +123,7 @@ def test_a_gauge_within_the_margin_is_refused_before_anything_moves() -> None:
     gauge_rad = (*HOME[:4], ARM.upper_rad[4] - math.radians(20.0), HOME[5])
     setting = replace(_setting(limits), gauge_rad=gauge_rad)
     check = choose_free_angles(setting, TRAJECTORIES, FIDUCIALS, SIGHT).check
-    assert [one.pose for one in check.unmet] == ["gauge"]
+    assert [one.pose for one in check.unmet] == [GAUGE]
     assert "ARM-003" in check.unmet[0].reason
 
 

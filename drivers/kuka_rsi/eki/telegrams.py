@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.bounded_input import InputRefused, parse_xml
+from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import (
@@ -220,7 +221,7 @@ def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[Opera
     if state.mode not in modes:
         unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
     if state.emergency_stop:
-        unmet.append("emergency stop is active")
+        unmet.append(f"{EMERGENCY_STOP} is active")
     if state.guard_open:
         unmet.append("the guard is open")
     if state.error:

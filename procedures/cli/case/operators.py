@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import sys
 import termios
@@ -14,13 +15,16 @@ from typing import TYPE_CHECKING
 from typer import style
 
 from procedures.operator.question import (
+    HELP,
     MOST_MISREAD,
     Answer,
     Question,
+    ReadBack,
     join_answers,
     pick_answer,
     tries_left,
 )
+from procedures.runs.orders import COMMANDS
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.text import printable, printable_lines
 
@@ -28,10 +32,12 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
+LONGEST_PART = 4096  # bytes; a terminal hands over no longer line
 ADVICE = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
 WritePrompt = Callable[[str], None]  # a prompt
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
-HELP = "help"  # at a question: what can be typed
+LEAVING = "Ctrl-C twice ends the command"  # while a question is open
+NOT_HERE = frozenset((*COMMANDS, "exit", "q"))  # typed at a prompt, not at a question
 RULE = f"Answers count in full, in upper or lower case; {HELP} explains those of a question."
 
 
@@ -78,19 +84,35 @@ def forget_typed() -> None:
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-def await_input(alarms: Alarms, deadline_s: float | None = None) -> tuple[bool, list[str]]:
-    """Wait for input, an alarm or the deadline; return whether a line is ready, and any new alarm lines.
+def await_line(alarms: Alarms, deadline_s: float | None = None) -> tuple[str | None, list[str]]:
+    """Wait for a whole line, an alarm or the deadline; return the line, or None, and any new alarm lines.
 
-    Input typed before an alarm is discarded: it was typed without knowing of it.
+    The line is empty at the end of the input; one that was not finished counts for nothing. Input typed
+    before an alarm, also the start of a line, is discarded: it was typed without knowing of it.
     """
+    typed = b""
     while True:
         remaining_s = LOOK_AGAIN_S if deadline_s is None else max(0.0, deadline_s - time.monotonic())
         ready, _, _ = select.select([sys.stdin], [], [], min(remaining_s, LOOK_AGAIN_S))
+        part = _read_part() if ready else None
         if news := alarms.take_new_lines():
             forget_typed()
             sys.stderr.write("\n")  # the prompt is still there
-        if ready or news or (deadline_s is not None and time.monotonic() >= deadline_s):
-            return bool(ready), news
+            return None, news
+        if part is not None:
+            typed = typed + part if part else b""
+            if not part or typed.endswith(b"\n"):
+                return typed.decode(errors="replace"), []
+        if deadline_s is not None and time.monotonic() >= deadline_s:
+            return None, []
+
+
+def _read_part() -> bytes:
+    """Read what the terminal hands over: a line, or part of one after Ctrl-D; empty if it has ended."""
+    try:
+        return os.read(sys.stdin.fileno(), LONGEST_PART)
+    except OSError:  # the terminal is gone
+        return b""
 
 
 def write_prompt(prompt: str) -> None:
@@ -132,34 +154,63 @@ class TerminalOperator:
                 self._knows_rule = True
             sys.stderr.write(_describe_question(question))
             self._alarms.begin()
-            misread_before = 0
             while typed := read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
                 if (word := pick_answer(typed, question.answers)) is None:
                     if pick_answer(typed, (HELP,)) is not None:
                         _explain(question)
                         continue
-                    say_line(f"{typed!r} is not an answer: type {join_answers(question.answers)} in full.")
+                    say_line(
+                        f"{typed!r} is not an answer: type {join_answers(question.answers)} in full."
+                        f"{_how_to_leave(typed)}"
+                    )
                     continue
                 if word != question.answers[0] or read_back is None:
                     return Answer(word)
-                if not (typed := read_typed(write, read_back.what, deadline_s, self._alarms)):
-                    break
-                if read_back.fits(typed):
-                    return Answer(word, typed)
-                question.misread()
-                misread_before += 1
-                wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
-                if misread_before == MOST_MISREAD:
-                    say_line(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
-                    return silence
-                say_line(
-                    f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop; "
-                    f"{tries_left(misread_before)}."
-                )
+                if (answer := self._read_back(write, question, read_back, deadline_s)) is not None:
+                    return answer
+                break
             if deadline_s is not None and time.monotonic() >= deadline_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 say_line(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
             return silence
+
+    def _read_back(
+        self, write: WritePrompt, question: Question, read_back: ReadBack, deadline_s: float | None
+    ) -> Answer | None:
+        """Ask for the value after the first answer, until it or another answer is typed, or no try is left.
+
+        None if time is out or the terminal is gone.
+        """
+        others = question.answers[1:]
+        misread = 0
+        while typed := read_typed(write, read_back.what, deadline_s, self._alarms):
+            if read_back.fits(typed):
+                return Answer(question.answers[0], typed)
+            if (word := pick_answer(typed, others)) is not None:
+                return Answer(word)
+            if pick_answer(typed, (HELP,)) is not None:
+                say_line(f"Type {read_back.what}, or {join_answers(others)} to stop.")
+                _explain_ending(question)
+                continue
+            if leave := _how_to_leave(typed):
+                say_line(
+                    f"{typed!r} is no value: type {read_back.what}, or {join_answers(others)} to stop.{leave}"
+                )
+                continue
+            question.misread()
+            misread += 1
+            wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
+            if misread == MOST_MISREAD:
+                say_line(f"{wrong} {MOST_MISREAD} wrong values count as {question.silence!r}.")
+                return Answer(question.silence)
+            say_line(f"{wrong} Type it again, or {join_answers(others)} to stop; {tries_left(misread)}.")
+        return None
+
+
+def _how_to_leave(typed: str) -> str:
+    """Return what to do for a command typed at a question, where it does nothing; empty for other words."""
+    command = " ".join(typed.split()[:1]).casefold()
+    return f" Commands such as {command} count after the question; {LEAVING}." if command in NOT_HERE else ""
 
 
 def say_line(line: str) -> None:
@@ -168,10 +219,16 @@ def say_line(line: str) -> None:
 
 
 def _explain(question: Question) -> None:
-    """Write what can be typed at a question, and what counts without an answer."""
+    """Write what can be typed at a question, how to leave it, and what counts without an answer."""
     say_line(f"Type {join_answers(question.answers)}.")
     if question.read_back is not None:
         say_line(f"After {question.answers[0]!r}, type {question.read_back.what}.")
+    _explain_ending(question)
+
+
+def _explain_ending(question: Question) -> None:
+    """Write how to leave a question, and what counts without an answer."""
+    say_line(f"Commands count after the question; {LEAVING}.")
     if question.timeout_s is None:
         say_line(f"It waits until it is answered; the end of the input counts as {question.silence!r}.")
     else:
@@ -187,7 +244,7 @@ def _describe_question(question: Question) -> str:
         printable(question.subject),
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
-        *(f"  {predicted.verdict}" for predicted in question.predicted[:1]),
+        *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
         *(
             f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
             for picture in question.pictures
@@ -218,10 +275,9 @@ def read_typed(
         for fault_line in news:
             say_line(fault_line)
         write(f"Type {what}{alarms.note}: ")
-        ready, news = await_input(alarms, deadline_s)
+        line, news = await_line(alarms, deadline_s)
         if news:
             continue
-        line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
-            return line.strip()
+            return (line or "").strip()
         say_line("Nothing was typed.")

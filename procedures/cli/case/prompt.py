@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import Say, carry_out, continue_hint, read_command, why_not_skipped
-from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_input, forget_typed, plain_prompt
+from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_line, forget_typed, plain_prompt
 from procedures.cli.case.staff import WORDS
 from procedures.engine.errors import UnknownStep
 from procedures.engine.states import ABORTED
@@ -188,7 +188,7 @@ class Prompt:
         """Return the hint on how to continue the case at this prompt."""
         if self._resumes:
             return "resume continues, next does one step"
-        return continue_hint(engine, "next continues")
+        return continue_hint(engine, f"next runs {engine.upcoming}")
 
     def _print_resume_hint(self, engine: Engine) -> None:
         if not engine.machine.ended:
@@ -207,23 +207,25 @@ class Prompt:
     def _read_line(self, words: str) -> str | None:
         with self._asking() as write:
             if on_terminal(sys.stdin):
-                self._await_line(words, write)
-            line = (self._piped or sys.stdin).readline()
+                line = self._await_line(words, write)
+            else:
+                line = (self._piped or sys.stdin).readline()
             self.input_ended = not line
             return line or None
 
-    def _await_line(self, words: str, write: WritePrompt) -> None:
+    def _await_line(self, words: str, write: WritePrompt) -> str:
         """Show the prompt until a line is typed, repeating it after each new fault."""
-        is_typed, news = False, self._alarms.take_new_lines()
+        news = self._alarms.take_new_lines()
         if news:
             forget_typed()
             words = words or self._words  # it was shown before
-        while not is_typed:
+        while True:
             for message in news:
                 self._say(message)
             write(words)
-            is_typed, news = await_input(self._alarms)
-            is_typed = is_typed and not news
+            line, news = await_line(self._alarms)
+            if line is not None:
+                return line
 
 
 def _command_of(line: str) -> tuple[str, str]:

@@ -107,7 +107,7 @@ def join_reads(reads: Sequence[str]) -> str:
 
 
 def _alike(words: Sequence[Sequence[str]], most: int) -> int:
-    """Return how many first words, at most `most`, are the same in all."""
+    """Length of the common prefix, at most `most`."""
     for count in range(most):
         if len({each[count] for each in words}) > 1:
             return count

@@ -1,4 +1,4 @@
-"""The room's staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
+"""The theatre staff at the terminal: told what to do or, in a rehearsal, acting on a typed word.
 
 A word has one task done in the simulated room, and only while the case waits for that task.
 """
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.operators import (
-    HELP,
     Alarms,
     Asking,
     TerminalOperator,
@@ -23,20 +22,20 @@ from procedures.cli.case.operators import (
     say_line,
 )
 from procedures.cli.case.readings import join_reads, read_values
-from procedures.operator.question import NOBODY, Room, Task, join_answers, pick_answer
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import HELP, NOBODY, Room, Task, join_answers, pick_answer
 from procedures.runs.observers import RunObservers
 from ronna_hw.control_port import VARIABLE, ControlRequestRefused
 from ronna_hw.text import parse_typed_number, printable
-from ronna_hw.wire import room_tasks
+from ronna_hw.wire.room_tasks import DEPTH_STOP, OUT, TASKS, OnStand
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 MOUNT, STAND = "mount", "stand"
-TASKS = frozenset(word for name, word in vars(room_tasks).items() if name.isupper())
-WORDS = TASKS | {MOUNT, STAND}  # of manual work
-STAND_HOLDS = ("ball", "divot", "nothing")
-SETTABLE = (room_tasks.DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
+WORDS = frozenset(TASKS) | {MOUNT, STAND}  # of manual work
+STAND_HOLDS = tuple(OnStand)
+SETTABLE = (DEPTH_STOP,)  # tasks whose number a person may set otherwise than was asked
 UNIT = "mm"
 NO_CONTROL = (
     f'ronna-sim needs {VARIABLE}, which eval "$(ronna-sim env THEATRE-FOLDER)" sets in that terminal. Set '
@@ -161,7 +160,11 @@ class WordedRoom:
             self._have_done(write, due)
 
     def work(self, task: Task) -> Readings:
-        """Have a task done by its word, and read what its scales show; empty if nobody does it."""
+        """Perform the task when its command is typed and return the readings; empty if declined.
+
+        Raises PRO-002 if nobody takes the instrument out: an `out` at the question that follows would say
+        that it is, and the arm would move with it inside.
+        """
 
         def carry_out(arguments: Sequence[str]) -> tuple[str, Readings]:
             numbers = _numbers(task, arguments)
@@ -174,6 +177,12 @@ class WordedRoom:
         with self._asking() as write:
             say_line(_as_order(task))
             shown = self._have_done(write, due)
+            if shown is None and task.name == OUT:
+                raise NotConfirmed(
+                    f"nobody has done this: {task.subject}; nothing moves",
+                    expected=f"the word {task.name}, which has it done",
+                    action="Repeat the step or send the arm home, and type that word.",
+                )
             if shown:
                 what = join_reads(task.reads) or "the scales"
                 say_line(f"You read off {what}: {' '.join(f'{value:g}' for value in shown)}")

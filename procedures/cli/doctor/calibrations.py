@@ -12,6 +12,7 @@ from pathlib import Path
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
 from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_consistent_arm
 from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
+from procedures.runs.edited_records import edited_records
 from ronna_hw.calibrated_arm.error_budget import (
     LINK_TRANSLATION_MM,
     UNCALIBRATED_MM,
@@ -19,6 +20,7 @@ from ronna_hw.calibrated_arm.error_budget import (
     arm_error_mm,
 )
 from ronna_hw.calibration import CalibrationExpired
+from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
@@ -68,6 +70,25 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
             f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}",
             renewal if expires_soon else "",
             command=command if expires_soon else "",
+        )
+
+
+def history_diagnostics(path: Path) -> Iterator[Diagnostic]:
+    """Warn of records edited by hand under a former identifier, and of a history that was changed."""
+    try:
+        edited = edited_records(path)
+    except (OSError, RonnaError) as problem:
+        error = as_ronna_error(problem)
+        yield Diagnostic("history", True, f"{error.code} {error.summary}", error.advice)
+        return
+    command = f"ronna-procedure theatre-history {shlex.quote(str(path))}"
+    for one in edited:
+        yield Diagnostic(
+            f"record {one.place}",
+            True,
+            f"{one.identifier} is not as it was put in ({one.since}): {', '.join(one.fields)} edited by hand",
+            "Put the former values back, or measure again: a new record has an identifier of its own.",
+            command=command,
         )
 
 

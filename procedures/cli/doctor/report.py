@@ -10,7 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
+from procedures.cli.doctor.calibrations import (
+    calibration_diagnostics,
+    history_diagnostics,
+    setting_diagnostics,
+    tool_diagnostics,
+)
 from procedures.cli.doctor.findings_text import findings_text
 from procedures.cli.doctor.inspection import STEREO, advise_on_serials, frame_diagnostics, inspection
 from procedures.cli.doctor.theatre_checks import (
@@ -138,6 +143,7 @@ def examine(
             *calibration_diagnostics(file, config, now),
             *tool_diagnostics(file, config, now),
             *setting_diagnostics(file),
+            *history_diagnostics(config),
         )
         case = (*use_diagnostics(config), *case_diagnostics(file, out))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):

@@ -13,11 +13,13 @@ from procedures.engine.events import CaseState, Event, Questioned, Refusal, Sign
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.ending import Ending, resumes, run_ending
+from procedures.reporting.ending import resumes
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.runs.folders import find_folders_of_runs, find_run_holder, find_runs
+from procedures.reporting.tables import target_rows
+from procedures.runs.folders import find_folders_of_runs, find_runs
+from procedures.runs.loaded_run import find_ending
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
@@ -88,8 +90,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     for target in row["targets"]:
         error_mm = target["application_error_mm"]
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
-        if error_mm is not None and error_mm > target["limit_mm"]:
-            known += f": more than the limit of {target['limit_mm']:.3f} mm that the operator accepted"
+        if target["verdict"]:
+            known += f", margin {target['margin_mm']:g} mm: {target['verdict']}"
         say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
@@ -122,11 +124,8 @@ def _largest_error(row: dict[str, Any]) -> str:
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
     run = reading.run
-    ending = run_ending(run.journal)
-    running = find_run_holder(reading.folder) if ending.word == "killed" else None
-    if running is not None:
-        ending = Ending("running", f"{running} has it open.")
-    errors_mm = {} if truth is None else {one.id: one.application_error_mm for one in truth.targets}
+    ending = find_ending(reading, truth)
+    errors_mm = () if truth is None else [one.application_error_mm for one in truth.targets]
     return {
         "run": reading.folder.resolve().name,
         "theatre": run.opened.get("theatre"),
@@ -144,15 +143,16 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         "superseded": sorted(run.superseded),
         "targets": [
             {
-                "id": predicted.target,
-                "predicted_tre_mm": predicted.rms_mm,
-                "limit_mm": predicted.limit_mm,
-                "application_error_mm": errors_mm.get(predicted.target),
+                "id": one.target,
+                "predicted_tre_mm": one.predicted.rms_mm,
+                "limit_mm": one.predicted.limit_mm,
+                "application_error_mm": one.error_mm,
+                "margin_mm": one.margin_mm,
+                "verdict": one.verdict,
             }
-            for used in reading.registrations
-            for predicted in used.predictions
+            for one in target_rows(reading, truth or Truth())
         ],
-        "max_application_error_mm": max(errors_mm.values(), default=None),
+        "max_application_error_mm": max(errors_mm, default=None),
     }
 
 

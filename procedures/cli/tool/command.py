@@ -126,9 +126,10 @@ def renew(
 def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
     from ronna_hw.devices.lifecycle import require_person
 
-    made = datetime.now(UTC).replace(microsecond=0)
+    now = datetime.now(UTC)
+    made = now.replace(microsecond=0)
     return {
-        "identifier": f"{name}-{made:%Y%m%dT%H%M%S}",
+        "identifier": f"{name}-{now:%Y%m%dT%H%M%S.%f}",  # two in the same second are two records
         "created": made,
         "expires": made + timedelta(days=days),
         "made_by": require_person(by),
@@ -138,13 +139,24 @@ def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
 def _update(config: Path, name: str, record: dict[str, Any], command: str, *, as_json: bool) -> None:
     from procedures.runs.theatre_history import Signature, update_tables
     from procedures.runs.theatre_lock import require_free_theatre
+    from ronna_hw.config import read_theatre_file
 
     require_free_theatre(config)  # a run would find its records changed
+    former = read_theatre_file(config).tools.get(name)
+    replaced = None if former is None else former.identifier
     update_tables(config, {"tools": {name: record}}, Signature(command, by=record["made_by"]))
     if as_json:
-        terminal.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(config)})
+        terminal.print_json(
+            {
+                "name": name,
+                "identifier": record["identifier"],
+                "replaced": replaced,
+                "theatre_file": str(config),
+            }
+        )
     else:
-        terminal.say(f"{record['identifier']} is now in {config}; until {record['expires']:%Y-%m-%d}")
+        place = f"{config}" if replaced is None else f"{config} instead of {replaced}"
+        terminal.say(f"{record['identifier']} is now in {place}; until {record['expires']:%Y-%m-%d}")
 
 
 @app.command()

@@ -241,6 +241,19 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
         yield one.section, one.device, one.call, TimedValue(one.theatre_time_s, one.load())
 
 
+def describe_torn_end(run: Path) -> str:
+    """Say that the last line of a run's tape is not JSON, as a kill leaves it; else empty. Raises INP-001."""
+    name = f"{READINGS_FOLDER}/{READINGS_FILE}"
+    try:
+        lines = read_json_lines(run / name).rstrip().splitlines()
+        parse_json(lines[-1] if lines else b"{}")
+    except OSError as error:
+        return f"{name}: cannot be read: {error.strerror}"
+    except ValueError:
+        return f"{name}: line {len(lines)}, the last, is torn or no JSON; it is not read"
+    return ""
+
+
 def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
     """Yield openings and answers in order, skipping lines torn when a process was killed."""
     try:

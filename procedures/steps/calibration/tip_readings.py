@@ -43,13 +43,11 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, build_free_surroundings, build_stand
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.wire.room_tasks import DIALS
+from ronna_hw.wire.room_tasks import DIALS, OnStand
 
-BALL = "ball"
 TILT_RAD = float(np.radians(25.0))
 TURN_RAD = float(np.radians(40.0))
 Array = NDArray[np.float64]
-DIVOT = "divot"
 HOVER_MM = 40.0  # back along the guide, before and after the divot
 READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
@@ -68,7 +66,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
     plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
-    context.setting.room.prepare_stand(BALL)
+    context.setting.room.prepare_stand(OnStand.BALL)
     context.confirm(
         Topic.CALIBRATION,
         "the stand is screwed down and its ball is seated",
@@ -169,7 +167,7 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     context.request_instrument_removal()  # of an earlier attempt
     place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
     number = exchange_tool(context, MountedTool.GUIDE)
-    context.setting.room.prepare_stand(DIVOT)
+    context.setting.room.prepare_stand(OnStand.DIVOT)
     context.confirm(
         Topic.CALIBRATION,
         f"The arm will move the tip of tool {number} to where the ball was, in {len(stand.looks)} "

@@ -36,6 +36,10 @@ from ronna_hw.wire.room_tasks import TOUCH
 Array = NDArray[np.float64]
 
 FARTHEST_MM = 3000.0  # of a head from the arm's base
+READ_AGAIN = (
+    "The reading may be mistyped, not in mm, or of another point: repeat the step, touch the point and read "
+    "it again. If it stays elsewhere, do not continue with this CT."
+)
 
 
 class TouchedLandmark(Values):
@@ -147,13 +151,17 @@ def _touch_if_mirrored(
             plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
         )
     )
-    off_mm = float(np.linalg.norm(landmark.matched_mm - (x_mm, y_mm, z_mm)))
+    touched_mm = np.array([x_mm, y_mm, z_mm])
+    off_mm = float(np.linalg.norm(landmark.matched_mm - touched_mm))
     if off_mm > landmark.limit_mm:
+        mirrored_ct = landmark.may_be_mirrored(touched_mm)
+        nor = "" if mirrored_ct else ", nor where a mirrored CT would have it"
         raise HeadElsewhere(
-            f"the {landmark.name} is not where the match has it",
+            f"the {landmark.name} is not where the match has it{nor}",
             expected=_format_point(landmark.matched_mm),
             limit=f"{landmark.limit_mm:.0f} mm",
-            got=f"{_format_point((x_mm, y_mm, z_mm))}, {off_mm:.0f} mm away",
+            got=f"{_format_point(touched_mm)}, {off_mm:.0f} mm away",
+            action=None if mirrored_ct else READ_AGAIN,
         )
     return TouchedLandmark(
         landmark=landmark.name,

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, PlainSerializer, PlainValidator
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -27,8 +28,9 @@ from procedures.planning.free_angle import (
 from procedures.planning.guide import place_guides
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, preview_motions
+from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.target_error import choose_best_strategies
-from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
+from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, strategy_answer
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -49,7 +51,13 @@ from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 Array = NDArray[np.float64]
 
 
-SPHERE = "/fiducial "  # in the name of a pose, before its number
+def _read_pose(value: object) -> PoseName:
+    return value if isinstance(value, PoseName) else PoseName.parse(str(value))
+
+
+RecordedPose = Annotated[
+    PoseName, PlainValidator(_read_pose, json_schema_input_type=str), PlainSerializer(str, str)
+]
 
 
 class ClosestApproach(Values):
@@ -71,8 +79,8 @@ class ClosestApproach(Values):
 class MotionPreview(Values):
     """Preview of a motion from one named pose to another."""
 
-    start: str = Field(description="Name of the pose it begins at.")
-    end: str = Field(description="Name of the pose it ends at.")
+    start: RecordedPose = Field(description="Name of the pose it begins at.")
+    end: RecordedPose = Field(description="Name of the pose it ends at.")
     kind: str = Field(description="`move` of the joints, straight `line`, or `back` on it.")
     duration_s: float = Field(description="Duration at the intended speed.")
     clear: bool = Field(description="Whether every body keeps enough clearance.")
@@ -102,8 +110,11 @@ class MotionPreview(Values):
 
 def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
     """Return the motions of one localization, home moves included, for a trajectory or for the whole case."""
-    own = f"{trajectory}/" if trajectory else ""
-    over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
+    over = [
+        place
+        for place, one in enumerate(motions)
+        if one.end.kind is PoseKind.FIDUCIAL and trajectory in (None, one.end.trajectory)
+    ]
     return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
@@ -258,20 +269,20 @@ def _build_localizations(check: PathCheck, matched: list[int]) -> dict[str, tupl
     poses: dict[str, tuple[LocalizationPose, ...]] = {}
     for reached in check.reached:
         visit = reached.visit
-        if visit.kind is VisitKind.LOCALIZATION and visit.fiducial is not None:
+        if visit.name.kind is PoseKind.FIDUCIAL and visit.name.fiducial is not None:
             pose = LocalizationPose(
-                fiducial=matched[visit.fiducial],
+                fiducial=matched[visit.name.fiducial],
                 tool_pose=FramedPose.of(visit.pose),
                 approach_rad=reached.approach_rad,
                 joints_rad=reached.at_rad,
             )
-            poses[visit.trajectory] = (*poses.get(visit.trajectory, ()), pose)
+            poses[visit.name.trajectory] = (*poses.get(visit.name.trajectory, ()), pose)
     return poses
 
 
 def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
     return {
-        reached.visit.trajectory: TargetPose(
+        reached.visit.name.trajectory: TargetPose(
             tool_pose=FramedPose.of(reached.visit.pose),
             approach_rad=reached.approach_rad,
             joints_rad=reached.at_rad,
@@ -280,7 +291,7 @@ def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPos
             ),
         )
         for reached in check.reached
-        if reached.visit.kind is VisitKind.TARGET
+        if reached.visit.name.kind is PoseKind.TARGET
     }
 
 

@@ -15,6 +15,7 @@ from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import undetected_changes_mm
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
+from procedures.operator.margin import MarginVerdict
 from procedures.operator.question import Picture, PredictedError, Question, Topic
 from procedures.planning.guide import (
     DIRECTION,
@@ -222,7 +223,7 @@ def _exclude_beyond_margin(
     left_out: dict[str, str] = {}
     for predicted in predictions:
         trajectory = plan.trajectory(predicted.target)
-        if predicted.rms_mm <= trajectory.margin_mm:
+        if predicted.against(trajectory.margin_mm).verdict is not MarginVerdict.PREDICTED_BEYOND:
             continue
         refusal = GateFailed(
             f"the predicted error at {trajectory.id} exceeds the plan's margin (margin_mm in plan.toml)",
@@ -252,13 +253,7 @@ def _against_margins(
 ) -> tuple[PredictedError, ...]:
     """Set the predictions of a registration against the plan's margins, the one that is decided on first."""
     return tuple(
-        PredictedError(
-            target=one.target,
-            rms_mm=one.rms_mm,
-            limit_mm=one.limit_mm,
-            confidence=one.confidence,
-            margin_mm=plan.trajectory(one.target).margin_mm,
-        )
+        one.against(plan.trajectory(one.target).margin_mm)
         for one in sorted(predictions, key=lambda one: one is not first)
     )
 

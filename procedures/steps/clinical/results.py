@@ -17,6 +17,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 from procedures.engine.context import StepContext
 from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult, Values
+from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
 from ronna_hw.calibration import Numbers3
 
@@ -96,6 +97,12 @@ class Prediction(Values):
     assumed: str = Field(
         default="", description="Errors that a method does not state, and what stands for them."
     )
+
+    def against(self, margin_mm: float) -> PredictedError:
+        """Set the prediction against the margin of the plan."""
+        return PredictedError(
+            margin_mm=margin_mm, **self.model_dump(include=set(PredictedError.model_fields))
+        )
 
 
 class FollowedMove(Values):

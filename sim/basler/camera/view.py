@@ -9,13 +9,13 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.wire.room_tasks import OnStand
 from sim.basler.optics.film import draw_stains
 from sim.basler.optics.picture import CLEAR, Disturbance, Glare, Occluder
 from sim.basler.optics.sphere import Sphere
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, spheres_in_theatre
 from sim.world.faults import Fault, FaultBoard
 from sim.world.noise import noise
-from sim.world.options import OnStand
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
 from sim.world.world import World

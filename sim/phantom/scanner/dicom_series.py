@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.phantom_identity import format_patient_id
 from ronna_hw.records import write_atomically
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
@@ -129,7 +130,8 @@ class DicomSeries:
         data.Modality = "CT"
         data.Manufacturer = "ronna-sim phantom"
         data.StudyDescription = data.SeriesDescription = self._described
-        data.PatientName, data.PatientID = "Phantom^Head", f"{self._scene.name}-{self._scene.seed}"[:64]
+        data.PatientName = "Phantom^Head"
+        data.PatientID = format_patient_id(self._scene.name, self._scene.seed)
         data.PatientBirthDate = data.PatientSex = ""
         data.BodyPartExamined = "HEAD"
         data.KVP = "120"

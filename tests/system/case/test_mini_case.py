@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pydicom
 import pytest
-from documented import execute_notebook, final_sentence, python_of
+from documented import python_of
 from pseudo_terminal import Terminal
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
@@ -96,15 +96,6 @@ def test_the_run_loads_as_arrays_that_agree_with_its_outcome_and_its_records(fin
     assert len(run.looks) == len(run.pictures) == run.localized.looks.sum()
     assert np.isfinite(run.motions.end_s).all()
     assert (run.events.number[1:] >= run.events.number[:-1]).all()
-
-
-@pytest.mark.slow
-def test_the_notebook_on_one_case_reads_it_from_the_ct_to_the_error(
-    finished: MiniRun, tmp_path: Path
-) -> None:
-    (tmp_path / "runs").symlink_to(finished.out)
-    cells = execute_notebook("one-case.ipynb", tmp_path)
-    assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
 
 
 @pytest.mark.slow

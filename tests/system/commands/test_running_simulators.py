@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
 import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from user_commands import Commands
+from user_commands import Commands, in_this_process, one_error
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
-from sim.errors import NotRunning
+from sim.cli import app as ronna_sim
+from sim.errors import NotRunning, RegisterNotOwn
 from sim.world import running
 from sim.world.running import (
+    NO_VARIABLES,
     RunningSimulator,
     find_running,
     list_running,
@@ -119,6 +124,9 @@ def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_ap
         find_running("cell")
     with pytest.raises(NotRunning, match="no simulator 'other'"):
         find_running("other")
+    (tmp_path / "b").mkdir()
+    monkeypatch.chdir(tmp_path / "b")
+    assert find_running("cell") is cells[1]  # that of this folder
 
 
 def test_the_entry_of_a_killed_simulator_is_removed(own_register: Path) -> None:
@@ -130,5 +138,74 @@ def test_the_entry_of_a_killed_simulator_is_removed(own_register: Path) -> None:
 def test_a_register_that_others_can_read_is_not_used(own_register: Path) -> None:
     own_register.mkdir()
     os.chmod(own_register, 0o755)
-    with pytest.raises(PermissionError, match="mode 700"):
+    with pytest.raises(RegisterNotOwn, match="mode 700") as refused:
         register_folder()
+    assert "XDG_RUNTIME_DIR" in refused.value.advice
+
+
+@pytest.fixture
+def held(own_register: Path) -> Iterator[Callable[[int, object], Path]]:
+    """Entries held by a living process, this one."""
+    open_files = []
+
+    def hold(number: int, entry: object) -> Path:
+        path = register_folder() / f"{number}.json"
+        path.write_text(json.dumps(entry))
+        file = path.open("rb")
+        fcntl.flock(file, fcntl.LOCK_EX)
+        open_files.append(file)
+        return path
+
+    yield hold
+    for file in open_files:
+        file.close()
+
+
+def entry(name: str, ready: object) -> dict[str, object]:
+    return {"name": name, "in_background": False, "folder": None, "ready": ready}
+
+
+def test_what_is_no_entry_is_skipped_and_named(
+    held: Callable[[int, object], Path], own_register: Path
+) -> None:
+    held(1, entry("polaris", {"device": "polaris", "endpoint": "serial:///dev/pts/9"}))
+    bad = [
+        held(number, content)
+        for number, content in (
+            (2, entry("no device", {})),
+            (3, entry("a list", {"device": "kuka", "endpoints": []})),
+            (4, entry("a number", {"device": "kuka", "endpoint": 4})),
+            (5, []),
+        )
+    ]
+    os.mkfifo(pipe := own_register / "9.json")
+    listed = in_this_process(ronna_sim, "list", "--json")
+    assert [one["name"] for one in json.loads(listed.stdout)["running"]] == ["polaris"]
+    assert all(path.name in listed.stderr for path in (*bad, pipe))
+    assert len(list(own_register.iterdir())) == 6
+
+
+def test_after_a_cell_that_does_not_run_the_eval_fails_and_no_variable_of_another_is_left() -> None:
+    refused = in_this_process(ronna_sim, "env", "theatre")
+    assert refused.returncode == EXIT_REFUSED
+    script = 'RONNA_CONTROL=old; eval "$1" && echo used; echo "${RONNA_CONTROL-none}"'
+    shown = subprocess.run(
+        ("sh", "-c", script, "sh", refused.stdout), capture_output=True, text=True, check=True
+    )
+    assert shown.stdout == "none\n"
+    assert set(variables_of(THEATRE)) <= set(NO_VARIABLES.removesuffix("; false").split())
+
+
+def test_the_theatre_of_a_run_is_registered_as_that_run(own_register: Path) -> None:
+    code = (
+        "import sys; from sim.world.running import *; "
+        f"register({THEATRE!r}, in_background=False, run='2026-case'); print(list_running()[0].name)"
+    )
+    shown = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=True)
+    assert shown.stdout == "2026-case\n"
+
+
+def test_a_theatre_is_not_started_in_a_folder_whose_name_acts_on_a_terminal(tmp_path: Path) -> None:
+    refused = in_this_process(ronna_sim, "theatre", "--detach", "--out", tmp_path / "a\n\x1b[2Jb")
+    assert one_error(refused.stderr)[0].startswith("CLI-005")
+    assert "\x1b[2J" not in refused.stderr

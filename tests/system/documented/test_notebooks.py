@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from documented import NOTEBOOKS, execute_notebook, final_sentence
+from undisturbed import undisturbed_mini_runs
 from user_commands import in_this_process
 
 from studies.cli import app
@@ -22,7 +23,14 @@ def test_the_committed_notebooks_have_no_output_and_begin_with_what_a_reader_nee
         assert not any(cell.get("outputs") for cell in others)
 
 
-@pytest.mark.slow
+def test_one_case_is_read_from_the_ct_to_the_error(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    (tmp_path / "runs").symlink_to(undisturbed_mini_runs(tmp_path_factory))
+    cells = execute_notebook("one-case.ipynb", tmp_path)
+    assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
+
+
 def test_tracker_noise_is_that_of_a_sphere_and_not_of_a_place_in_the_list(tmp_path: Path) -> None:
     cells = execute_notebook("tracker-noise.ipynb", tmp_path)
     assert "Along its line of sight" in final_sentence(cells)
@@ -32,7 +40,6 @@ def test_tracker_noise_is_that_of_a_sphere_and_not_of_a_place_in_the_list(tmp_pa
     assert "by place in the list: sd [[1" in text  # tens of millimetres
 
 
-@pytest.mark.slow
 def test_strategies_are_compared_arm_by_arm(tmp_path: Path) -> None:
     cells = execute_notebook("strategies.ipynb", tmp_path)
     assert "reduces the mean error by" in final_sentence(cells)
@@ -64,19 +71,41 @@ def test_what_is_no_notebook_is_refused(name: str, content: str | None, code: st
     assert code in done.stderr
 
 
-@pytest.mark.slow
-def test_a_cell_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
-    cell = {
+def write_notebook(path: Path, source: str) -> Path:
+    """A notebook with this one cell."""
+    cell: dict[str, object] = {
         "cell_type": "code",
         "id": "a",
-        "source": "1 / 0",
+        "source": source,
         "metadata": {},
         "outputs": [],
         "execution_count": None,
     }
-    (tmp_path / "own.ipynb").write_text(
-        json.dumps({"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 5})
-    )
+    path.write_text(json.dumps({"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}))
+    return path
+
+
+def test_a_notebook_is_not_overwritten_by_its_executed_copy(tmp_path: Path) -> None:
+    path = write_notebook(tmp_path / "own.ipynb", "1")
+    before = path.read_bytes()
+    done = in_this_process(app, "notebook", path, "--out", tmp_path)
+    assert "CLI-005" in done.stderr
+    assert path.read_bytes() == before
+
+
+def test_a_cell_that_ends_its_kernel_leaves_no_process_and_names_no_time_limit(tmp_path: Path) -> None:
+    started = tmp_path / "started"
+    detach = f"sleep 600 </dev/null >/dev/null 2>&1 & echo $! > {started}"
+    source = f"import os, subprocess\nsubprocess.run(['setsid', 'sh', '-c', {detach!r}])\nos._exit(3)"
+    path = write_notebook(tmp_path / "own.ipynb", source)
+    done = in_this_process(app, "notebook", path, "--out", tmp_path / "out")
+    assert "STU-017" in done.stderr
+    assert "limit" not in done.stderr
+    assert not Path("/proc", started.read_text().strip()).exists()
+
+
+def test_a_cell_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
+    write_notebook(tmp_path / "own.ipynb", "1 / 0")
     done = in_this_process(app, "notebook", tmp_path / "own.ipynb", "--out", tmp_path / "out")
     assert "STU-017" in done.stderr
     assert "ZeroDivisionError" in done.stderr

@@ -80,6 +80,23 @@ def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(th
     assert "copy what this tool still has" in text
 
 
+def test_tools_defined_in_the_same_second_are_two_records(theatre: Path) -> None:
+    options = ("--config", theatre, "--purpose", "gripper", *PLAIN)
+    in_this_process(app, "define", "cutter", *options)
+    former = read_theatre_file(theatre).tools["cutter"].identifier
+    done = in_this_process(app, "define", "cutter", *options)
+    assert read_theatre_file(theatre).tools["cutter"].identifier != former
+    assert f"instead of {former}" in " ".join(done.stdout.split())
+
+
+def test_a_name_with_control_characters_signs_nothing(theatre: Path) -> None:
+    options = ("--config", theatre, "--purpose", "gripper", *PLAIN)
+    for name in ("Bad\x1b[31mName", "Bad\nName", "Bad\u202eName"):
+        refused = in_this_process(app, "define", "cutter", *options, "--by", name)
+        assert (refused.returncode, "DEV-006" in refused.stderr) == (3, True), name
+    assert not history_path(theatre).exists()
+
+
 def test_a_tool_named_like_a_known_one_but_for_capitals_is_refused(theatre: Path) -> None:
     options = ("--config", theatre, "--purpose", "needle_guide")
     done = in_this_process(app, "define", "Guide", *options, *DEFINE)

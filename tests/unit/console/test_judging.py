@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,13 @@ from plan_editors import ENTRY, TARGET, scan
 from recording_cell import mini_theatre_file
 
 from console.planning.draft import Draft, DraftTrajectory
-from console.planning.judging import judge
+from console.planning.judging import Judgement, judge, page_advice
 from console.planning.reach_panel import tell_trajectories
+from procedures.imaging.errors import MarkerCountWrong
+from procedures.planning.errors import NoToolRecord, NotReachable
+from procedures.planning.pose_name import GAUGE, PoseKind, PoseName
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
+from procedures.planning.visits import Unmet
 from procedures.strategies.catalogue import find_strategy
 
 NEAR: SixNumbers = (700.0, 0.0, 100.0, -90.0, 0.0, -90.0)
@@ -54,10 +59,41 @@ def test_the_thorough_look_refuses_what_is_within_reach_and_too_near_the_head(tm
 
 def test_a_target_out_of_reach_still_has_the_error_that_the_markers_alone_predict(tmp_path: Path) -> None:
     judged = judge(DRAFT, scan(), arm_at(tmp_path, FAR), thorough=False)
-    assert [one for one in judged.unmet if one.pose.startswith("T1/")]
+    assert [one for one in judged.unmet if one.pose.trajectory == "T1"]
     (line,) = re.findall(r'<li class="bad" data-unreached="T1">(.*?)</li>', tell_trajectories(judged))
     assert line.startswith("T1: not within reach. The ")
     assert not re.search(r"fiducial|standoff_mm|ARM-|ronna-|--", line), "the check's names, not a surgeon's"
     alone = judge(DRAFT, scan(), None, thorough=True)
     assert judged.expected == alone.expected
     assert not judged.expected["T1"].with_arm
+
+
+UNMET = (
+    Unmet(PoseName(PoseKind.FIDUCIALS, "T1"), "no orientation [STR-001]", "no orientation"),
+    Unmet(PoseName(PoseKind.FIDUCIAL, "T1", 2), "out of range [ARM-003]", "out of range"),
+    Unmet(PoseName(PoseKind.TARGET, "T2"), "too far [ARM-001]", "too far"),
+    Unmet(
+        PoseName(PoseKind.FIDUCIAL, "neutral orientation", 0), "sphere 2 is in front", "marker 2 is in front"
+    ),
+    Unmet(GAUGE, "too near [ARM-007]", "too near"),
+)
+
+
+def test_the_reach_is_told_in_a_surgeons_words() -> None:
+    ways = tuple(DraftTrajectory(name, ENTRY, TARGET) for name in ("T1", "T2"))
+    judged = Judgement(replace(DRAFT, ways=ways), unmet=UNMET, is_reach_known=True, complete=True)
+    assert re.findall(r"<li.*?>(.*?)</li>", tell_trajectories(judged)) == [
+        "T1: not within reach. The stereo head does not get to the markers: no orientation; "
+        "nor to 1 more of its poses",
+        "T2: not within reach. The guide does not get to the target: too far",
+        "At marker 1: marker 2 is in front",
+        "At the gauge: too near",
+    ]
+
+
+def test_advice_on_the_page_is_whole_and_names_no_command() -> None:
+    whole = "Move the head; or choose a tool."
+    assert page_advice(NotReachable("too far", action=whole)) == whole
+    counted = page_advice(MarkerCountWrong("no marker found", candidates=()))
+    assert counted.endswith("scan again, or correct the expected count.")
+    assert page_advice(NoToolRecord("none")).startswith("Ask whoever set up this planner")

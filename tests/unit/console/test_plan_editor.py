@@ -301,7 +301,7 @@ def test_what_was_found_for_an_earlier_draft_is_not_told_as_that_of_the_current_
     for shown in (now, expected(found, editor.draft)):
         assert "Before the last change" in shown
         assert 'class="stale"' in shown
-    assert "exceeds the margin" not in expected(found, editor.draft)  # of the margin at that time
+    assert "rms within, limit beyond" in expected(found, editor.draft)  # of the margin at that time
 
 
 @pytest.mark.parametrize(

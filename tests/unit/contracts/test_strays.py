@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ronna_hw.devices.errors import BadStrays
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
-from ronna_hw.devices.stray_tracks import GATE_MM, UNKNOWN, identify_strays, track_strays
-from ronna_hw.devices.strays import average_strays, group_strays
+from ronna_hw.devices.stray_tracks import UNKNOWN, identify_strays, track_strays
+from ronna_hw.devices.strays import GATE_MM, average_strays, group_strays
 
 NOISE_MM = np.array([0.04, 0.04, 0.14])
 

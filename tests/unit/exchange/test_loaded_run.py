@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import procedures.registration
 import procedures.relocalization
 import ronna_hw
 from procedures.engine.case import Case, StepKey
+from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NoRegistration
@@ -38,7 +40,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import seal
 from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
-from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FOLDER, ReadingTape
+from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OtherVersion
 
 STAMP = Stamp(1, 4242, 1.25)
@@ -152,6 +154,37 @@ def test_readings_after_a_damaged_one_are_left_out_and_it_is_said(run: Path) -> 
     assert (len(loaded.strays), len(loaded.looks)) == (5, 0)
     assert any("PRO-024" in note for note in loaded.notes)
     assert "PRO-024" in repr(loaded)
+
+
+@pytest.mark.parametrize("name", [READINGS_FILE, PIXELS_FILE])
+def test_readings_changed_since_the_seal_are_noted_and_so_is_that_nothing_is_sealed(
+    run: Path, name: str
+) -> None:
+    assert any(note.startswith("seal.json: missing") for note in load_run(run).notes)
+    seal(run, {})
+    path = run / READINGS_FOLDER / name
+    for content, is_changed in ((path.read_bytes(), False), (path.read_bytes() + b"\n", True)):
+        path.write_bytes(content)
+        loaded = load_run(run)
+        assert len(loaded.strays) == 5
+        assert (f"{READINGS_FOLDER}/{name}: changed" in loaded.notes) == is_changed
+        assert (f"{name}: changed" in repr(loaded)) == is_changed
+        assert not any("seal" in note for note in loaded.notes)
+
+
+def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Path) -> None:
+    os.mkfifo(run / EVENTS_FILE)
+    with (run / READINGS_FOLDER / READINGS_FILE).open("ab") as tape:
+        tape.write(b"[" * 200_000)
+    loaded = load_run(run)
+    assert (len(loaded.events), len(loaded.strays)) == (0, 5)
+    assert f"{EVENTS_FILE}: replaced: not a regular file" in loaded.notes
+    assert any("the last, is torn" in note for note in loaded.notes)
+
+
+def test_an_unknown_column_names_the_nearest(run: Path) -> None:
+    with pytest.raises(AttributeError, match="no column error: did you mean error_mm"):
+        load_run(run).targets.error  # noqa: B018 - the access is what raises
 
 
 def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:

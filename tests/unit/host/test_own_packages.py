@@ -98,3 +98,17 @@ def test_files_that_another_distribution_replaced_or_removed_are_named(
     assert explained is not None
     assert explained.code == "CFG-003"
     assert "sim/cli.py; other has packages of the same names" in str(explained)
+
+
+@pytest.mark.parametrize(("link", "status", "said"), [(True, 0, "Usage"), (False, EXIT_USAGE, "CLI-001")])
+def test_a_command_called_by_another_name_is_found_through_the_link_or_refused(
+    link: bool, status: int, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "ronna-sim").touch()
+    called = tmp_path / "rsim"
+    called.symlink_to("ronna-sim") if link else called.touch()
+    code = f"import sys; sys.argv = [{str(called)!r}, '--help']; "
+    code += "from ronna_hw.command_line.launch import main; main()"
+    done = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
+    assert done.returncode == status
+    assert said in done.stdout + done.stderr

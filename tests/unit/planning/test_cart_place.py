@@ -14,6 +14,7 @@ from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import SENSORS_MM, StereoSight
+from procedures.planning.pose_name import GAUGE
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting, Axes, build_target_visit, list_localizations
 from procedures.strategies.catalogue import find_strategy
@@ -117,7 +118,7 @@ def test_a_position_from_which_the_guide_cannot_go_to_its_gauge_is_refused_by_ma
     assert (refused.serves, refused.pose) == (False, "gauge")
     assert "the lamp" in refused.reason
     check = choose_free_angles(setting, (ALONG,), FIDUCIALS, SIGHT).check
-    assert [one.pose for one in check.unmet] == ["gauge"]
+    assert [one.pose for one in check.unmet] == [GAUGE]
 
 
 @pytest.mark.hazard(48)

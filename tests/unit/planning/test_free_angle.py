@@ -58,14 +58,14 @@ def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera() -> None:
     spheres = _beside_the_line_of_sight()
     looks = visits(DOWN, spheres)
     found = SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))
-    reasons = {(one.pose, one.reason) for one in found}
+    reasons = {(str(one.pose), one.reason) for one in found}
     assert ("T1/fiducial 0", "sphere 4 is in front of or behind it in the right camera") in reasons
 
 
 def test_a_neighbour_behind_the_rim_counts_as_much_as_one_in_front() -> None:
     spheres = _beside_the_line_of_sight()
     looks = visits(DOWN, spheres)
-    hidden = {one.pose for one in SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))}
+    hidden = {str(one.pose) for one in SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))}
     assert "T1/fiducial 3" in hidden
 
 

@@ -15,8 +15,9 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import HOME, plan_motions, preview_motions
+from procedures.planning.motions import plan_motions, preview_motions
 from procedures.planning.paths import check_paths
+from procedures.planning.pose_name import HOME, PoseName
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import find_strategy
@@ -107,11 +108,11 @@ def test_every_motion_has_a_preview_that_can_be_recorded() -> None:
 @pytest.mark.hazard(5)
 def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
     free = check_paths(_setting(CollisionConfig()), TRAJECTORIES, FIDUCIALS)
-    x, y, z = free.at("T2/target").visit.approach.apply([0.0, 0.0, -120.0]).tolist()
+    x, y, z = free.at(PoseName.parse("T2/target")).visit.approach.apply([0.0, 0.0, -120.0]).tolist()
     setting = _setting(_with_body("arm of the clamp", (x, y, z), 20.0))
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert not check.passed
-    assert "T2/target" in {one.pose for one in check.unmet}
+    assert "T2/target" in {str(one.pose) for one in check.unmet}
     with pytest.raises(
         NotReachable, match=r"PLAN-007: .*T2/target: .* mm into the arm of the clamp, .*ARM-007"
     ):
@@ -123,13 +124,17 @@ def test_a_guide_held_too_close_to_the_head_is_refused_with_the_stand_off_and_a_
     first = TRAJECTORIES[0]
     close = first.with_rest(first.beyond_mm + 27.0, standoff_mm=3.0)
     setting = _setting(CollisionConfig())
+    check = check_paths(setting, (close,), FIDUCIALS)
     with pytest.raises(NotReachable) as caught:
-        check_paths(setting, (close,), FIDUCIALS).require()
+        check.require()
     said = str(caught.value)
     assert "T1/target: on the line to it the end of the guide runs" in said
     assert "mm into the head, where the guide is held, with the plan's standoff_mm of 3" in said
     assert "expected at least 10 mm between them" in said
     assert "limit" not in said
+    words = check.unmet[0].words
+    assert "mm into the head, where the guide is held, at a stand-off of 3 mm: expected at least" in words
+    assert "ARM-" not in words
 
 
 @pytest.mark.hazard(24)
@@ -137,7 +142,7 @@ def test_another_angle_about_the_axis_is_chosen_when_the_planned_one_is_not_clea
     free = _setting(CollisionConfig())
     own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
     # A drip stand where the mount would be, beside the tool.
-    place = own.at("T1/target").visit.pose.apply([-130.0, 0.0, -120.0]).tolist()
+    place = own.at(PoseName.parse("T1/target")).visit.pose.apply([-130.0, 0.0, -120.0]).tolist()
     setting = _setting(_with_body("drip stand", (place[0], place[1], place[2]), 15.0))
     assert not check_paths(setting, TRAJECTORIES[:1], FIDUCIALS).passed
     far_aside = StereoSight(np.array([0.0, -115.0, -222.0]), np.array([0.0, 115.0, -222.0]))
@@ -171,5 +176,5 @@ def test_a_body_at_home_is_reported_under_a_planned_pose() -> None:
     setting = _setting(_with_body("lamp", above, 40.0))
     check = check_paths(setting, TRAJECTORIES[:1], FIDUCIALS[:1])
     assert not check.passed
-    assert {one.pose for one in check.unmet} <= {"T1/fiducial 0", "T1/target"}
+    assert {str(one.pose) for one in check.unmet} <= {"T1/fiducial 0", "T1/target"}
     assert any("lamp" in one.reason for one in check.unmet)

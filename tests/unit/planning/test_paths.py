@@ -11,7 +11,8 @@ from ur5 import Ur5
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import WristState
 from procedures.planning.paths import check_paths, rank_branches
-from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, list_visits
+from procedures.planning.pose_name import PoseKind, PoseName
+from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
@@ -33,8 +34,29 @@ def checked(make_arm):
     return check_paths(make_arm(), TRAJECTORIES, FIDUCIALS)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("T1/fiducial 2", "sphere 3"),
+        ("neutral orientation/fiducials", "the spheres"),
+        ("T1/target", "the target"),
+        ("home", "home"),
+        ("gauge", "the gauge"),
+    ],
+)
+def test_a_pose_keeps_its_text_in_records_and_is_worded_for_people(text: str, words: str) -> None:
+    name = PoseName.parse(text)
+    assert (str(name), name.in_sentence()) == (text, words)
+
+
+@pytest.mark.parametrize("text", ["", "T1", "T1/fiducial 02", "T1/fiducial two", "T1/target ", "/target"])
+def test_a_text_that_names_no_pose_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"pose|PoseKind|int"):
+        PoseName.parse(text)
+
+
 def test_every_localization_and_target_is_visited_in_order(make_arm):
-    assert [one.identifier for one in visits(make_arm())] == [
+    assert [str(one.name) for one in visits(make_arm())] == [
         "T1/fiducial 0",
         "T1/fiducial 1",
         "T1/fiducial 2",
@@ -50,7 +72,7 @@ def test_the_approach_begins_60_mm_before_the_tool_comes_to_rest(make_arm):
     visit = visits(make_arm())[-1]
     rest = make_arm().robot_from_ct.apply(TRAJECTORIES[1].rest_mm)
     before = visit.approach.inverse().apply(rest)
-    assert visit.kind is VisitKind.TARGET
+    assert visit.name.kind is PoseKind.TARGET
     assert before == pytest.approx([0.0, 0.0, 60.0])
 
 
@@ -114,7 +136,7 @@ def test_unmet_preconditions_name_pose_and_reason(make_arm):
     far = [*FIDUCIALS[:2], [5.0, -40.0, -600.0]]
     result = check_paths(make_arm(), TRAJECTORIES, far)
     assert not result.passed
-    assert [one.pose for one in result.unmet] == ["T1/fiducial 2", "T2/fiducial 2"]
+    assert [str(one.pose) for one in result.unmet] == ["T1/fiducial 2", "T2/fiducial 2"]
     assert all("ARM-00" in one.reason for one in result.unmet)
     assert len(result.reached) == 6
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/fiducial 2"):
@@ -130,14 +152,14 @@ def test_a_head_out_of_reach_leaves_every_pose_unmet(make_arm):
 def test_reach_is_checked_before_fiducials_are_known(make_arm):
     assert check_paths(make_arm(), TRAJECTORIES, ()).passed
     unmet = check_paths(make_arm((1500.0, 0.0, 250.0)), TRAJECTORIES, ()).unmet
-    assert [one.pose for one in unmet] == ["T1/target", "T2/target"]
+    assert [str(one.pose) for one in unmet] == ["T1/target", "T2/target"]
 
 
 def test_the_stereo_head_and_the_guide_may_differ(make_arm):
     tip = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.03, -0.02, 60.05))
     setting = make_arm(flange_from_tool=tip, flange_from_stereo=make_arm().flange_from_tool)
     result = check_paths(setting, TRAJECTORIES, FIDUCIALS)
-    stereo, guide = result.at("T1/fiducial 0"), result.at("T1/target")
+    stereo, guide = (result.at(PoseName.parse(name)) for name in ("T1/fiducial 0", "T1/target"))
     by_stereo = setting.kinematics.flange_pose(stereo.at_rad) @ make_arm().flange_from_tool
     by_guide = setting.kinematics.flange_pose(guide.at_rad) @ tip
     assert np.allclose(by_stereo.translation_mm, stereo.visit.pose.translation_mm, atol=1e-6)

@@ -64,6 +64,10 @@ def test_another_series_is_refused_with_both_uids(plan, make_volume):
         check_plan(plan, make_volume(series_instance_uid="1.2.3.4")).require()
     assert plan.series_instance_uid in str(caught.value)
     assert "1.2.3.4" in str(caught.value)
+    assert "mistyped" not in str(caught.value)
+    other = ("2" if plan.series_instance_uid[0] == "1" else "1") + plan.series_instance_uid[1:]
+    with pytest.raises(WrongSeries, match="UID differs in character 1 only: mistyped"):
+        check_plan(plan, make_volume(series_instance_uid=other)).require()
 
 
 @pytest.mark.hazard(7)

@@ -19,7 +19,7 @@ from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.reporting.ending import Ending, advise, resumes, run_ending
+from procedures.reporting.ending import Ending, advise, ending_of, resumes
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -52,7 +52,7 @@ def test_the_ending_is_named_with_the_code_of_its_error(
     with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
         engine.run_to()
     engine.close(outcome)
-    ending = run_ending(read_for_report(cell.folder).run.journal)
+    ending = ending_of(read_for_report(cell.folder), None)
     assert ending.sentence in write_report(cell.folder).read_text()
     assert (ending.word, ending.code) == (word, code)
 
@@ -66,7 +66,7 @@ def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(ce
     engine.run_to()
     engine.close("done")
     sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
-    assert run_ending(read_for_report(cell.folder).run.journal).sentence == sentence
+    assert ending_of(read_for_report(cell.folder), None).sentence == sentence
 
 
 def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on_count(
@@ -86,9 +86,9 @@ def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on
     cell.journal.write(Entry.ACCEPTED, 8.0)
     engine.run_to()
     engine.close("done")
-    journal = read_for_report(cell.folder).run.journal
-    assert run_ending(journal).sentence == "Every step was done, after 2 emergency stops, 1 resume."
-    assert resumes(journal) == 1
+    reading = read_for_report(cell.folder)
+    assert ending_of(reading, None).sentence == "Every step was done, after 2 emergency stops, 1 resume."
+    assert resumes(reading.run.journal) == 1
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_an_ending_by_a_fault_says_who_acknowledged_that_one(
     cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="EKI-010", what="The arm was stopped.")
     cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=fault, by="Ann")
     engine.close("failed")
-    sentence = run_ending(read_for_report(cell.folder).run.journal).sentence
+    sentence = ending_of(read_for_report(cell.folder), None).sentence
     assert sentence == f"fit:T1 failed. The arm was stopped.{over}"
 
 

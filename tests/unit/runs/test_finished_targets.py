@@ -25,17 +25,19 @@ from prepared_results import (
 from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
+from user_commands import in_this_process
 
+from procedures.cli.procedure import app
 from procedures.engine.case import StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
-from procedures.journal.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
-from procedures.reporting.outcome import Truth
+from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
@@ -59,6 +61,7 @@ from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
+from ronna_hw import load_run
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.manifest import Manifest, seal
 from ronna_hw.frames import Frame, Transform
@@ -168,6 +171,27 @@ def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
     assert {f"registration-{name}.dcm" for name in TRAJECTORIES} < names
     table = (tmp_path / "out" / "registrations.csv").read_text().splitlines()
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
+
+
+@pytest.mark.parametrize(("error_mm", "word"), [(0.5, "done"), (2.5, "missed")])
+def test_every_reader_of_a_run_says_the_same_ending(tmp_path: Path, error_mm: float, word: str) -> None:
+    run = tmp_path / "runs" / "run"
+    run.parent.mkdir()
+    cell = ClinicalCell(run)
+    cell.journal.write(Entry.OPENED, 0.0, run="run", banner="SIMULATION")
+    engine, request = registered_twice(cell), RunRequest(procedure=CaseProcedure())
+    truth = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=error_mm),))
+    outcome = build_finished_outcome(request, engine.case, TRAJECTORIES, 0.0, 0.0, truth)
+    assert outcome.beyond_margin == ({FIRST: error_mm} if word == "missed" else {})
+    assert f'<p class="ending {word}">' in write_report(run, truth=truth).read_text()
+    seal(run, Manifest(read_chain(run / JOURNAL_FILE).lines).files)
+    export_run(run, tmp_path / "out")
+    (listed,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    shown = json.loads(in_this_process(app, "show", run, "--json").stdout)
+    exported = json.loads((tmp_path / "out" / "export.json").read_text())
+    said = (outcome.outcome, load_run(run).outcome, listed["ended"], shown["ended"], exported["ending"])
+    assert set(said) == {word}
+    assert shown["targets"][0]["verdict"] == ("beyond" if word == "missed" else "within")
 
 
 def test_the_robot_gets_another_frame_of_reference_after_the_move(tmp_path: Path) -> None:

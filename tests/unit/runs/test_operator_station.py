@@ -112,6 +112,7 @@ def test_an_affirmative_answer_needs_the_correct_read_back(stand: Stand) -> None
     given = {"question": 1, "answer": "yes", "shown": shown(asked)}
     assert stand.give("answer", **given) == "type how many mm"
     assert stand.give("answer", **given, typed="13") == "'13' is not the value to be read back; 2 tries left"
+    assert stand.give("answer", **given, typed="Help") == "type how many mm"
     eventually(lambda: len(misread) == 1)
     assert stand.give("answer", **given, typed=" 12 ") == ""
     eventually(lambda: answers == ["yes"])

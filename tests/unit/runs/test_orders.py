@@ -8,7 +8,19 @@ from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError, Question, Topic
-from procedures.runs.orders import COMMANDS, LONGEST_BYTES, PAUSED, SentOrder, Stop, read_order
+from procedures.runs.orders import (
+    ASKING,
+    COMMANDS,
+    LONGEST_BYTES,
+    PAUSED,
+    RUNNING,
+    WAITING,
+    CaseActivity,
+    SentOrder,
+    Stop,
+    activity_of,
+    read_order,
+)
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 
@@ -30,6 +42,21 @@ def test_the_commands_of_a_prompt_keep_their_words_and_only_looks_and_answers_co
     )
     paused = [name for name, rule in COMMANDS.items() if PAUSED in rule.at_prompt]
     assert paused == ["list", "why", "dry", "resume", "acknowledge", "abort", "help"]
+
+
+@pytest.mark.parametrize(
+    ("topic", "is_waiting", "activity"),
+    [
+        ("pause", True, PAUSED),
+        ("approach", True, ASKING),  # a question comes first
+        (None, True, WAITING),
+        (None, False, RUNNING),
+    ],
+)
+def test_the_activity_of_a_case_follows_its_open_question_and_the_step_that_it_waits_for(
+    topic: str | None, is_waiting: bool, activity: CaseActivity
+) -> None:
+    assert activity_of(topic, is_waiting=is_waiting) is activity
 
 
 @pytest.mark.parametrize("name", ["Ana Novak", "王\u3000伟", "Ana\u00a0N.", "علی\u200cرضا", "O'Brien-Šimić"])
@@ -92,7 +119,7 @@ def test_the_identity_is_in_no_serialized_event_and_only_its_salted_digest_is_si
 def test_the_verdict_on_a_prediction_tells_also_when_only_its_limit_is_beyond_the_margin(
     rms_mm: float, limit_mm: float, words: str
 ) -> None:
-    assert PREDICTED.model_copy(update={"rms_mm": rms_mm, "limit_mm": limit_mm}).verdict == words
+    assert PREDICTED.model_copy(update={"rms_mm": rms_mm, "limit_mm": limit_mm}).sentence == words
 
 
 def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() -> None:

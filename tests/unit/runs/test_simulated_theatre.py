@@ -36,6 +36,12 @@ def test_the_theatre_ends_when_its_patient_cannot_be_started(
     assert ended == ["theatre"]
 
 
+def test_the_simulated_wristband_is_that_of_the_theatres_patient() -> None:
+    port = ControlPort(Room(World.create(draw_scene("mini", seed=7), paced=False), None))
+    assert SimulatedRoom(port.endpoint).read_wristband() == "mini-7"
+    port.close()
+
+
 @pytest.mark.parametrize(
     ("problem", "named"), [(None, True), (RonnaError("a failed step"), True), (KeyboardInterrupt(), False)]
 )

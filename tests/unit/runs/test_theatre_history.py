@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import os
+import resource
 from pathlib import Path
 from threading import Thread
 
 import pytest
 from user_commands import in_this_process
 
+from procedures.cli.doctor.calibrations import history_diagnostics
 from procedures.cli.procedure import app
+from procedures.engine.errors import HistoryChanged
 from procedures.runs import theatre_history
 from procedures.runs.theatre_history import (
     Signature,
+    describe_state,
     describe_updates_since,
     find_state,
     history_path,
     read_states,
+    restore,
     update_tables,
 )
+from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.evidence.manifest import sha256_of
-from ronna_hw.records import write_atomically
 
 FORMER = """\ufeff# Our cell.\r
 theatre = "lab"  # on the third floor\r
@@ -116,9 +122,12 @@ def test_an_update_cut_off_before_the_file_was_written_is_no_state(
     monkeypatch.setattr(theatre_history, "write_atomically", crash)
     with pytest.raises(KeyboardInterrupt):
         define(lab, 3)
-    monkeypatch.setattr(theatre_history, "write_atomically", write_atomically)
+    assert not history_path(lab).read_bytes()
+    monkeypatch.undo()
+    define(lab, 3)
+    lab.write_bytes(FORMER.encode())  # as killed before it was replaced
+    history_path(lab).write_bytes(history_path(lab).read_bytes().splitlines(keepends=True)[0])
     assert len(read_states(lab)) == 1
-    history_path(lab).write_bytes(history_path(lab).read_bytes()[:-9])
     define(lab, 4)
     assert [one.update and one.update.changes for one in read_states(lab)] == [
         None, ("tools.drill4: none -> drill-4",)
@@ -161,3 +170,98 @@ def test_a_state_that_does_not_exist_and_a_folder_that_is_no_run_are_refused(
         assert refused.returncode == 2
         assert said in refused.stderr
     assert "was updated since" not in str(describe_updates_since(lab, "0" * 64))
+
+
+@pytest.mark.parametrize("field", ["text", "former", "by"])
+def test_an_edited_line_of_the_history_is_refused_and_nothing_is_restored(lab: Path, field: str) -> None:
+    define(lab, 3)
+    define(lab, 4)
+    history, present = history_path(lab), lab.read_bytes()
+    first, *others = history.read_text().splitlines()
+    edited = {**json.loads(first), field: json.loads(first)[field].replace("a", "b")}
+    history.write_text("\n".join([json.dumps(edited), *others, ""]))
+    refused = in_this_process(app, "theatre-history", lab, "--restore", 1, "--by", "A. N.")
+    assert (refused.returncode, "PRO-046" in refused.stderr) == (3, True), refused.stderr
+    assert "line 1 of lab.toml.history" in " ".join(refused.stderr.split())
+    with pytest.raises(HistoryChanged, match=r"SHA-256 [0-9a-f]{64}, got [0-9a-f]{64}"):
+        define(lab, 5)
+    assert lab.read_bytes() == present
+
+
+def test_removed_lines_of_the_history_are_noticed(lab: Path) -> None:
+    for number in (3, 4, 5):
+        define(lab, number)
+    history = history_path(lab)
+    lines = history.read_bytes().splitlines(keepends=True)
+    for kept in (lines[:2] + lines[4:], lines[2:]):
+        history.write_bytes(b"".join(kept))
+        with pytest.raises(HistoryChanged, match="PRO-046"):
+            read_states(lab)
+
+
+def test_a_history_of_unchained_lines_is_continued_and_its_texts_are_checked(lab: Path) -> None:
+    define(lab, 3)
+    history = history_path(lab)
+    older = json.loads(history.read_text().splitlines()[0])
+    del older["previous"]
+    history.write_text(json.dumps(older) + "\n")
+    define(lab, 4)
+    assert [one.number for one in read_states(lab) if one.update is not None] == [1, 2]
+    for field in ("text", "former"):
+        history.write_text(json.dumps({**older, field: older[field] + "# more\n"}) + "\n")
+        with pytest.raises(HistoryChanged, match=f"line 1 .* its {field} is not the recorded one"):
+            read_states(lab)
+
+
+def test_an_update_that_was_in_force_stays_listed_when_the_file_is_edited_back(lab: Path) -> None:
+    define(lab, 3)
+    before = lab.read_bytes()
+    restore(lab, read_states(lab)[0], Signature("restored state 0", by="Rest O"))
+    lab.write_bytes(before)
+    assert [describe_state(one).rpartition(", ")[2].partition(":")[0] for one in read_states(lab)] == [
+        "as first known", "ronna-tool define", "restored state 0", "edited by hand"
+    ]  # fmt: skip
+
+
+def test_a_line_that_the_disk_takes_only_a_part_of_is_withdrawn_and_the_file_stays(lab: Path) -> None:
+    define(lab, 3)
+    history, file = history_path(lab).read_bytes(), lab.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(history) + 100, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"lab\.toml\.history") as problem:
+            define(lab, 4)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert as_ronna_error(problem.value).code == "CLI-003"
+    assert (history_path(lab).read_bytes(), lab.read_bytes()) == (history, file)
+
+
+def test_a_line_cut_off_by_a_crash_is_named_and_hides_no_other(lab: Path) -> None:
+    define(lab, 3)
+    with history_path(lab).open("ab") as file:
+        file.write(b'{"time": "2026-')
+    for updates, number in ((1, 4), (2, 5)):
+        listed = in_this_process(app, "theatre-history", lab)
+        assert (listed.returncode, "line 3 of lab.toml.history was cut off" in listed.stderr) == (0, True)
+        assert len(read_states(lab)) == 1 + updates
+        define(lab, number)
+
+
+def test_a_record_edited_by_hand_under_its_identifier_is_told_by_the_doctor(lab: Path) -> None:
+    define(lab, 3)
+    lab.write_text(lab.read_text() + "frame = { port = 1 }\n")  # which no command writes
+    assert not list(history_diagnostics(lab))
+    lab.write_text(lab.read_text().replace("frame = { port = 1 }\n", "").replace("90.0", "97.0"))
+    define(lab, 4)  # takes the edited record over, and does not sign it
+    (told,) = history_diagnostics(lab)
+    assert (told.subject, told.well) == ("record tools.drill3", True)
+    assert "drill-3 is not as it was put in" in told.seen
+    assert told.seen.endswith("tools.drill3: none -> drill-3): centre_of_gravity_mm edited by hand")
+
+
+def test_the_doctor_tells_of_a_changed_history(lab: Path) -> None:
+    define(lab, 3)
+    history_path(lab).write_text(history_path(lab).read_text().replace("Ana", "Eva"))
+    (told,) = history_diagnostics(lab)
+    assert told.seen.startswith("PRO-046 line 1 of lab.toml.history was changed")

@@ -6,16 +6,20 @@ import struct
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from user_commands import in_this_process, one_error
 
+from procedures.runs import request_checks
+from procedures.runs.request import RunRequest
 from ronna_hw.control_port import (
     LONGEST_LINE,
     ControlAddress,
     ControlPortClient,
+    ControlPortOfAnother,
     ControlPortSilent,
     ControlRequestRefused,
     ask_control_port,
@@ -344,6 +348,7 @@ def test_a_cart_moved_in_a_step_stays_there_beyond_it_once_all_faults_are_cleare
 def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_last_one(
     theatre: str, world: World, tmp_path: Path
 ) -> None:
+    ask_control_port(theatre, "mount", number=GUIDE)
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")
     continued = Room(SavedWorld.from_world(world).restore(world.scene, paced=False), tmp_path)
@@ -357,6 +362,7 @@ def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_l
 
 
 def test_a_cart_is_moved_with_an_instrument_in_the_guide_only_anyway(theatre: str, world: World) -> None:
+    ask_control_port(theatre, "mount", number=GUIDE)
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")
     shown = one_error(in_this_process(ronna_sim, *MOVE, "--control", theatre).stderr)
@@ -410,3 +416,26 @@ def test_a_device_alone_has_no_cart_to_move(world: World) -> None:
         {"do": "move", "cart": 1, "by_mm": [60, 0, 0], "turn_deg": 0}
     )
     assert answer["reason"] == "there is no arm on a cart here"
+
+
+@pytest.mark.parametrize("known", ["a" * 32, "b" * 32, ""])
+def test_a_case_is_asked_in_words_only_with_the_control_port_of_its_own_theatre(
+    known: str, world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = ControlPort(Room(world, tmp_path / "b", identity=known))
+    monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
+    monkeypatch.setattr(request_checks, "on_terminal", lambda _stream: True)
+    monkeypatch.setattr(request_checks, "is_simulated", lambda _theatre: True)
+    theatre = SimpleNamespace(identity="a" * 32)
+    monkeypatch.setattr(request_checks, "read_theatre_file", lambda _path: theatre)
+    request = cast(RunRequest, SimpleNamespace(ask=True, config=tmp_path / "a" / "theatre.toml"))
+    try:
+        if known == theatre.identity:
+            request_checks.check_asking(request)
+            return
+        with pytest.raises(ControlPortOfAnother) as refused:
+            request_checks.check_asking(request)
+        for named in ("a", "b"):
+            assert str(tmp_path / named) in str(refused.value)
+    finally:
+        port.close()

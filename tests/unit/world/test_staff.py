@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from ronna_hw.frames import Frame
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
 from sim.basler.camera.view import View
 from sim.errors import BadFaultScript, StandNotReady
 from sim.world.control_port import Room
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
-from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
@@ -137,6 +136,11 @@ def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
         assert reason in answer["reason"]
 
 
+def test_the_staff_know_every_task_word_and_no_other(tmp_path: Path) -> None:
+    reason = Room(a_world(), tmp_path).answer({"do": "work", "task": "tea"})["reason"]
+    assert set(reason.partition("expected ")[2].split(", ")) == set(TASKS)
+
+
 def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path: Path) -> None:
     room = Room(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
@@ -154,6 +158,18 @@ def test_an_instrument_is_inserted_only_where_the_depth_stop_was_set_for(tmp_pat
     assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
     answer = room.answer({"do": "work", "task": INSERT, "trajectory": "T9"})
     assert answer["reason"] == "the depth stop was set for T1; got an order to insert at T9"
+    assert read_samples(tmp_path) == []
+
+
+@pytest.mark.parametrize("task", [SKIN, INSERT])
+def test_nothing_is_done_through_a_stereo_head(tmp_path: Path, task: str) -> None:
+    world = a_world()
+    room = Room(world, tmp_path)
+    assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
+    world.mount_tool(SCENE.mount.tool_number_stereo)
+    answer = room.answer({"do": "work", "task": task, "trajectory": "T1"})
+    assert answer["reason"] == f"{task} is done through the guide, tool 2; mounted is the stereo head, tool 1"
+    assert answer["advice"] == "Mount the guide first: ronna-sim mount 2."
     assert read_samples(tmp_path) == []
 
 

@@ -52,7 +52,7 @@ def test_a_failed_step_holds_the_case_and_shows_the_commands_that_continue(
     typed = Typed(monkeypatch, "to localization:T1", "list")
     typed.at(engine)
     assert "PRO-007" in capsys.readouterr().err
-    assert typed.said[0] == f"{HELD}; next continues"
+    assert typed.said[0] == f"{HELD}; next runs localization:T1"
     assert engine.machine.state == "held"
     assert engine.course.status(engine.order.find("image")) == "done"
 

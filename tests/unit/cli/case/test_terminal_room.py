@@ -10,9 +10,10 @@ import pytest
 
 from procedures.cli.case import readings, staff
 from procedures.cli.case.staff import TerminalRoom, WordedRoom
+from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Task
 from ronna_hw.control_port import ControlRequestRefused
-from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, INSERT
+from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, INSERT, OUT
 
 THREE_DIALS = Task(
     DIALS, "read the three dials", reads=("x in mm", "y in mm", "z in mm"), plausible_mm=(-10.0, 10.0)
@@ -205,6 +206,17 @@ def test_work_that_nobody_does_is_left_undone(typed: str, monkeypatch: pytest.Mo
     assert told.done == []
 
 
+@pytest.mark.parametrize("typed", ["nobody", ""])
+def test_an_instrument_that_nobody_takes_out_cannot_be_said_to_be_out(
+    typed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typing(monkeypatch, typed)
+    told = SimulatedStaff()
+    with pytest.raises(NotConfirmed, match="nobody has done this: remove the instrument from T1"):
+        WordedRoom(told).work(Task(OUT, "remove the instrument from T1", "T1"))
+    assert told.done == []
+
+
 def test_help_lists_what_can_be_said_about_the_work_that_is_due(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -214,5 +226,5 @@ def test_help_lists_what_can_be_said_about_the_work_that_is_due(
     assert told.done == ["divot"]
     said = capsys.readouterr().err
     assert "'stand ball' puts the ball on the stand" in said
-    assert "stand needs ball, divot or nothing" in said
+    assert "stand needs nothing, ball or divot" in said
     assert "'nobody' leaves it undone" in said

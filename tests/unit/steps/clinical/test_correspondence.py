@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from clinical_case import (
@@ -26,8 +28,10 @@ from procedures.operator.question import Topic
 from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
+from procedures.registration.room_prior import READING_LIMIT_MM, Landmark, choose_landmark
+from procedures.steps.clinical import correspondence
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, coarse_match, room_prior
-from procedures.steps.clinical.correspondence import STEP, Correspondence
+from procedures.steps.clinical.correspondence import READ_AGAIN, STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import EXIT_REFUSED
@@ -196,13 +200,29 @@ def test_a_point_of_the_head_is_touched_where_a_mirrored_ct_would_match_as_well(
 
 @pytest.mark.hazard(7)
 @pytest.mark.branch("MIRRORED_CT")
-def test_a_head_touched_where_a_mirror_image_has_it_stops_the_case(cell: ClinicalCell) -> None:
-    cell.room.touched = lambda _side: (760.0, 0.0, 500.0)
-    with pytest.raises(
-        HeadElsewhere, match=r"REG-013: the .* is not where the match has it; expected"
-    ) as refused:
+@pytest.mark.parametrize("reading", ["mirrored", "beside the mirrored", "in cm"])
+def test_a_head_touched_elsewhere_stops_the_case_and_a_mistyped_reading_is_not_called_a_mirrored_ct(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, reading: str
+) -> None:
+    def choose(*asked: Any) -> Landmark | None:
+        landmark = choose_landmark(*asked)
+        assert landmark is not None
+        mirrored_mm = landmark.mirrored_mm[0]
+        touched_mm = {
+            "mirrored": mirrored_mm,
+            "beside the mirrored": np.add(mirrored_mm, (0.0, 0.0, 0.9 * READING_LIMIT_MM)),
+            "in cm": 0.1 * landmark.matched_mm,
+        }[reading]
+        cell.room.touched = lambda _side: tuple(touched_mm)
+        return landmark
+
+    monkeypatch.setattr(correspondence, "choose_landmark", choose)
+    with pytest.raises(HeadElsewhere) as refused:
         match_beside(cell)
+    assert refused.value.code == "REG-013"
     assert refused.value.exit_code == EXIT_REFUSED
+    assert (refused.value.action == READ_AGAIN) == (reading == "in cm")
+    assert ("left and right" in refused.value.action) == (reading != "in cm")
 
 
 @pytest.mark.hazard(13)

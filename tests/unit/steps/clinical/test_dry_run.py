@@ -10,7 +10,7 @@ from clinical_case import HOME_RAD, ClinicalCell
 from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
 
 from procedures.engine.case import StepKey
-from procedures.planning.motions import HOME
+from procedures.planning.pose_name import HOME, PoseName
 from procedures.steps.clinical import tool_check
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -21,10 +21,10 @@ from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.dry_run import describe_planned_motions
 from procedures.workcell import MountedTool
 
-PLACES = (HOME, *(f"T1/fiducial {number}" for number in range(4)))
+PLACES = (HOME, *(PoseName.parse(f"T1/fiducial {number}") for number in range(4)))
 
 
-def motion(start: str, end: str, kind: str = "") -> MotionPreview:
+def motion(start: PoseName, end: PoseName, kind: str = "") -> MotionPreview:
     return MotionPreview(
         start=start,
         end=end,
@@ -83,7 +83,7 @@ def test_a_way_by_home_from_one_sphere_to_the_next_is_listed(cell: ClinicalCell,
 def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retreat(
     cell: ClinicalCell, paths: CheckedPaths
 ) -> None:
-    target = "T1/target"
+    target = PoseName.parse("T1/target")
     onto, back_off = (motion(target, target, kind) for kind in ("line", "back"))
     ways = (motion(HOME, target), onto, back_off, motion(target, HOME))
     cell.arm.joints_rad = HOME_RAD

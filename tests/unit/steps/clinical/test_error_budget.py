@@ -12,6 +12,7 @@ from procedures.planning.guide import (
     direction_covariance_mm2,
     instrument_covariance_mm2,
     place_guide,
+    tip_beyond_tool_mm,
 )
 from procedures.planning.plan_model import FiducialKind, Plan, PlannedTrajectory
 from procedures.registration import register
@@ -118,6 +119,13 @@ def test_the_spread_of_an_instrument_in_the_bore_matches_the_prediction() -> Non
     assert predicted[2, 2] == pytest.approx(SET_BY_HAND_MM**2)
 
 
+def test_the_tip_of_an_instrument_with_its_planned_stop_is_at_the_target() -> None:
+    bore = bore_of(Guide())
+    stop_mm = depth_stop_mm(PLAN, DEEP, bore)
+    beyond_mm = place_guide(PLAN, DEEP, bore).beyond_mm
+    assert beyond_mm + tip_beyond_tool_mm(stop_mm, bore.length_mm, bore.reach_mm) == pytest.approx(0.0)
+
+
 @pytest.mark.parametrize("entry_z_mm", [30.0, 100.0, 130.0])
 def test_the_error_of_a_tilted_bore_matches_the_prediction(
     entry_z_mm: float,
@@ -127,9 +135,8 @@ def test_the_error_of_a_tilted_bore_matches_the_prediction(
     planned = DEEP.model_copy(update={"entry_mm": (0.0, 0.0, entry_z_mm)})
     stated_rad, generator = 3e-3, np.random.default_rng(1)
     beyond_mm = place_guide(PLAN, planned, bore).beyond_mm
-    tip_in_bore = np.array(
-        [0.0, 0.0, depth_stop_mm(PLAN, planned, bore) - bore.length_mm - bore.reach_mm, 1.0]
-    )
+    stop_mm = depth_stop_mm(PLAN, planned, bore)
+    tip_in_bore = np.array([0.0, 0.0, tip_beyond_tool_mm(stop_mm, bore.length_mm, bore.reach_mm), 1.0])
     recorded = matrix_from((0.0, 0.0, 0.0), HELD)
     target = recorded @ [0.0, 0.0, -beyond_mm, 1.0]
     misses = []

@@ -73,7 +73,7 @@ def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: Cli
     )
     (shown,) = question.predicted
     assert (shown.target, shown.rms_mm, shown.margin_mm) == (FIRST, predicted.rms_mm, margin_mm)
-    assert shown.verdict == f"within the margin; 95% of such errors stay within {predicted.limit_mm:.2f} mm"
+    assert shown.sentence == f"within the margin; 95% of such errors stay within {predicted.limit_mm:.2f} mm"
 
 
 def test_guide_head_and_arm_errors_are_part_of_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:

@@ -162,7 +162,9 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
 @pytest.mark.hazard(36)
 def test_the_arm_does_not_leave_the_gauge_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.PARK)
-    with pytest.raises(NotConfirmed, match=r"PRO-002: .*from the gauge: first: the guide moves .* mm; .* mm/s"):
+    with pytest.raises(
+        NotConfirmed, match=r"PRO-002: .*from the gauge: first: the guide moves .* mm; .* mm/s"
+    ):
         check(cell, *(0.0,) * 5)
     assert len(cell.arm.motions) == 2 * APPROACHES  # none of them home
 

@@ -25,7 +25,7 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.planning.guide import place_guide
-from procedures.planning.motions import GAUGE, HOME
+from procedures.planning.pose_name import GAUGE, HOME, PoseKind, PoseName
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -110,11 +110,17 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
 ) -> None:
     """But for small steps; what is approached several times is previewed once. By the coarse registration."""
     paths = once.case.get(CheckedPaths).result
-    ends: dict[tuple[str, str], Sequence[float]] = {("move", HOME): HOME_RAD}
+    ends: dict[tuple[str, PoseName], Sequence[float]] = {("move", HOME): HOME_RAD}
     ends["move", GAUGE] = radians6(*once.workcell.tools.guide.gauge.joints_deg)
     for name, spheres in paths.localizations.items():
-        poses = {f"{name}/fiducial {n}": (one.tool_pose, one.approach_rad) for n, one in enumerate(spheres)}
-        poses |= {f"{n}/target": (one.tool_pose, one.approach_rad) for n, one in paths.targets.items()}
+        poses = {
+            PoseName(PoseKind.FIDUCIAL, name, n): (one.tool_pose, one.approach_rad)
+            for n, one in enumerate(spheres)
+        }
+        poses |= {
+            PoseName(PoseKind.TARGET, n): (one.tool_pose, one.approach_rad)
+            for n, one in paths.targets.items()
+        }
         for pose, (held, before_rad) in poses.items():
             before = back_along_axis(held.transform, once.setting().settings.approach_mm)
             ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
