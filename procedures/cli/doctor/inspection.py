@@ -94,12 +94,23 @@ def _configured(side: str, device: DeviceConfig, head: StereoHeadCalibration) ->
 
 def _elsewhere(
     side: str, replied: Mapping[str, str | None], device: DeviceConfig, head: StereoHeadCalibration
-) -> list[str]:
-    """List the addresses at which the camera of a side replied, other than its own."""
+) -> str:
+    """Return the address at which the camera of a side replied, if not its own; empty if that is uncertain.
+
+    Where a serial number replied several times there is another cell on the network.
+    """
+    serials = [serial for serial in replied.values() if serial is not None]
+    if len(set(serials)) < len(serials):
+        return ""
     configured, endpoint = _configured(side, device, head), camera_endpoint(device, side)
-    return [
-        parse_endpoint(at).host for at, serial in replied.items() if serial == configured and at != endpoint
-    ]
+    return next(
+        (
+            parse_endpoint(at).host
+            for at, serial in replied.items()
+            if serial == configured and at != endpoint
+        ),
+        "",
+    )
 
 
 def _verdict(
@@ -116,9 +127,9 @@ def _verdict(
     others = {serial: at for at, serial in replied.items() if serial is not None and at != endpoint}
     found = ", ".join(dict.fromkeys([*filter(None, [actual]), *others])) or "none"
     not_found = f"was not found (serial numbers found: {found})"
-    if actual is None and (places := _elsewhere(side, replied, device, head)):
+    if actual is None and (place := _elsewhere(side, replied, device, head)):
         return (
-            f"{configured} is at {' and at '.join(places)}, not at {parse_endpoint(endpoint).host}: correct "
+            f"{configured} is at {place}, not at {parse_endpoint(endpoint).host}: correct "
             f"the endpoint {STEREO}.endpoints.{side}."
         )
     if actual is None:

@@ -149,6 +149,14 @@ def test_a_camera_that_replied_elsewhere_is_told_once_with_the_endpoint_to_corre
     assert (camera.explained, refused.explained) == (False, True)
 
 
+def test_with_another_cell_on_the_network_no_endpoint_is_called_wrong() -> None:
+    replied = {ELSEWHERE: "4411", "gev://127.0.0.8": "4412", RIGHT: "4412"}
+    network = Diagnostic("cameras on eth0", True, "", serials=replied)
+    left = Diagnostic(f"camera {LEFT}", False, "silent", DRIVERS, serials={LEFT: None})
+    _, camera = advise_on_serials((network, left), cameras("4411"), HEAD)
+    assert camera.advice.startswith("The left camera 4411 was not found")
+
+
 def test_swapped_cameras_are_told_once_by_the_pair() -> None:
     left = Diagnostic(f"camera {LEFT}", False, "4412", DRIVERS, serials={LEFT: "4412"})
     right = Diagnostic(f"camera {RIGHT}", False, "4411", "", serials={RIGHT: "4411"})
