@@ -138,12 +138,12 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """How the run ended, such as done, missed, failed or interrupted; or that it is running."""
+        """Ending of the run, such as done, missed, failed or interrupted; or that it is running."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is missing in the folder or has changed in it since the run ended.
+        """Files of the folder that are missing or have changed since the run ended.
 
         Files are compared with the hashes of the run: pixels once a table of readings is used, all others
         that are read here on loading. That no seal confirms them is noted too.
@@ -162,7 +162,7 @@ class LoadedRun(Protocol):
 
     @property
     def localized(self) -> RunTable:
-        """The same spheres as the stereo head localized them in the robot frame, by trajectory."""
+        """Spheres localized by the stereo head in the robot frame, by trajectory."""
         ...
 
     @property

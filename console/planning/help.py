@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from console.panels.html import tag, text
+from console.planning.slices import WINDOWS_HU
 
 WAY = (
     "Click a small picture to enlarge it, or choose it under “Large”. The wheel, Page Up and Page Down "
@@ -14,7 +15,7 @@ WAY = (
     "then count from halfway between the commissures: x to the patient's right, y to the front, z up.",
     "L, P, S are the scan's coordinates: to the patient's left, to the back, up. Pictures are seen from the "
     "patient's feet and front: the patient's left is on the right.",
-    "Windows: brain 0 to 80 HU, bone −500 to 1300 HU, spheres −1000 to 600 HU.",
+    f"Windows: {', '.join(f'{name} {low:g} to {high:g} HU' for name, (low, high) in WINDOWS_HU.items())}.",
     "Check, Reach and Expected error follow every change. Save seals the plan under your name.",
 )
 LIMITS = (

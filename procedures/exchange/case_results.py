@@ -1,4 +1,4 @@
-"""What a run has for an export: its CT, and whatever else it reached, under exported labels."""
+"""Results of a run for export: its CT and as much else as it reached, under exported labels."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from procedures.engine.methods import CaseMethods
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -25,7 +26,6 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
-XFRAME_SPHERES = 4  # of the x-shaped frame
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ class SceneChoice:
                 if close_matches
                 else "ronna-sim scene prints one to start from.",
             )
-        if self.fiducials != FREE and self.markers not in (None, XFRAME_SPHERES):
+        if self.fiducials != FREE and self.markers not in (None, len(SPHERE_CENTRES_MM)):
             raise UsageMistake(
                 f"--markers cannot be {self.markers} with the x-shaped frame",
-                expected=f"its {XFRAME_SPHERES} spheres",
+                expected=f"its {len(SPHERE_CENTRES_MM)} spheres",
                 action="Omit --markers with the x-shaped frame.",
             )
 

@@ -31,7 +31,7 @@ Tables = dict[str, dict[str, object]]
 
 @dataclass(frozen=True)
 class Signature:
-    """Who updates a theatre file, by which command and from which calibration."""
+    """Author of an update: the person, the command and the calibration behind it."""
 
     command: str
     by: str = ""
@@ -120,7 +120,7 @@ def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], sign
     try:
         write_atomically(theatre, new)
         theatre.chmod(mode)
-    except BaseException:
+    except BaseException:  # an interruption too must not leave the line of an update that never was
         if read_bounded(theatre, LARGEST_TOML_BYTES) == content:
             os.ftruncate(history, size)  # nothing came of it
         raise

@@ -140,7 +140,7 @@ def append(file: int, path: Path, entry: Update | CarriedOut) -> str:
         while rest:  # a full disk takes a part, then refuses
             rest = rest[os.write(file, rest) :]
         os.fsync(file)
-    except BaseException as problem:
+    except BaseException as problem:  # an interruption too must not leave half a line
         os.ftruncate(file, size)
         if isinstance(problem, OSError):
             raise OSError(problem.errno, problem.strerror, str(path)) from problem

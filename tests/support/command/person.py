@@ -85,7 +85,7 @@ class Person:
         return done.stdout.split("\n")[:-1]
 
     def _answer(self, asked: str | None, text: str, read_off: list[str]) -> str:
-        """What is typed: a mistake, if there is one left for this question, or what is right."""
+        """Return the next mistake planned for this question, or the right answer."""
         if mistakes := self.mistakes.get(asked or "held"):
             return mistakes.pop(0)
         return f"{self._right_answer(asked, text, read_off)}\n"

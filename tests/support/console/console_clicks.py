@@ -1,4 +1,4 @@
-"""What an operator does at the console's page: take the seat, press Next, read back, hold a button."""
+"""Actions of an operator at the console's page: take the seat, press Next, read back, hold a button."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _give(page: Any, patient: str) -> None:
 
 
 def read_back(page: Any, patient: str = PATIENT) -> str:
-    """What the question that stands wants typed."""
+    """Return the value that the open question wants read back."""
     moves = re.search(r"moves (\d+(?:\.\d+)?) mm", page.locator("section.question").inner_text())
     return moves[1] if moves else patient
 

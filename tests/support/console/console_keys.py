@@ -1,4 +1,4 @@
-"""What an operator does at the console's page with the keyboard alone."""
+"""Actions of an operator at the console's page with the keyboard alone."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def first_picture_ms(page: Any, address: str) -> float:
 
 
 def tops_px(page: Any, *which: str) -> list[float]:
-    """Where each of them begins, from the top of the page."""
+    """Return the distance of each element from the top of the page, in CSS pixels."""
     top = "which => document.querySelector(which).getBoundingClientRect().top + window.scrollY"
     return [float(page.evaluate(top, one)) for one in which]
 

@@ -7,12 +7,12 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from user_commands import Commands, in_this_process, one_error
+from waiting import eventually
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 from sim.cli import app as ronna_sim
@@ -86,8 +86,7 @@ def test_a_detached_simulator_that_cannot_start_says_why_with_its_own_exit_code(
 
 def test_a_simulator_whose_command_is_killed_before_it_is_ready_does_not_stay(sim: Commands) -> None:
     starting = sim.start("ronna-sim", "polaris", "--detach")
-    while len(sim.survivors()) < 2:
-        time.sleep(0.005)  # the child tells nobody that it exists
+    eventually(lambda: len(sim.survivors()) >= 2)  # the child tells nobody that it exists
     starting.kill()
     assert sim.await_no_survivors() == []
 
