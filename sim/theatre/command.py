@@ -122,15 +122,16 @@ def theatre(
         start_in_background("theatre")
         return
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
-    scene_source = str(saved_scene) if continued and saved_scene.exists() else scene
-    if scene_source == str(saved_scene):
+    if continued:
+        _require_left_world(out)
         _require_same_world(context, out)
+    scene_source = str(saved_scene) if continued else scene
     truth = load_scene(
         scene_source,
         seed=seed,
         markers=markers,
         targets=targets,
-        fiducials=Carrier.FREE if scene_source == str(saved_scene) else fiducials,
+        fiducials=Carrier.FREE if continued else fiducials,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
@@ -162,6 +163,21 @@ def _require_plain_name(folder: Path) -> None:
     if any(unicodedata.category(character) == "Cc" for character in path):
         raise PathProblem(
             f"--out: {path!r} has a control character", expected="a path of letters, digits and signs"
+        )
+
+
+def _require_left_world(folder: Path) -> None:
+    """Raise SIM-012 unless a theatre has left its world in the folder."""
+    from sim.errors import BadSavedWorld
+    from sim.theatre.launch import THEATRE_FILE
+    from sim.world.saved_world import WORLD_FILE
+    from sim.world.truth import SCENE_FILE
+
+    missing = [name for name in (SCENE_FILE, WORLD_FILE, THEATRE_FILE) if not (folder / name).exists()]
+    if missing:
+        raise BadSavedWorld(
+            f"--continue: no theatre left its world in {folder}: {', '.join(missing)} missing",
+            expected="a folder in which a theatre has run",
         )
 
 

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -16,7 +17,7 @@ from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildPr
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
-from sim.errors import BadCalibrationFile, BadDeviceParameter
+from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
 from sim.kuka.controller_parameters import parse_parameters
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
@@ -67,7 +68,8 @@ class Theatre:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
         `parameters` are NAME=VALUE by command; `saved` is the world of an earlier theatre, to continue from;
-        `records` replace the theatre's own calibrations. Raises PRC-001 when a device does not become ready.
+        `records` replace the theatre's own calibrations. Raises PRC-001 when a device does not become ready,
+        SIM-012 if the earlier theatre's file is lost.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -77,8 +79,7 @@ class Theatre:
             _, standing_script = self.world.fault_script()
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
-        known = None if saved is None else identity_of(self.file)
-        identity = known or uuid4().hex
+        identity, calibrated = (uuid4().hex, None) if saved is None else _read_origin(self.file)
         self._control = ControlPort(Room(self.world, folder, identity=identity))
         self._children: list[ChildProcess] = []
         try:
@@ -91,12 +92,13 @@ class Theatre:
                 self._write_tools(),
                 limit_s,
                 cycle_ms,
-                read_calibration_time(self.file) if saved is not None else None,
+                calibrated,
             )
             if not paced:
                 content["robot"]["master"]["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
             content["calibration"] |= records
             refer_to_tip(content)
+            save_world(self.world, folder)  # from here on it can be continued, also if it is killed
             write_theatre_file({"identity": identity, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
@@ -171,6 +173,17 @@ class Theatre:
             write_atomically(path, write_definition(tool))
             files[tool.name] = str(path.resolve())
         return files
+
+
+def _read_origin(theatre_file: Path) -> tuple[str, datetime]:
+    """Read identity and calibration time of the theatre to continue; raises SIM-012."""
+    identity, calibrated = identity_of(theatre_file), read_calibration_time(theatre_file)
+    if identity is None or calibrated is None:
+        raise BadSavedWorld(
+            f"{theatre_file} does not say which theatre it was",
+            expected="its identity and the time of its calibration records",
+        )
+    return identity, calibrated
 
 
 def _pass_on_pendant(line: str) -> None:

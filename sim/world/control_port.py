@@ -62,6 +62,7 @@ from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
 
 TAKES_S = "takes_s"  # theatre time from a request to its answer
+QUERIES = ("identify", "missed_faults", "wristband")  # requests that change nothing in the room
 LONGEST_REASON = 500  # characters: it may quote the request
 MOST_MISSED = 20  # faults listed in one answer
 
@@ -228,6 +229,9 @@ class Room:
         try:
             with self._one_at_a_time:
                 more = action(request) or {}
+                if self._folder is not None and request["do"] not in QUERIES:
+                    with contextlib.suppress(OSError):  # a full disk must not stop the staff
+                        save_world(self._world, self._folder)
             self._world.clock.sleep(more.pop(TAKES_S, 0.0))  # meanwhile, others may ask
         except TaskRefused as error:
             return _refusal(error, error.advice)
@@ -277,8 +281,6 @@ class Room:
             number = int(fault.argument)
             self._acted.append(fault)
         self._world.mount_tool(int(number))
-        if self._folder is not None:
-            save_world(self._world, self._folder)
 
     def _move(self, request: dict[str, Any]) -> dict[str, Any]:
         if set(self._devices) < set(DEVICES):  # a simulator alone

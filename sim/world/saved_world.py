@@ -1,7 +1,8 @@
 """Saved world state from which another theatre can continue: arm, tool, instrument and time.
 
-The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
-faults have moved, bent or rotated; a continued world has no other fault until one is injected.
+The file is written when the theatre starts, at each step and task of the staff, and when it ends, also if
+its parent died: a killed theatre continues from its last step or task. It includes what faults have moved,
+bent or rotated; a continued world has no other fault until one is injected.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from sim.world.scene.model import Numbers6, Scene
 from sim.world.world import ArmState, World
 
 WORLD_FILE = "world.json"
-EXPECTED = "the arm, tool and time that the theatre saved when it ended"
+EXPECTED = "the arm, tool and time that the theatre saved"
 
 END_LIMIT_S = 4.0  # host time; a theatre whose parent died ends within two seconds
 RETRY_S = 0.02
@@ -105,11 +106,11 @@ def save_world(world: World, folder: Path) -> None:
     write_atomically(folder / WORLD_FILE, SavedWorld.from_world(world).model_dump_json(indent=1).encode())
 
 
-def read_saved_world(folder: Path) -> SavedWorld | None:
-    """Read the state saved in a folder, or return None if there is none; raises SIM-003, SIM-012."""
+def read_saved_world(folder: Path) -> SavedWorld:
+    """Read the state saved in a folder; raises SIM-003, SIM-012 also where there is none."""
     path = folder / WORLD_FILE
     if not path.exists():
-        return None
+        raise BadSavedWorld(f"{folder} has no {WORLD_FILE}", expected=EXPECTED)
     try:
         saved = SavedWorld.model_validate_json(read_json_bytes(path), strict=False)
     except ValidationError as error:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from user_commands import in_this_process, one_error
 
-from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.bounded_input import InputRefused, read_toml
+from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from sim.cli import app as ronna_sim
-from sim.theatre.launch import Theatre, parameters_by_device
+from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
+from sim.theatre.theatre_file import write_theatre_file
+from sim.world.saved_world import WORLD_FILE, read_saved_world
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import SCENE_FILE
 
@@ -20,6 +24,8 @@ REFUSED_LATER = ("--set", "robot.tea=1")  # so that no theatre is started
 def left(tmp_path: Path) -> Path:
     """The folder of a theatre that was left."""
     (tmp_path / SCENE_FILE).write_text(draw_scene("mini", seed=4).model_dump_json(by_alias=True))
+    for name in (WORLD_FILE, THEATRE_FILE):
+        (tmp_path / name).touch()  # read only once the options are accepted
     return tmp_path
 
 
@@ -52,6 +58,36 @@ def test_a_theatre_is_continued_with_its_own_scene_and_seed_or_without_any(
     left: Path, options: tuple[str, ...]
 ) -> None:
     assert "unknown parameter 'tea'" in _refusal(left, *options)
+
+
+@pytest.mark.parametrize("lost", [SCENE_FILE, WORLD_FILE, THEATRE_FILE])
+def test_a_world_that_is_lost_is_not_continued_as_a_new_one(left: Path, lost: str) -> None:
+    (left / lost).unlink()
+    done = in_this_process(ronna_sim, "theatre", "--out", left, "--continue")
+    (said,) = one_error(done.stderr)
+    assert done.returncode == EXIT_FAILED
+    assert f"{lost} missing" in said
+    assert "without --continue" in said
+
+
+def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    rsi = {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:1"}
+    endpoints = {"polaris": "tcp://127.0.0.1:1", "kuka": rsi, "basler": {"left": "a", "right": "b"}}
+    monkeypatch.setattr(Theatre, "_start_devices", lambda *_: endpoints)
+    scene = draw_scene("mini", seed=1)
+    killed = Theatre(scene, tmp_path, paced=False)
+    first = read_toml(killed.file, InputRefused)
+    first["calibration"]["stereo_head"]["created"] -= timedelta(days=1)  # as if it had begun yesterday
+    write_theatre_file(first, killed.file)
+    again = Theatre(scene, tmp_path, paced=False, saved=read_saved_world(tmp_path))
+    second = read_toml(again.file, InputRefused)
+    killed.close()
+    again.close()
+    assert second["identity"] == first["identity"]
+    made = {record["created"] for record in second["calibration"].values()}
+    assert made == {first["calibration"]["stereo_head"]["created"]}
 
 
 def test_settings_are_grouped_by_device() -> None:

@@ -30,7 +30,7 @@ from sim.cli import app as ronna_sim
 from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
 from sim.world.displacements import NOTHING_MOVED, ShiftedRoom
 from sim.world.faults import parse_faults
-from sim.world.saved_world import SavedWorld
+from sim.world.saved_world import WORLD_FILE, SavedWorld, read_saved_world
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import ArmState, World
 
@@ -163,6 +163,19 @@ def test_a_line_sent_in_drips_is_cut_off_after_the_time_of_one_line(room: Room) 
         else:
             pytest.fail("the port still listens to drips")
     port.close()
+
+
+@pytest.mark.parametrize(
+    "request_of_staff", [{"do": "step", "name": "registration:T1"}, {"do": "mount", "number": GUIDE}]
+)
+def test_a_theatre_that_is_killed_continues_from_the_last_request_of_its_staff(
+    room: Room, world: World, tmp_path: Path, request_of_staff: dict[str, object]
+) -> None:
+    room.answer({"do": "identify"})
+    assert not (tmp_path / WORLD_FILE).exists()
+    world.clock.sleep(40.0)
+    assert room.answer(request_of_staff)["ok"]
+    assert read_saved_world(tmp_path) == SavedWorld.from_world(world)
 
 
 def test_clients_without_the_token_do_not_keep_out_those_with_it(room: Room, world: World) -> None:

@@ -37,9 +37,7 @@ def moved(scene: Scene, world: World) -> Manipulator:
 def continued(world: World, folder: Path) -> World:
     """The world of a theatre that continues this one."""
     save_world(world, folder)
-    saved = read_saved_world(folder)
-    assert saved is not None
-    return saved.restore(world.scene, paced=False)
+    return read_saved_world(folder).restore(world.scene, paced=False)
 
 
 def test_arm_tool_and_time_continue_from_where_they_were_left(scene: Scene, tmp_path: Path) -> None:
@@ -106,8 +104,9 @@ def test_an_instrument_stays_in_the_guide_of_a_continued_world(
     assert continued(world, tmp_path).inserted() == inserted
 
 
-def test_a_folder_without_an_ended_theatre_has_no_saved_world(tmp_path: Path) -> None:
-    assert read_saved_world(tmp_path) is None
+def test_a_folder_in_which_no_theatre_has_run_has_no_saved_world(tmp_path: Path) -> None:
+    with pytest.raises(BadSavedWorld, match=r"SIM-012: .* has no world\.json"):
+        read_saved_world(tmp_path)
 
 
 def test_an_invalid_saved_world_is_refused(tmp_path: Path) -> None:
