@@ -10,6 +10,7 @@ from datetime import datetime
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
+from ronna_hw.evidence.lost_end import LOST
 from ronna_hw.text import format_count
 
 ADVICE = re.compile(r"\. (?=[A-Z])")  # follows the first sentence of an error
@@ -133,8 +134,13 @@ def _acknowledgement_text(line: Line) -> str:
 def _restart_text(line: Line) -> str:
     """Describe the state in which a resuming program found the run."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
-    first = f"The program ended before {begun} was complete" if begun else ""
-    return f"{first}; the last line of its journal was truncated and set aside" if torn else first
+    found = [f"the program ended before {begun} was complete"] if begun else []
+    if torn:
+        found.append("the last line of its journal was truncated and set aside")
+    if LOST in line:
+        found.append("its journal had lost its end")
+    words = "; ".join(found)
+    return f"{words[:1].upper()}{words[1:]}"
 
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {

@@ -21,6 +21,12 @@ from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.lost_end import (
+    describe_former_losses,
+    describe_lost_end,
+    describe_orphans,
+    find_orphans,
+)
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 
@@ -84,10 +90,20 @@ def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[
         notes.append("There is no journal: the run ended before its theatre was open.")
     if found.chain.torn:
         notes.append("The last line of the journal is truncated: the program ended while writing it.")
+    if found.lost:
+        notes.append(_sentence(f"the journal {describe_lost_end(found.lost, len(found.chain.lines))}"))
+    named = {Path(name).stem for name in found.manifest.records}
+    if found.chain.lines and not found.chain.is_closed and (orphans := find_orphans(folder, named)):
+        notes.append(_sentence(describe_orphans(orphans)))
+    notes += map(_sentence, describe_former_losses(found.chain.lines))
     changes = tuple(map(str, found.changes[:MOST_CHANGES]))
     if len(found.changes) > MOST_CHANGES:
         notes.append(f"{len(found.changes) - MOST_CHANGES} more changes are not listed; verify lists them.")
     return RunReading(run_of(found), _log(folder), changes, notes)
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:

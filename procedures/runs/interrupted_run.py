@@ -15,7 +15,8 @@ from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, Jour
 from procedures.workcell.arm_history import ArmHistory, fold_history
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
-from ronna_hw.evidence.manifest import NOT_AS_LEFT, RECORDS_FOLDER
+from ronna_hw.evidence.lost_end import describe_lost_end, describe_orphans, find_orphans, lost_as_plain
+from ronna_hw.evidence.manifest import NOT_AS_LEFT
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
 from ronna_hw.records import BadRecord, Record
 
@@ -29,6 +30,7 @@ class InterruptedRun:
     changes: tuple[Problem, ...] = ()  # of files on which the way home does not depend
     not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # hashes of those files
     unsealed: Mapping[str, int | None] = field(default_factory=dict)  # unconfirmed files, with their length
+    lost: tuple[Line, ...] = ()  # at the end of the journal, as the event file has them
 
     @property
     def folder(self) -> Path:
@@ -48,12 +50,25 @@ class InterruptedRun:
             "orphans": list(self.orphans),
         }
         files = {NOT_AS_LEFT: self.not_as_left, UNSEALED: self.unsealed}
-        return plain | {field: dict(named) for field, named in files.items() if named}
+        return (
+            plain | {field: dict(named) for field, named in files.items() if named} | lost_as_plain(self.lost)
+        )
+
+    @property
+    def has_lost_end(self) -> bool:
+        """Whether lines at the end of the journal are torn or lost."""
+        return bool(self.chain.torn or self.lost)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What the folder has and the journal does not know: lines lost at its end, and records."""
+        lost = f"the journal {describe_lost_end(self.lost, len(self.chain.lines))}" if self.lost else ""
+        return tuple(filter(None, (lost, describe_orphans(self.orphans) if self.orphans else "")))
 
     @property
     def arm(self) -> ArmHistory:
         """Arm and instrument history up to the run's end. Raises PRO-011 for lines of another version."""
-        return fold_history(self.chain)
+        return fold_history(self.chain, self.lost)
 
     @property
     def finished(self) -> bool:
@@ -71,17 +86,17 @@ class InterruptedRun:
         """Reason why no device is needed to bring the arm home, or None if devices are needed."""
         if self.parked:
             return "the run is finished: its arm is parked"
-        if not self.run.lines(Entry.MOTION) and not self.chain.torn:
+        if not self.run.lines(Entry.MOTION) and not self.has_lost_end:
             return "the run has moved nothing"
         return None
 
     @property
     def untouched(self) -> bool:
-        """Whether the run has no results, motions or torn data, so that it can start from the beginning."""
+        """Whether the run has no results, motions or lost lines, so that it can start from the beginning."""
         lines = self.run.journal
-        torn = bool(lines and self.chain.torn)
+        lost = bool(lines and self.has_lost_end)
         done = any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
-        return not (torn or done or self.orphans)
+        return not (lost or done or self.orphans)
 
     @property
     def latest(self) -> StepKey | None:
@@ -110,9 +125,7 @@ class InterruptedRun:
     @property
     def orphans(self) -> tuple[str, ...]:
         """Identifiers of records that the journal does not mention; they are kept but not valid."""
-        named = {record.identifier for record in self.run.records}
-        folder = self.folder / RECORDS_FOLDER
-        return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
+        return find_orphans(self.folder, {record.identifier for record in self.run.records})
 
     def list_unrecorded_work(self, order: CaseOrder, step: str) -> tuple[str, ...]:
         """List trajectories with orphaned records of this step or a later one."""
@@ -166,7 +179,9 @@ def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Interru
     """
     found = inspect_run(folder)
     found = found.require_account() if only_leaving else found.require_unchanged()
-    return InterruptedRun(run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found))
+    return InterruptedRun(
+        run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found), found.lost
+    )
 
 
 def _require_superseded(superseded: Sequence[Record], key: StepKey, line: Line) -> None:

@@ -36,7 +36,7 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.work_progress import work_begun_elsewhere
+from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -52,7 +52,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
-    comparison = Comparison()
+    comparison = _begin_comparison(previous)
     compare_inputs(engine, comparison, previous.plan_sha256)
     _doubt_tool(engine, comparison)
     stored = engine.case.find(CheckedSetUp, None)
@@ -64,7 +64,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
             comparison.note(
                 "patient and robot base: not visible to the tracker; compared once the arm is home"
             )
-    _doubt_work(engine, previous, comparison)  # after the arm's history is restored
+    _doubt_work(engine, previous)  # after the arm's history is restored
     _require_acceptance(
         engine, comparison, "resume the run", (*_list_first_moves(engine), _describe_remaining_steps(engine))
     )
@@ -80,6 +80,14 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         _conclude(engine, again, RESTORE if moved else None)
 
 
+def _begin_comparison(previous: InterruptedRun) -> Comparison:
+    """Begin a comparison with what the folder has and its journal does not know."""
+    comparison = Comparison()
+    for contradiction in previous.contradictions:
+        comparison.warn(contradiction)
+    return comparison
+
+
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
     """Cast doubt on the tool checks, since a tool number does not show whether the tool was touched."""
     for key in engine.order.checks_of_tool:
@@ -90,12 +98,14 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
         )
 
 
-def _doubt_work(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
-    """Cast doubt on the work at targets that an orphaned record reports as reached."""
-    if previous.orphans:
-        comparison.warn(f"records that the journal does not name, not used: {', '.join(previous.orphans)}")
+def _doubt_work(engine: Engine, previous: InterruptedRun) -> None:
+    """Cast doubt on the work at targets that an orphaned record reports as reached: every stage was done."""
+    stages = engine.setting.workcell.instrument.stages
     for trajectory in previous.list_unrecorded_work(engine.order, ReachedTarget.kind):
-        engine.setting.workcell.instrument.stages.record_doubt(trajectory)
+        stages.record_doubt(trajectory)
+        for stage in STAGES:
+            if stage.task not in stages.tasks_at(trajectory):
+                stages.record_done(trajectory, stage.task)
 
 
 def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
@@ -104,7 +114,7 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     The run stays as it is. Only the arm is needed, and only conditions of the way home are compared. Raises
     PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
     """
-    comparison = Comparison()
+    comparison = _begin_comparison(previous)
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     comparison.note("patient and robot base: not compared, the arm only goes home")
     for change in previous.changes:
@@ -252,7 +262,7 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
         return False
     begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in previous.run.journal)
     looks = [key for key in engine.order.sequence if key.name in LOOKS]
-    return begun or (bool(previous.chain.torn) and all(map(engine.case.stands, looks)))
+    return begun or (previous.has_lost_end and all(map(engine.case.stands, looks)))
 
 
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:

@@ -68,6 +68,8 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
         interrupted = read_interrupted_run(folder, only_leaving=only_leaving)
         for change in interrupted.changes:
             tell(f"warning: not as the run left it: {change}")
+        for contradiction in interrupted.contradictions:
+            tell(f"warning: {contradiction}")
         yield interrupted
 
 

@@ -25,6 +25,7 @@ from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.evidence.lost_end import LOST, lost_as_plain
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -205,7 +206,9 @@ class ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
-            return self.with_restart(torn=bool(line.get("torn_bytes")))
+            lost = line.get(LOST)
+            work = cast("Sequence[Line]", lost["work"]) if isinstance(lost, Mapping) else ()
+            return self.with_restart(torn=bool(line.get("torn_bytes")) or lost is not None, lost=work)
         if line.get("arm", MASTER) != self.arm:
             return self
         match entry:
@@ -228,8 +231,15 @@ class ArmHistory:
             case _:
                 return self
 
-    def with_restart(self, *, torn: bool) -> ArmHistory:
-        """Apply the end of a program. `torn` means that its last journal lines may be lost."""
+    def with_restart(self, *, torn: bool, lost: Sequence[Line] = ()) -> ArmHistory:
+        """Apply the end of a program. `torn` means that its last journal lines may be lost.
+
+        `lost` are lines about the work that the journal has lost: more may have been done than they say.
+        """
+        if lost:
+            known = reduce(ArmHistory.with_line, lost, self)
+            places = {str(line["trajectory"]) for line in lost if line["entry"] == Entry.STAGE}
+            return replace(known, doubted=known.doubted | places).with_restart(torn=True)
         place = self.place
         if torn or place.place_kind is PlaceKind.MOVING:
             place = replace(place, place_kind=PlaceKind.UNKNOWN, moved=True)
@@ -323,9 +333,13 @@ def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
     return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
-def fold_history(chain: Chain, arm: str = MASTER) -> ArmHistory:
-    """Build an arm's history from the journal of an ended program. Raises as `arm_history`."""
-    return arm_history(chain.lines, arm).with_restart(torn=bool(chain.torn))
+def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> ArmHistory:
+    """Build an arm's history from the journal of an ended program and the lines `lost` at its end.
+
+    Raises as `arm_history`.
+    """
+    ending: dict[str, JournalValue] = {"entry": Entry.RESTARTED, "torn_bytes": len(chain.torn)}
+    return _fold_line(arm_history(chain.lines, arm), ending | lost_as_plain(lost))
 
 
 def _joints_rad(line: Line) -> JointVector:

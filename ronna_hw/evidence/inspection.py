@@ -24,6 +24,7 @@ from ronna_hw.evidence.journal_reading import (
     RunChanged,
     read_chain_until_break,
 )
+from ronna_hw.evidence.lost_end import describe_lost_end, find_lost_lines, read_events
 from ronna_hw.evidence.manifest import (
     CHUNK_BYTES,
     LOG_FILES,
@@ -101,6 +102,7 @@ class Inspection:
     records: tuple[Record, ...]
     problems: tuple[Problem, ...]
     out_of_reach: tuple[str, ...] = ()  # inputs outside the run that are not here, and were not compared
+    lost: tuple[Line, ...] = ()  # at the end of the journal, as the event file has them
 
     @property
     def superseded(self) -> frozenset[str]:
@@ -174,7 +176,10 @@ def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str]
     exist are checked, which takes milliseconds.
     """
     problems: list[Problem] = []
+    events = read_events(folder)
     chain = _read_chain(folder, problems)
+    if lost := find_lost_lines(events, chain.lines):
+        problems.append(Problem(JOURNAL_FILE, describe_lost_end(lost, len(chain.lines)), unfinished=True))
     if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
         return Inspection(folder, chain, Manifest(), (), tuple(problems))
@@ -187,7 +192,7 @@ def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str]
         problems += _check_named_files(folder, chain, manifest, present)
     found = tuple(issue for issue in dict.fromkeys(problems) if not issue.out_of_reach)
     out_of_reach = dict.fromkeys(issue.file for issue in problems if issue.out_of_reach)
-    return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
+    return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach), lost)
 
 
 def _read_chain(folder: Path, problems: list[Problem]) -> Chain:

@@ -11,6 +11,7 @@ from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
+from ronna_hw.evidence.lost_end import describe_former_losses
 from ronna_hw.evidence.manifest import (
     LOG_FILES,
     TRUTH_FILES,
@@ -62,7 +63,8 @@ def describe_unconfirmed_files(found: Inspection) -> Iterator[str]:
 
 
 def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
-    """Describe, in sentences, the files that the seal covers without vouching for them."""
+    """Describe, in sentences, files and lost lines that the seal covers without vouching for them."""
+    yield from describe_former_losses(lines)
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:

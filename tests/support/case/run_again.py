@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TypeVar
 
 from recording_cell import RecordingCell
 
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
-from procedures.journal.journal import Journal
+from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 
 C = TypeVar("C", bound=RecordingCell)
 
@@ -17,6 +19,17 @@ C = TypeVar("C", bound=RecordingCell)
 def broken_off(cell: RecordingCell) -> None:
     """The program is gone, and its file of the journal with it."""
     cell.journal.close()
+
+
+def lose_lines(folder: Path, *, from_line_with: bytes) -> list[bytes]:
+    """Cut the journal before that line, where the event file has every line; what is lost."""
+    path = folder / JOURNAL_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    events = (b'{"what":{"kind":"journal","line":' + line.strip() + b"}}\n" for line in lines)
+    (folder / EVENTS_FILE).write_bytes(b"".join(events))
+    first = next(number for number, line in enumerate(lines) if from_line_with in line)
+    path.write_bytes(b"".join(lines[:first]))
+    return lines[first:]
 
 
 def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, InterruptedRun]:

@@ -7,11 +7,16 @@ from pathlib import Path
 
 import pytest
 from finished_runs import changed_files
+from run_again import lose_lines
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
+from procedures.reporting.run_reading import read_for_report
+from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.lost_end import EVENTS_FILE, find_lost_lines
 from ronna_hw.evidence.manifest import SEAL_FILE, hash_truth_files
+from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import read_record, write_record
 
 
@@ -73,6 +78,37 @@ def test_changes_after_a_kill_are_distinguished_from_the_traces_of_the_kill(
     assert [problem.what.partition(":")[0] for problem in inspect_run(killed).problems] == ["not closed"]
     spoil(killed)
     assert changed_files(killed) == {SPOILED[spoil]}
+
+
+@pytest.mark.hazard(44)
+def test_lines_that_only_the_event_file_still_has_are_named_until_the_run_is_resumed(killed: Path) -> None:
+    lost = lose_lines(killed, from_line_with=b'"record":"02-localization-T1"')
+    journal, number = killed / JOURNAL_FILE, len(read_chain(killed / JOURNAL_FILE).lines)
+    first = f"has lost its end: events.jsonl has {len(lost)} more lines after line {number}, until 2"
+    assert first in " ".join(problem.what for problem in inspect_run(killed).problems)
+    reading = read_for_report(killed, every_file=False)
+    assert first in reading.problems[0]
+    assert "records that the journal does not name" in reading.problems[1].lower()
+    left = read_interrupted_run(killed)
+    assert not left.untouched
+    again = Journal.reopen_run(killed, left.chain)  # by a program whose events were not written
+    again.write(Entry.RESTARTED, 0.0, **left.as_plain())
+    again.close()
+    assert inspect_run(killed).lost == ()
+    said, _ = describe_unsealed_files(read_chain(journal).lines)
+    assert f"had lost {len(lost)} lines when the run was resumed after its line {number}" in said
+
+
+@pytest.mark.hazard(44)
+def test_the_event_file_of_another_run_or_of_the_same_lines_says_nothing_about_lost_lines(
+    killed: Path,
+) -> None:
+    lose_lines(killed, from_line_with=b'"record":"02-localization-T1"')
+    events, lines = (killed / EVENTS_FILE).read_bytes(), read_chain(killed / JOURNAL_FILE).lines
+    assert find_lost_lines(events, lines)
+    assert find_lost_lines(events.replace(b'"previous":"', b'"previous":"0'), lines) == ()
+    assert find_lost_lines(b"".join(events.splitlines(keepends=True)[: len(lines)]), lines) == ()
+    assert find_lost_lines(b'{"journal"\n' + events[:-9], lines)  # torn
 
 
 @pytest.mark.hazard(39)

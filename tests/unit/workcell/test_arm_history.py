@@ -13,11 +13,12 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import TRAIL, ArmHistory, PlaceKind, arm_history
+from procedures.workcell.arm_history import TRAIL, ArmHistory, PlaceKind, arm_history, fold_history
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.evidence.journal_reading import JournalCorrupt
+from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt, Line
+from ronna_hw.evidence.lost_end import lost_as_plain
 from ronna_hw.vectors import JointVector
 
 WAY_MM = 60.0
@@ -203,6 +204,21 @@ def test_lost_lines_leave_the_place_unknown_until_the_arm_is_measured() -> None:
     assert torn.place.is_out
     assert torn.with_line({"entry": Entry.PLACED, "at_home": True}).place.is_home
     assert torn.with_line({"entry": Entry.PLACED, "at_home": False}).place.place_kind is PlaceKind.AWAY
+
+
+@pytest.mark.hazard(44)
+def test_work_in_lost_lines_stays_known_and_in_doubt_to_every_later_program() -> None:
+    lost: tuple[Line, ...] = (
+        {"entry": Entry.STAGE, "trajectory": "T1", "task": "drill", "done": True},
+        {"entry": Entry.INSTRUMENT, "trajectory": "T1", "inside": True},
+        {"entry": Entry.STAGE, "trajectory": "T1", "task": ["not", "a", "task"], "done": True},
+    )
+    left = fold_history(Chain(tuple(MOTION_FROM_HOME[:1])), lost)
+    assert left.stages == {"T1": {"drill": True}}
+    assert left.doubted == {"T1"}
+    assert left.place.instrument_may_be_inside == "T1"
+    assert left.place.place_kind is PlaceKind.UNKNOWN
+    assert arm_history([*MOTION_FROM_HOME[:1], {"entry": Entry.RESTARTED, **lost_as_plain(lost)}]) == left
 
 
 @pytest.mark.hazard(44)

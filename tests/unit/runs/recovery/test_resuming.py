@@ -11,7 +11,7 @@ import pytest
 from clinical_case import FIRST, ClinicalCell
 from left_operation import case_order, left_after, left_with_an_instrument_inside
 from recording_cell import GUIDE
-from run_again import broken_off, opened_again
+from run_again import broken_off, lose_lines, opened_again
 
 from procedures.engine import questions
 from procedures.engine.engine import Engine
@@ -218,8 +218,30 @@ def test_a_record_without_a_line_of_a_target_reached_puts_the_work_there_in_doub
     again, engine, left = opened_again(cell, order)
     recover(engine, left)
     (orphan,) = left.orphans
-    for said in (f"records that the journal does not name, not used: {orphan}", "work may have begun at T1"):
+    for said in (
+        f"records that the journal does not name, not used: {orphan}",
+        "work has begun at T1: the skin is open, the skull is drilled, the dura is open",
+    ):
         assert said in again.operator.asked[0].value
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
+def test_work_in_lines_that_only_the_event_file_still_has_is_named_asked_about_and_not_repeated(
+    cell: ClinicalCell,
+) -> None:
+    order = case_order(cell)
+    left_with_an_instrument_inside(cell, order)
+    lose_lines(cell.folder, from_line_with=b'"task":"depth_stop"')
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    found = again.operator.asked[0].value
+    assert "the journal has lost its end: events.jsonl has" in found
+    assert "work at T1 (skin, drill, dura)" in found
+    engine.run_to()
+    (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
+    assert asked.answers == ("from dura", "from drill", "from skin", "from insert", "hold")
+    assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
 
 
 @pytest.mark.hazard(44)
