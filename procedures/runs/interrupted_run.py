@@ -15,7 +15,7 @@ from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, Jour
 from procedures.workcell.arm_history import ArmHistory, fold_history
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
-from ronna_hw.evidence.lost_end import describe_lost_end, describe_orphans, find_orphans, lost_as_plain
+from ronna_hw.evidence.lost_end import LOST, describe_lost_end, describe_orphans, find_orphans, lost_as_plain
 from ronna_hw.evidence.manifest import NOT_AS_LEFT
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
 from ronna_hw.records import BadRecord, Record
@@ -58,6 +58,12 @@ class InterruptedRun:
     def has_lost_end(self) -> bool:
         """Whether lines at the end of the journal are torn or lost."""
         return bool(self.chain.torn or self.lost)
+
+    @property
+    def ever_lost_end(self) -> bool:
+        """Whether the journal has lost its end now, or had when an earlier program resumed the run."""
+        restarts = self.run.lines(Entry.RESTARTED)
+        return self.has_lost_end or any(line.get("torn_bytes") or LOST in line for line in restarts)
 
     @property
     def contradictions(self) -> tuple[str, ...]:

@@ -262,7 +262,7 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
         return False
     begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in previous.run.journal)
     looks = [key for key in engine.order.sequence if key.name in LOOKS]
-    return begun or (previous.has_lost_end and all(map(engine.case.stands, looks)))
+    return begun or (previous.ever_lost_end and all(map(engine.case.stands, looks)))
 
 
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:

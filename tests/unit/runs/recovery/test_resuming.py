@@ -21,7 +21,7 @@ from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 from procedures.runs.recovery import bring_home, recover
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import Relocalization
@@ -117,6 +117,9 @@ def test_a_guide_whose_journal_lines_were_lost_is_found_by_its_position(
     assert again.workcell.place.is_home
     # the lost lines can have said that an instrument goes in
     assert [one.topic for one in again.operator.asked][1] is Topic.INSTRUMENT_OUT
+    assert not left.run.lines(Entry.RESTARTED)
+    again.journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
+    assert read_interrupted_run(again.folder).ever_lost_end  # also to the next program
 
 
 @pytest.mark.hazard(44)
