@@ -135,7 +135,8 @@ class Engine:
             _log.warning("step interrupted", step=self._redact(str(key)))
             raise
         except Exception as problem:
-            self._fail(key, problem)
+            self._fail(key, self._journal.deletion or problem)
+            self.require_record()  # its loss is the cause, whatever the step missed first
             raise
         finally:
             self.running = None
@@ -161,6 +162,16 @@ class Engine:
         if self.machine.ended:
             return "No further step is possible in this run."
         return self.course.advice_now(key) if unmet == self.course.why_not_now(key) else None
+
+    def require_record(self) -> None:
+        """Raise PRO-053 if the run's journal was deleted: nothing more may move."""
+        if (deletion := self._journal.deletion) is not None:
+            raise deletion
+
+    @property
+    def record_is_deleted(self) -> bool:
+        """Whether the run's journal was deleted."""
+        return self._journal.deletion is not None
 
     @property
     def over(self) -> bool:
