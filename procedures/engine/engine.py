@@ -75,6 +75,8 @@ class Engine:
         self.recorders = list(recorders)
         self.running: StepKey | None = None
         self.compare_place = setting.workcell.compare_place  # before a step begins
+        # Whether somebody elsewhere is to take a seat, order or answer, and nothing moves until then.
+        self.is_awaiting_person: Callable[[], bool] = lambda: False
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 

@@ -21,7 +21,7 @@ from procedures.journal.errors import RunDeleted, StepRefused
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Room
 from procedures.runs.finishing import begin_report
-from procedures.runs.observers import RunObservers, operator_selection
+from procedures.runs.observers import SEAT_AWAITED, RunObservers, operator_selection
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
@@ -298,7 +298,9 @@ def run_steps(
             from procedures.runs.recovery import recover
 
             if observers.executor is not None:
+                observers.status(SEAT_AWAITED)
                 observers.executor.await_operator()
+            observers.status("comparing the theatre with the record")
             recover(engine, resumption.interrupted)
         run_to_end(engine, observers)
         conclude(engine)

@@ -131,6 +131,7 @@ class OperatorStation:
         self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
         self._taken: deque[tuple[str, str, float | None]] = deque()  # as `changes_of_seat`
         self._vacated = 0
+        self._awaits_seat = False
         self._gone = False
         self._stopped = False  # and nobody in the seat has answered since
 
@@ -172,6 +173,14 @@ class OperatorStation:
         with self._changed:
             current = self._question
             return None if current is None else (current.question.number, current.shown)
+
+    @property
+    def is_awaiting_person(self) -> bool:
+        """Whether the engine waits for somebody to take the seat, to order or to answer.
+
+        It takes no lock: a signal handler asks for it.
+        """
+        return self._awaits_seat or self._waiting_for is not None or self._question is not None
 
     @property
     def waits(self) -> bool:
@@ -385,9 +394,13 @@ class OperatorStation:
     def await_seat(self) -> None:
         """If the seat must be taken, wait until someone takes it or the console is gone."""
         with self._changed:
-            while self._waits and not self._seat.holder and not self._gone:
-                self._changed.wait(LOOK_AGAIN_S)
-                self._notice_lapse()
+            try:
+                while self._waits and not self._seat.holder and not self._gone:
+                    self._awaits_seat = True
+                    self._changed.wait(LOOK_AGAIN_S)
+                    self._notice_lapse()
+            finally:
+                self._awaits_seat = False
 
     def next_order(self, upcoming: str, timeout_s: float | None = None) -> PendingOrder | None:
         """Wait between steps for an order; return None after the time limit or if the console is gone."""

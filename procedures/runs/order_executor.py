@@ -125,6 +125,7 @@ class OrderExecutor:
     def attach(self, engine: Engine) -> None:
         """Direct all further orders to an engine."""
         self._engine = engine
+        engine.is_awaiting_person = lambda: self.station.is_awaiting_person
         self.station.attach(engine)
 
     def note_seat(self) -> None:
