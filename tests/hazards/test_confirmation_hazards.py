@@ -288,7 +288,7 @@ def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before
     faults = {"arm": "the arm is in fault (EKI-010), emergency stop: pressed"} if when == "before" else {}
     typed = iter((b"abort\n",) if when == "before" else (b"resume\n", b"abort\n"))
 
-    def at_prompt(_words: str) -> None:
+    def at_prompt(_words: str, *, question: str = "") -> None:
         os.write(keyboard, next(typed))
         faults["arm"] = "the arm is in fault (EKI-010), emergency stop: pressed"
 

@@ -76,7 +76,7 @@ class Interrupts:
         finally:
             self._at_question = None
 
-    def _write(self, prompt: str, question: str = "") -> None:
+    def _write(self, prompt: str, *, question: str = "") -> None:
         self._question, self._prompt = question, prompt
         write_prompt(prompt)
 

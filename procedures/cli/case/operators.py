@@ -40,7 +40,7 @@ ADVICE = "Whatever you answer, no motion and no step begins before the fault is 
 class WritePrompt(Protocol):
     """Writer of prompts."""
 
-    def __call__(self, prompt: str, question: str = "") -> None:
+    def __call__(self, prompt: str, /, *, question: str = "") -> None:
         """Write a prompt. The question it belongs to stands above it already."""
         ...
 
@@ -125,7 +125,7 @@ def _read_part() -> bytes:
         return b""
 
 
-def write_prompt(prompt: str, question: str = "") -> None:
+def write_prompt(prompt: str, *, question: str = "") -> None:
     """Write a prompt, as `WritePrompt` does."""
     sys.stderr.write(prompt)
     sys.stderr.flush()

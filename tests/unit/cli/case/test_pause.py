@@ -66,8 +66,8 @@ def test_an_interrupt_at_a_question_repeats_the_question_with_its_figures(
 ) -> None:
     interrupts, engine = attached
     with interrupts.asking() as write:
-        write("Type yes or no: ", "the wristband\n")
-        write("Type what it says: ", "the wristband\n")
+        write("Type yes or no: ", question="the wristband\n")
+        write("Type what it says: ", question="the wristband\n")
         interrupts.interrupt()
     repeated = "Ctrl-C again ends the command\nthe wristband\nType what it says: "
     assert capfd.readouterr().err.endswith(repeated)
