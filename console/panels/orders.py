@@ -34,6 +34,7 @@ from procedures.runs.orders import (
     RunTo,
     activity_of,
 )
+from ronna_hw.devices.lifecycle import LONGEST_NAME
 from ronna_hw.text import parse_typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
@@ -56,8 +57,11 @@ class SeatPanel:
         with ui.element("div").classes("seatbox"):
             self._line = ui.html("", sanitize=False)
             self._name = (
-                ui.input("Your name").props("dense outlined maxlength=60 autocomplete=off").classes("name")
+                ui.input("Your name")
+                .props(f"dense outlined maxlength={LONGEST_NAME} autocomplete=off")
+                .classes("name")
             )
+            self._name.on("keydown.enter", self._claim_seat)
             self._claim = _button("Take the seat", self._claim_seat, "claim")
             self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
