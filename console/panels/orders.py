@@ -174,7 +174,7 @@ class QuestionPanel:
         self._tell = tell
         self._words = ""
         self._said: ui.html | None = None
-        self._shown: object = ()
+        self._shown: tuple[object, ...] | None = ()
         self._time_limit: ui.html | None = None
         self._place = (
             ui.element("section").classes("question").props('aria-label="Question" aria-live=polite')
@@ -187,6 +187,8 @@ class QuestionPanel:
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
         )
         if key != self._shown:
+            if self._words and key is not None and (self._shown or ())[:2] == key[:2]:
+                self._words = ""  # the seat changed hands: it was said to somebody else
             if self._words:
                 self._tell(self._words)
             self._shown, self._time_limit, self._said, self._words = key, None, None, ""

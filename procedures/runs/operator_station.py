@@ -17,7 +17,15 @@ from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import MOST_MISREAD, Answer, Question, Signature, Topic, tries_left
+from procedures.operator.question import (
+    MISREAD_REASON,
+    MOST_MISREAD,
+    Answer,
+    Question,
+    Signature,
+    Topic,
+    tries_left,
+)
 from procedures.runs.orders import (
     OPENING,
     PAUSED,
@@ -44,6 +52,7 @@ if TYPE_CHECKING:
 
 LEASE_S = 10.0  # host time without a sign of life; a page renews each second
 LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
+EMPTY_SEAT = "the operator's seat was empty"
 NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
 
 
@@ -325,7 +334,7 @@ class OperatorStation:
             wrong = f"{answer.typed!r} {question.read_back.wrong.rstrip('.')}"
             if current.misread < MOST_MISREAD:
                 return f"{wrong}; {tries_left(current.misread)}"
-            self._settle(Answer(question.silence, signature=by))
+            self._settle(Answer(question.silence, signature=by, silence_reason=MISREAD_REASON))
             return f"{wrong}; {MOST_MISREAD} wrong values count as {question.silence!r}"
         if refused := question.why_refused(answer):
             return refused
@@ -374,7 +383,9 @@ class OperatorStation:
                         LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
                     )
                     if remaining_s <= 0.0:
-                        return Answer(question.silence)
+                        return Answer(
+                            question.silence, silence_reason="" if self._seat.holder else EMPTY_SEAT
+                        )
                     self._changed.wait(remaining_s)
                     self._notice_lapse()
                     while current.misread_noted < current.misread:

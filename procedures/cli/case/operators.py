@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import sys
@@ -17,6 +18,7 @@ from typer import style
 
 from procedures.operator.question import (
     HELP,
+    MISREAD_REASON,
     MOST_MISREAD,
     Answer,
     Question,
@@ -89,9 +91,12 @@ class Alarms:
 
 
 def forget_typed() -> None:
-    """Discard unread terminal input."""
-    with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
+    """Discard unread terminal input, and say so if there was any."""
+    with contextlib.suppress(termios.error, OSError):  # the terminal is gone, and its end is read
+        unread = fcntl.ioctl(sys.stdin, termios.FIONREAD, bytes(4))
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        if any(unread):
+            say_line("What was typed ahead was not used.")
 
 
 def await_line(alarms: Alarms, deadline_s: float | None = None) -> tuple[str | None, list[str]]:
@@ -214,7 +219,7 @@ class TerminalOperator:
             wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
             if misread == MOST_MISREAD:
                 say_line(f"{wrong} {MOST_MISREAD} wrong values count as {question.silence!r}.")
-                return Answer(question.silence)
+                return Answer(question.silence, silence_reason=MISREAD_REASON)
             say_line(f"{wrong} Type it again, or {join_answers(others)} to stop; {tries_left(misread)}.")
         return None
 
