@@ -49,6 +49,10 @@ class NoPandas(ConfigurationError):
     action = "Run make setup in the clone, or python -m pip install pandas; the arrays need nothing else."
 
 
+class RunWarning(UserWarning):
+    """A loaded run is not as it was left, or readings are missing in a table that was just read."""
+
+
 @dataclass(frozen=True)
 class Column:
     """Column of a table: its unit is in the name, and the frame of a position before it."""
@@ -143,10 +147,10 @@ class LoadedRun(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Files of the folder that are missing or have changed since the run ended.
+        """Files that are missing or have changed since the run ended, as `ronna-procedure verify` lists them.
 
-        Files are compared with the hashes of the run: pixels once a table of readings is used, all others
-        that are read here on loading. That no seal confirms them is noted too.
+        That no seal confirms them is noted too, and readings missing in a table once it is read. What is
+        noted for a finished run is also a RunWarning.
         """
         ...
 
@@ -209,8 +213,9 @@ class RunReader(Protocol):
 def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
     """Open the folder of one run for reading: finished, interrupted, or still running.
 
-    Raises CLI-005 if it is not the folder of a run, PRO-033 if its journal or a record was changed. A table
-    that another version wrote differently raises REC-003 when it is read.
+    All its files are compared with the hashes of the run. Raises CLI-005 if it is not the folder of a run,
+    PRO-033 if its journal, its request or a record was changed; other changes are in `notes`, and warn. A
+    table that another version wrote differently raises REC-003 when it is read.
     """
     for point in entry_points(group=GROUP):
         if point.name == READER:
