@@ -175,6 +175,11 @@ class LoadedRun(Protocol):
         ...
 
     @property
+    def budget(self) -> RunTable:
+        """Error budget of each target's prediction: one row per source of error."""
+        ...
+
+    @property
     def strays(self) -> RunTable:
         """Stray markers in each new frame of the tracker, with an identity over the frames."""
         ...

@@ -12,6 +12,7 @@ from procedures.exchange.errors import NoRegistration
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
     EVENTS,
+    budget_table,
     events_table,
     find_registration,
     localized_table,
@@ -98,6 +99,10 @@ class RunArrays:
     @cached_property
     def registrations(self) -> RunTable:
         return registrations_table(self._reading.run)
+
+    @cached_property
+    def budget(self) -> RunTable:
+        return budget_table(self._reading.run)
 
     @cached_property
     def motions(self) -> RunTable:

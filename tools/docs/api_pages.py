@@ -77,6 +77,7 @@ def runs() -> str:
         "spheres": run_tables.SPHERES,
         "localized": run_tables.LOCALIZED,
         "registrations": run_tables.REGISTRATIONS,
+        "budget": run_tables.BUDGET,
         "strays": recorded_tables.STRAYS,
         "looks": recorded_tables.LOOKS,
         "motions": run_tables.MOTIONS,

@@ -119,6 +119,8 @@ def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     row = targets[targets.name == "T1"][0]
     np.testing.assert_allclose(loaded.robot_from_ct("T1").apply(row.target_ct_mm), row.target_robot_mm)
     assert loaded.registrations.standing.tolist() == [True]
+    # Prepared without relocalization as its parent: nothing says what it was weighted with.
+    assert np.isnan(loaded.localized.total_covariance_robot_mm2).all()
 
 
 def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> None:
@@ -262,7 +264,7 @@ def test_a_table_for_pandas_has_a_column_per_component_and_needs_pandas(
     loaded = load_run(run)
     table = loaded.localized[loaded.localized.sphere == "M1"].to_pandas()
     assert table["centre_robot_y_mm"].tolist() == [relocalization().points_robot_mm[0][1]]
-    assert {"joints_A6_rad", "covariance_robot_xz_mm2"} <= set(table.columns)
+    assert {"joints_A6_rad", "stereo_covariance_robot_xz_mm2"} <= set(table.columns)
     assert "robot_from_ct_w" in loaded.registrations.to_pandas()
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(NoPandas, match="pip install pandas"):
