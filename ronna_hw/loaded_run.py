@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.frames import Transform
 from ronna_hw.registry import load_entry_point
@@ -92,9 +93,20 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
 
     def __getattr__(self, name: str) -> Any:
         """Raise AttributeError naming the columns there are, and the nearest."""
+        raise AttributeError(self._describe_missing(name), name=name, obj=self)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a column by name, or rows. Raises ARG-001 for a name that is no column."""
+        if isinstance(key, str) and key not in (self.dtype.names or ()):
+            raise WrongArgument(
+                self._describe_missing(key), action='Rows by name: table[table.name == "T1"].'
+            )
+        return super().__getitem__(key)
+
+    def _describe_missing(self, name: str) -> str:
         names = self.dtype.names or ()
         meant = "".join(f"did you mean {one}? " for one in get_close_matches(name, names, n=1))
-        raise AttributeError(f"no column {name}: {meant}There are {', '.join(names)}", name=name, obj=self)
+        return f"no column {name}: {meant}There are {', '.join(names)}"
 
     def __array_finalize__(self, source: Any) -> None:
         super().__array_finalize__(source)
@@ -220,10 +232,12 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
 
     All its files are compared with the hashes of the run. Raises CLI-005 if it is not the folder of a run,
     PRO-033 if its journal, its request or a record was changed; other changes are in `notes`, and warn. A
-    table that another version wrote differently raises REC-003 when it is read.
+    table that another version wrote differently raises REC-003 when it is read. Raises ARG-001 for an empty
+    name and for what is no path.
     """
+    path = require_path(folder, "the folder of the run")
     for point in entry_points(group=GROUP):
         if point.name == READER:
             reader: RunReader = load_entry_point(point)
-            return reader(Path(folder))
+            return reader(path)
     raise NoRunReader("no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}")

@@ -9,6 +9,7 @@ from typing import overload
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import describe_torn_end
+from procedures.exchange.errors import NoSuchLook
 from procedures.exchange.raw_readings import iterate_steps
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
@@ -51,9 +52,11 @@ class RecordedPictures(Sequence[StereoPictures]):
     @overload
     def __getitem__(self, index: slice) -> RecordedPictures: ...
     def __getitem__(self, index: int | slice) -> StereoPictures | RecordedPictures:
-        """Return the pictures of one look, or of several. Raises PRO-024 for damaged pixels."""
+        """Return the pictures of one look, or of several. Raises EXC-006, and PRO-024 for damaged pixels."""
         if isinstance(index, slice):
             return RecordedPictures(self._loaders[index])
+        if not -len(self) <= index < len(self):
+            raise NoSuchLook(f"there is no look {index}", expected=f"0 to {len(self) - 1}")
         pair = self._loaders[index]()
         assert isinstance(pair, StereoReading)
         return StereoPictures(*(None if one is None else one.pixels for one in (pair.left, pair.right)))

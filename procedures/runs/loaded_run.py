@@ -148,7 +148,7 @@ class RunArrays:
         used = find_registration(self._reading, target)
         if used is None:
             raise NoRegistration(
-                f"{self.name} has no registration for a target {target}",
+                f"{self.name} has no registration for a target {target!r}",
                 expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
             )
         return used.result.robot_from_ct.transform

@@ -21,13 +21,14 @@ from procedures.engine.case import Case, StepKey
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
-from procedures.exchange.errors import NoRegistration
+from procedures.exchange.errors import NoRegistration, NoSuchLook
 from procedures.journal.journal import Entry, Journal
 from procedures.reporting.files import KEPT_TRUTH
 from procedures.runs.folders import hold_run
 from procedures.runs.loaded_run import MOST_SHOWN
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from ronna_hw import RunTable, RunWarning, load_run
+from ronna_hw import RunTable, RunWarning, load_run, track_strays
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
@@ -127,6 +128,8 @@ def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> 
     strays = load_run(run).strays
     assert strays.identity.tolist() == [0, 1, 1, 0, 1]
     assert strays.position_tracker_mm[strays.identity == 1].tolist() == [[0.0, 40.0, -1500.0]] * 3
+    with pytest.raises(WrongArgument, match=r"got record. .*run\.strays\.identity"):
+        track_strays(strays)
     assert strays.device_clock.tolist() == [100, 100, 101, 101, 102]
     assert set(strays.step) == {"global_localization"}
 
@@ -139,6 +142,9 @@ def test_looks_have_their_pictures_and_none_for_a_side_that_did_not_arrive(run: 
     np.testing.assert_array_equal(pair.left, LEFT.pixels)
     assert pair.right is None
     assert len(loaded.pictures[:0]) == 0
+    assert len(list(loaded.pictures)) == 1
+    with pytest.raises(NoSuchLook, match="no look 7; expected 0 to 0"):
+        loaded.pictures[7]
 
 
 def test_a_motion_tells_how_it_ended_or_that_nothing_is_known_of_its_end(run: Path) -> None:
@@ -192,8 +198,11 @@ def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Pat
 
 
 def test_an_unknown_column_names_the_nearest(run: Path) -> None:
+    targets = load_run(run).targets
     with pytest.raises(AttributeError, match="no column error: did you mean error_mm"):
-        load_run(run).targets.error  # noqa: B018 - the access is what raises
+        targets.error  # noqa: B018 - the access is what raises
+    with pytest.raises(WrongArgument, match="no column error: did you mean error_mm"):
+        targets["error"]
 
 
 def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
@@ -246,7 +255,11 @@ def test_what_is_no_run_folder_is_refused_with_what_to_give(run: Path, tmp_path:
     for wrong in (run / "journal.jsonl", tmp_path / "nothing", tmp_path):
         with pytest.raises(PathProblem):
             load_run(wrong)
-    with pytest.raises(NoRegistration, match="no registration for a target T9"):
+    for not_a_path in ("", " ", None, [run], 5, b"run"):
+        with pytest.raises(WrongArgument, match=r"got .") as refused:
+            load_run(not_a_path)
+        assert isinstance(refused.value, TypeError)
+    with pytest.raises(NoRegistration, match="no registration for a target 'T9'"):
         load_run(run).robot_from_ct("T9")
 
 
