@@ -27,7 +27,7 @@ SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
 # For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
 PARALLEL_SINE = math.sin(math.radians(5.0))
 ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
-WHOLE_TURN_RAD = 2.0 * math.pi
+LARGEST_ANGLE_RAD = 4.0 * math.pi  # a plan's half turn, and turns tried about it, stay far within
 UP = np.array([0.0, 0.0, 1.0])
 AHEAD = np.array([1.0, 0.0, 0.0])
 
@@ -39,7 +39,7 @@ class Trajectory:
     `beyond_mm` is how far beyond the target, along the axis, the tool origin comes to rest: a guide is held
     outside the head, and its tip frame is at the end of its mandrel. `standoff_mm` is the plan's, from the
     entry to the guide, for messages. Raises STR-003 when entry and target coincide, or a number is
-    not finite, has another shape, or is an angle of more than a turn.
+    not finite, has another shape, or is an angle of more than two turns.
     """
 
     identifier: str
@@ -60,10 +60,10 @@ class Trajectory:
         )
         if not np.isfinite(numbers).all():
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
-        if abs(self.free_angle_rad) > WHOLE_TURN_RAD:
+        if abs(self.free_angle_rad) > LARGEST_ANGLE_RAD:
             raise BadTrajectory(
-                f"the free angle of trajectory {self.identifier} is more than a turn: are these degrees?",
-                limit=f"{WHOLE_TURN_RAD:.3f} rad",
+                f"the free angle of trajectory {self.identifier} is more than two turns: are these degrees?",
+                limit=f"{LARGEST_ANGLE_RAD:.3f} rad",
                 got=f"{self.free_angle_rad:g} rad",
                 action="Give radians, such as math.radians(30).",
             )
