@@ -69,8 +69,8 @@ LOCALIZED = (
     Column(
         "total_covariance_robot_mm2",
         float,
-        "of CT, seating of the sphere, stereo measurement and arm together: it weighted the registration, and "
-        "is what `register` asks for; NaN without one",
+        "of CT, seating of the sphere, stereo measurement and arm together, which weighted the registration: "
+        "what `register` asks for; NaN without one",
         (3, 3),
     ),
     Column("residual_mm", float, "last residual of the servo"),
@@ -92,7 +92,7 @@ BUDGET = (
     Column("record", str, "registration that the prediction belongs to"),
     Column("standing", bool, "whether the result still holds; False once another took its place"),
     Column("source", str, "source of error, such as `CT` or `links and joint offsets`"),
-    Column("rms_mm", float, "its root mean square at the target; the squares add up to that of `predicted_mm`"),
+    Column("rms_mm", float, "its rms at the target; the squares add up to that of `predicted_mm`"),
 )
 MOTIONS = (
     Column("motion", int, "its number in the run, from 1"),
