@@ -15,7 +15,6 @@ from pathlib import Path
 from pydicom.dataset import Dataset
 
 from procedures.engine.case import Stored, ancestor_of_kind
-from procedures.engine.run_folder import run_of
 from procedures.exchange.allowed_fields import (
     FILES,
     FOUND,
@@ -46,7 +45,7 @@ from procedures.exchange.export_tables import (
 )
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
-from procedures.reporting.run_reading import UsedRegistration
+from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
@@ -71,7 +70,7 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
     `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-002, EXC-003, EXC-004,
     REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another export.
     """
-    results = read_results(run_of(inspect_run(run).require_whole()), find_truth)
+    results = read_results(RunReading.of(inspect_run(run).require_whole()), find_truth)
     fits = _label_registrations(results)
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
     objects = {name: require_allowed(made) for name, made in _dicom_objects(results, fits).items()}

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 
 from procedures.engine.events.event_file import EVENTS_FILE
-from procedures.engine.run_folder import run_of
 from procedures.exchange.errors import NoRegistration
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
@@ -19,13 +18,12 @@ from procedures.exchange.run_tables import (
     spheres_table,
     targets_table,
 )
-from procedures.reporting.ending import Ending, ending_of
-from procedures.reporting.files import KEPT_TRUTH, load_truth
+from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
-from procedures.runs.folders import find_run_holder, require_run
+from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
-from ronna_hw.evidence.manifest import SEAL_FILE
+from ronna_hw.evidence.manifest import KEPT_TRUTH, SEAL_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.files import open_regular
 from ronna_hw.loaded_run import RunTable
@@ -35,13 +33,6 @@ TAPE = f"{READINGS_FOLDER}/{READINGS_FILE}"
 PIXELS = f"{READINGS_FOLDER}/{PIXELS_FILE}"
 
 
-def find_ending(reading: RunReading, truth: Truth | None) -> Ending:
-    """Determine how a run ended, or that a program still has it open."""
-    ending = ending_of(reading, truth)
-    holder = find_run_holder(reading.folder) if ending.word == "killed" else None
-    return ending if holder is None else Ending("running", f"{holder} has it open.")
-
-
 class RunArrays:
     """Run folder as arrays; `ronna_hw.LoadedRun` describes each of them."""
 
@@ -49,10 +40,8 @@ class RunArrays:
         """Check and read the journal and the records. Raises CLI-005, PRO-033."""
         require_run(folder)
         found = inspect_run(folder, every_file=False, files=(KEPT_TRUTH,)).require_account()
-        truth_changed = any(problem.file == KEPT_TRUTH for problem in found.changes)
         self.path = folder
-        self._reading = RunReading(run_of(found), ())
-        self._truth = (None if truth_changed else load_truth(folder)) or Truth()
+        self._reading = RunReading.of(found)
         self._found = found
         self._problems = list(map(str, found.problems))
         if not (folder / SEAL_FILE).exists():
@@ -68,7 +57,7 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        return find_ending(self._reading, self._truth).word
+        return ending_of(self._reading).word
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -78,7 +67,7 @@ class RunArrays:
 
     @cached_property
     def targets(self) -> RunTable:
-        return targets_table(self._reading, self._truth)
+        return targets_table(self._reading, self._reading.truth or Truth())
 
     @cached_property
     def spheres(self) -> RunTable:

@@ -22,7 +22,6 @@ from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NoRegistration
 from procedures.journal.journal import Entry, Journal
-from procedures.reporting.files import KEPT_TRUTH
 from procedures.runs.folders import hold_run
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw import RunTable, load_run
@@ -38,7 +37,7 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.evidence.journal_reading import RunChanged
-from ronna_hw.evidence.manifest import seal
+from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
 from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OtherVersion
