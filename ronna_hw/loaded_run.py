@@ -192,7 +192,7 @@ class LoadedRun(Protocol):
 
     @property
     def events(self) -> RunTable:
-        """Events of the run, as a console shows them."""
+        """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
         ...
 
     def robot_from_ct(self, target: str) -> Transform:
@@ -210,7 +210,8 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
     """Open the folder of one run for reading: finished, interrupted, or still running.
 
     Raises CLI-005 if it is not the folder of a run, PRO-033 if its journal or a record was changed. A table
-    that another version wrote differently raises REC-003 when it is read.
+    that another version wrote differently raises REC-003 when it is read, and that of the events PRO-018 if
+    a line of their file is damaged; the other tables can still be read.
     """
     for point in entry_points(group=GROUP):
         if point.name == READER:

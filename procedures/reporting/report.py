@@ -17,6 +17,7 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
+from procedures.planning.plan_file import describe_seal
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
 from procedures.reporting.ending import advise, ending_of, find_run_holder
@@ -128,7 +129,8 @@ def write_report(
         **_plan(reading, files),
         "truth": truth,
         "series": reading.find(ImportedCt),
-        "plan": reading.find(CheckedPlan),
+        "plan": (plan := reading.find(CheckedPlan)),
+        "plan_seal": "" if plan is None else describe_seal(plan.plan),
         "localization": reading.find(LocalizedFiducials),
         "tracked": reading.find(GlobalLocalization),
         "relocalizations": reading.standing(Relocalization),
