@@ -51,6 +51,8 @@ def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None 
 
     async def work() -> None:
         await follow_engine(feed, hub)
+        if hub.view.outcome:  # the engine's end of the socket is closed after the seal
+            hub.take_ending(await asyncio.to_thread(read_ending, folder))
         await asyncio.sleep(AFTER_CLOSED_S if hub.view.outcome else AFTER_LOST_S)
 
     serve_hub(hub, port, work, _print_ready, viewers)

@@ -80,6 +80,7 @@ class Ending:
     sentence: str
     code: str = ""
     instrument_in: str | None = None  # the trajectory it was still in
+    is_open: bool = False  # in another program, which goes on with it or has yet to seal it
 
 
 def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: bool = False) -> Ending:
@@ -94,7 +95,7 @@ def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: 
     ending = _by_journal(reading.run.journal, error)
     holder = None if is_writer else find_run_holder(reading.folder)
     if ending.word == "killed" and holder is not None:
-        return Ending(RUNNING, f"{holder} has it open.")
+        return Ending(RUNNING, f"{holder} has it open.", is_open=True)
     if ending.word not in DONE:
         return ending
     if error is not None and not _has_true_error(reading):  # of what is computed after the steps
@@ -108,12 +109,14 @@ def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: 
         open_words = f"{holder} has it open and seals it next."
         word, why = (UNSEALED, NOT_SEALED) if holder is None else (CLOSING, open_words)
     elif reading.truth is None and _has_true_error(reading):
+        holder = None
         word, why = UNKNOWN_ERROR, ERROR_LOST if error is None else f"The error is not known: {error.what}"
     else:
         return ending
     sentence = f"{ending.sentence} {why}"
     code = "" if error is None else error.code
-    return replace(ending, word=word if ending.word == "done" else ending.word, sentence=sentence, code=code)
+    word = word if ending.word == "done" else ending.word
+    return replace(ending, word=word, sentence=sentence, code=code, is_open=holder is not None)
 
 
 def read_ending(folder: Path) -> Ending:
@@ -124,7 +127,7 @@ def read_ending(folder: Path) -> Ending:
 def await_ending(folder: Path) -> Ending:
     """Return how a run ended once its program has left it, or after a time limit as it is then."""
     until_s = time.monotonic() + SEALED_WITHIN_S
-    while (ending := read_ending(folder)).word in (RUNNING, CLOSING) and time.monotonic() < until_s:
+    while (ending := read_ending(folder)).is_open and time.monotonic() < until_s:
         time.sleep(AGAIN_S)
     return ending
 
