@@ -138,7 +138,7 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """Ending of the run, such as done, missed, failed or interrupted; or that it is running."""
+        """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
         ...
 
     @property
