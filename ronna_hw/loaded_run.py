@@ -154,7 +154,7 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """Ending of the run, such as done, missed, failed or interrupted; or that it is running."""
+        """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
         ...
 
     @property
@@ -213,7 +213,7 @@ class LoadedRun(Protocol):
 
     @property
     def events(self) -> RunTable:
-        """Events of the run, as a console shows them."""
+        """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
         ...
 
     def robot_from_ct(self, target: str) -> Transform:
@@ -232,8 +232,8 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
 
     All its files are compared with the hashes of the run. Raises CLI-005 if it is not the folder of a run,
     PRO-033 if its journal, its request or a record was changed; other changes are in `notes`, and warn. A
-    table that another version wrote differently raises REC-003 when it is read. Raises ARG-001 for an empty
-    name and for what is no path.
+    table that another version wrote differently raises REC-003 when it is read, and that of the events
+    PRO-018 if a line of their file is damaged. Raises ARG-001 for an empty name and for what is no path.
     """
     path = require_path(folder, "the folder of the run")
     for point in entry_points(group=GROUP):

@@ -21,7 +21,7 @@ from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
-from ronna_hw.host.port_users import PortUser, find_lock_holder
+from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER
 from ronna_hw.text import format_count, format_names
@@ -77,15 +77,6 @@ def hold_run(folder: Path) -> Iterator[None]:
                 action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
             ) from None
         yield
-    finally:
-        os.close(file)
-
-
-def find_run_holder(folder: Path) -> PortUser | None:
-    """Return the program that has a run folder locked, or None."""
-    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return find_lock_holder(file)
     finally:
         os.close(file)
 

@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 
 from procedures.engine.events.event_file import EVENTS_FILE
-from procedures.engine.run_folder import run_of
 from procedures.exchange.errors import NoRegistration
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
@@ -21,11 +20,10 @@ from procedures.exchange.run_tables import (
     spheres_table,
     targets_table,
 )
-from procedures.reporting.ending import Ending, ending_of
-from procedures.reporting.files import KEPT_TRUTH, load_truth
+from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
-from procedures.runs.folders import find_run_holder, require_run
+from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.frames import Transform
@@ -40,13 +38,6 @@ OPENING_LEVEL = 3  # of the stack: who called `load_run`
 READING_LEVEL = 4  # who read the table, past its property and `functools`
 
 
-def find_ending(reading: RunReading, truth: Truth | None) -> Ending:
-    """Determine how a run ended, or that a program still has it open."""
-    ending = ending_of(reading, truth)
-    holder = find_run_holder(reading.folder) if ending.word == "killed" else None
-    return ending if holder is None else Ending("running", f"{holder} has it open.")
-
-
 class RunArrays:
     """Run folder as arrays; `ronna_hw.LoadedRun` describes each of them."""
 
@@ -54,10 +45,8 @@ class RunArrays:
         """Check every file, and read the journal and the records. Raises CLI-005, PRO-033."""
         require_run(folder)
         found = inspect_run(folder).require_account()
-        truth_changed = any(problem.file == KEPT_TRUTH for problem in found.changes)
         self.path = folder
-        self._reading = RunReading(run_of(found), ())
-        self._truth = (None if truth_changed else load_truth(folder)) or Truth()
+        self._reading = RunReading.of(found)
         self._problems = list(map(str, found.problems))
         if not (folder / SEAL_FILE).exists():
             self._problems.append(f"{SEAL_FILE}: missing: no seal confirms the files as the run left them")
@@ -76,7 +65,7 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        return find_ending(self._reading, self._truth).word
+        return ending_of(self._reading).word
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -86,7 +75,7 @@ class RunArrays:
 
     @cached_property
     def targets(self) -> RunTable:
-        return targets_table(self._reading, self._truth)
+        return targets_table(self._reading, self._reading.truth or Truth())
 
     @cached_property
     def spheres(self) -> RunTable:

@@ -170,8 +170,8 @@ class Inspection:
 def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
     """Check a run folder; never raises, whatever its contents.
 
-    Without `every_file` only the journal (also against the seal), the request, the records, and those of
-    `files` that exist are checked, which takes milliseconds.
+    Without `every_file` only the journal (also against the seal), the request, the records and `files` are
+    checked, which takes milliseconds.
     """
     problems: list[Problem] = []
     chain = _read_chain(folder, problems)
@@ -184,8 +184,7 @@ def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str]
     if every_file and chain.lines:
         problems += _check_files(folder, chain, manifest)
     elif chain.lines:
-        present = [name for name in files if os.path.lexists(folder / name)]
-        problems += _check_named_files(folder, chain, manifest, present)
+        problems += _check_named_files(folder, chain, manifest, files)
     found = tuple(issue for issue in dict.fromkeys(problems) if not issue.out_of_reach)
     out_of_reach = dict.fromkeys(issue.file for issue in problems if issue.out_of_reach)
     return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach), every_file)

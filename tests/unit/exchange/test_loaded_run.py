@@ -18,12 +18,12 @@ import procedures.registration
 import procedures.relocalization
 import ronna_hw
 from procedures.engine.case import Case, StepKey
+from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NoRegistration, NoSuchLook
 from procedures.journal.journal import Entry, Journal
-from procedures.reporting.files import KEPT_TRUTH
 from procedures.runs.folders import hold_run
 from procedures.runs.loaded_run import MOST_SHOWN
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -42,7 +42,7 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
-from ronna_hw.evidence.manifest import seal
+from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
 from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OtherVersion
@@ -184,6 +184,14 @@ def test_readings_changed_since_the_seal_are_noted_and_so_is_that_nothing_is_sea
         assert (f"{READINGS_FOLDER}/{name}: changed" in loaded.notes) == is_changed
         assert (f"{name}: changed" in repr(loaded)) == is_changed
         assert not any("seal" in note for note in loaded.notes)
+
+
+def test_a_damaged_line_of_the_events_is_refused_and_spares_the_other_tables(run: Path) -> None:
+    (run / EVENTS_FILE).write_text('{"version": 1, \n')
+    loaded = load_run(run)
+    with pytest.raises(EventsUnreadable, match="line 1 of"):
+        _ = loaded.events
+    assert len(loaded.strays) == 5
 
 
 def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Path) -> None:
