@@ -60,6 +60,8 @@ GEOMETRY_ERRORS: dict[str, type[PlanError]] = {
 }
 # Keys that plans of earlier versions lack, with advice.
 ADDED = {
+    "trajectories": "add one with `ronna-plan open CT_DIR --plan FILE`, or a block [[trajectories]] with id, "
+    "entry_mm, target_mm, free_angle_deg and margin_mm",
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
     "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
     "still holds a depth stop, as on its packaging",
@@ -224,6 +226,13 @@ def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
     return unsealed.model_copy(
         update={"seal": open_seal.model_copy(update={"plan_sha256": _plan_digest(unsealed)})}
     )
+
+
+def describe_seal(plan: Plan) -> str:
+    """Say who sealed a plan, or that nothing says who made it."""
+    if plan.seal is None:
+        return "not sealed: nothing says who made or altered it"
+    return f"sealed by {plan.seal.author}"
 
 
 def require_unaltered(plan: Plan, name: str) -> None:

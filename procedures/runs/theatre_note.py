@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import arm_history, fold_history
+from procedures.workcell.arm_history import ArmPlace, arm_history, fold_history
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -171,6 +171,18 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
         return f"{message}; {JOG}"
     return f"{message}; ronna-procedure home {shlex.quote(str(last))} brings it there"
+
+
+def describe_arm_without_record(place: ArmPlace, *, own: bool) -> str:
+    """Describe where the arm of a deleted run is and how it comes home; `own` is the run's own simulation."""
+    if not place.is_out:
+        return "the arm is at home" if place.is_home else "the arm was not moved"
+    where, first = "away from its home", ""
+    if place.trajectory is not None:
+        where, first = f"on the axis of {place.trajectory}", "withdraw the guide along the axis, then "
+    if own:
+        return f"the arm is {where}; its simulated theatre ends with this run, nothing has to be brought home"
+    return f"the arm is {where}, and no command brings it home without the record: {first}{JOG}"
 
 
 def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
