@@ -31,6 +31,7 @@ from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun
 from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Identity
+from procedures.reporting.ending import await_ending, read_ending
 from procedures.runs.orders import LONGEST_BYTES, Reply, SentOrder
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
@@ -50,6 +51,8 @@ def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None 
 
     async def work() -> None:
         await follow_engine(feed, hub)
+        if hub.view.outcome:  # the engine's end of the socket is closed after the seal
+            hub.take_ending(await asyncio.to_thread(read_ending, folder))
         await asyncio.sleep(AFTER_CLOSED_S if hub.view.outcome else AFTER_LOST_S)
 
     serve_hub(hub, port, work, _print_ready, viewers)
@@ -68,6 +71,8 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
         raise NothingToShow(f"{folder} has no events yet")
     hub.review = recorded
     hub.show(recorded.latest)
+    if followed.over:
+        hub.take_ending(read_ending(folder))
 
     async def work() -> None:
         loop = asyncio.get_running_loop()
@@ -86,6 +91,7 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
                 words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
                 loop.call_soon_threadsafe(hub.break_off, words)
             recorded.is_over = True
+            loop.call_soon_threadsafe(hub.take_ending, await_ending(folder))
 
         threading.Thread(target=follow, name="follow the run", daemon=True).start()
         await asyncio.Event().wait()
@@ -163,6 +169,8 @@ async def follow_engine(descriptor: int, hub: Hub) -> None:
         while line := await reader.readline():
             hub.note_heartbeat()
             _handle_line(hub, line)
+            if hub.view.outcome and hub.ending is None:
+                hub.take_ending(await asyncio.to_thread(read_ending, hub.folder))
     except (OSError, ValueError):
         pass  # not one of our lines, or longer than any: this is not our engine, and the page says so
     finally:
@@ -207,7 +215,7 @@ def add_order_routes(app: Any, hub: Hub) -> None:
 
 
 def _state_document(hub: Hub) -> dict[str, Any]:
-    view = hub.view
+    view = hub.told(hub.view)
     question = view.question
     return {
         "number": view.number,

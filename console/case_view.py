@@ -139,7 +139,9 @@ class CaseView:
     notices: tuple[Notice, ...] = ()
     journal: tuple[str, ...] = ()
     results: int = 0  # number of results added or superseded so far
-    outcome: str = ""  # of a closed run
+    closings: int = 0  # of programs that had the run
+    outcome: str = ""  # of a closed run: by its journal, and as the page tells it by its folder
+    ending: str = ""  # in a sentence
 
     @property
     def mode(self) -> str:
@@ -295,6 +297,7 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     if entry in BEGINNINGS:  # of a session: anything the last one left open is over
         changes |= {
             "outcome": "",
+            "ending": "",
             "running": "",
             "question": None,
             "seat": None,
@@ -305,7 +308,7 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
             "methods": str(line.get("methods") or ""),
         }
     elif entry == CLOSED:
-        changes["outcome"] = str(line.get("outcome") or "")
+        changes |= {"outcome": str(line.get("outcome") or ""), "closings": view.closings + 1}
     return changes
 
 

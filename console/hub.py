@@ -16,6 +16,7 @@ from console.changes import ChangeNotifier
 from console.guard import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose, Questioned
 from procedures.operator.question import Identity
+from procedures.reporting.ending import CLOSING, Ending
 from procedures.runs.orders import Claim, Renew, Reply, SentOrder, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -36,6 +37,7 @@ class Hub(ChangeNotifier):
         super().__init__()
         self.folder = folder
         self.view = CaseView()
+        self.ending: Ending | None = None  # of a closed case, once its folder was asked
         self.has_ended = False  # the engine has closed its end
         self.live = False  # fed by a running engine
         self.review: RecordedCase | None = None  # of a case that this console does not operate
@@ -100,6 +102,23 @@ class Hub(ChangeNotifier):
                 reported_pose, reported_s=reported_pose.reported_s - old_s.get(reported_pose.pose.arm, 0.0)
             )
         return replace(view, devices=devices, pose=reported_pose)
+
+    def told(self, view: CaseView) -> CaseView:
+        """Return a view whose outcome is the ending that the run's folder tells.
+
+        The journal's own word does not say whether a target was missed, nor whether the end was sealed. An
+        earlier end of a resumed run keeps it.
+        """
+        if not view.outcome or view.closings < self.view.closings:
+            return view
+        if self.ending is None:
+            return replace(view, outcome=CLOSING)
+        return replace(view, outcome=self.ending.word, ending=self.ending.sentence)
+
+    def take_ending(self, ending: Ending) -> None:
+        """Note how the case ended, as its folder tells."""
+        self.ending = ending
+        self.notify()
 
     def note_heartbeat(self) -> None:
         """Record that the engine is alive."""

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ronna_hw.devices.stray_tracks import StrayTrack, track_strays
     from ronna_hw.frames import Frame
-    from ronna_hw.loaded_run import LoadedRun, RunTable, load_run
+    from ronna_hw.loaded_run import LoadedRun, RunTable, RunWarning, load_run
     from ronna_hw.theatre import SimulatedTheatre, Theatre, open_theatre, simulated_theatre
 
 __all__ = [
     "Frame",
     "LoadedRun",
     "RunTable",
+    "RunWarning",
     "SimulatedTheatre",
     "StrayTrack",
     "Theatre",
@@ -31,6 +32,7 @@ _HOMES = {
     "Frame": "ronna_hw.frames",
     "LoadedRun": "ronna_hw.loaded_run",
     "RunTable": "ronna_hw.loaded_run",
+    "RunWarning": "ronna_hw.loaded_run",
     "SimulatedTheatre": "ronna_hw.theatre",
     "StrayTrack": "ronna_hw.devices.stray_tracks",
     "Theatre": "ronna_hw.theatre",

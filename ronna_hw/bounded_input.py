@@ -190,7 +190,12 @@ def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaEr
     except InputRefused as error:
         raise refusal(f"{name} is refused: {error.summary}") from error
     except UnicodeDecodeError as error:
-        raise refusal(f"{name} is not TOML: it is not UTF-8 text") from error
+        line = content.count(b"\n", 0, error.start) + 1
+        quoted = content.splitlines()[line - 1].strip().decode(errors="replace")[:LONGEST_SHOWN]
+        raise refusal(
+            f"{name} is not TOML: it is not UTF-8 text (at line {line}, byte 0x{content[error.start]:02x}): "
+            f"{quoted}; save it as UTF-8"
+        ) from error
     except ValueError as error:
         raise refusal(f"{name} is not TOML: {error}{_describe_line(error, content)}") from error
 

@@ -43,6 +43,13 @@ class FrameMismatch(DataError):
     action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
 
 
+class UnknownFrame(DataError):
+    """The name is not that of a frame."""
+
+    code = "FRM-002"
+    action = "Name the frames as in Frame.ROBOT and Frame.CT, or by these words."
+
+
 def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     """Build a rotation followed by a translation (3,) mm.
 
@@ -68,11 +75,26 @@ def is_rotation(matrix: Array) -> bool:
 
 @dataclass(frozen=True)
 class Transform:
-    """Rigid transform `target <- source`, based on SciPy's `RigidTransform`."""
+    """Rigid transform `target <- source`, based on SciPy's `RigidTransform`.
+
+    A frame may be given by its name, such as "ct". Raises FRM-002 for a name that is no frame.
+    """
 
     target: Frame
     source: Frame
     rigid: RigidTransform
+
+    def __post_init__(self) -> None:
+        for name in ("target", "source"):
+            given = getattr(self, name)
+            if type(given) is Frame:
+                continue
+            try:
+                object.__setattr__(self, name, Frame(given))
+            except ValueError as error:
+                raise UnknownFrame(
+                    "there is no such frame", expected=", ".join(Frame), got=repr(given)
+                ) from error
 
     @classmethod
     def of(
@@ -85,7 +107,7 @@ class Transform:
     ) -> Self:
         """Build from a translation (3, mm) and a scalar-first quaternion (4), which is normalised.
 
-        Raises FRM-001.
+        Raises FRM-001, FRM-002.
         """
         try:
             rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)

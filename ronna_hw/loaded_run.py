@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.frames import Transform
 from ronna_hw.registry import load_entry_point
@@ -47,6 +48,10 @@ class NoPandas(ConfigurationError):
 
     code = "RUN-002"
     action = "Run make setup in the clone, or python -m pip install pandas; the arrays need nothing else."
+
+
+class RunWarning(UserWarning):
+    """A loaded run is not as it was left, or readings are missing in a table that was just read."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +93,20 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
 
     def __getattr__(self, name: str) -> Any:
         """Raise AttributeError naming the columns there are, and the nearest."""
+        raise AttributeError(self._describe_missing(name), name=name, obj=self)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a column by name, or rows. Raises ARG-001 for a name that is no column."""
+        if isinstance(key, str) and key not in (self.dtype.names or ()):
+            raise WrongArgument(
+                self._describe_missing(key), action='Rows by name: table[table.name == "T1"].'
+            )
+        return super().__getitem__(key)
+
+    def _describe_missing(self, name: str) -> str:
         names = self.dtype.names or ()
         meant = "".join(f"did you mean {one}? " for one in get_close_matches(name, names, n=1))
-        raise AttributeError(f"no column {name}: {meant}There are {', '.join(names)}", name=name, obj=self)
+        return f"no column {name}: {meant}There are {', '.join(names)}"
 
     def __array_finalize__(self, source: Any) -> None:
         super().__array_finalize__(source)
@@ -138,15 +154,15 @@ class LoadedRun(Protocol):
 
     @property
     def outcome(self) -> str:
-        """Ending of the run, such as done, missed, failed or interrupted; or that it is running."""
+        """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Files of the folder that are missing or have changed since the run ended.
+        """Files that are missing or have changed since the run ended, as `ronna-procedure verify` lists them.
 
-        Files are compared with the hashes of the run: pixels once a table of readings is used, all others
-        that are read here on loading. That no seal confirms them is noted too.
+        That no seal confirms them is noted too, and readings missing in a table once it is read. What is
+        noted for a finished run is also a RunWarning.
         """
         ...
 
@@ -171,6 +187,11 @@ class LoadedRun(Protocol):
         ...
 
     @property
+    def budget(self) -> RunTable:
+        """Error budget of each target's prediction: one row per source of error."""
+        ...
+
+    @property
     def strays(self) -> RunTable:
         """Stray markers in each new frame of the tracker, with an identity over the frames."""
         ...
@@ -192,7 +213,7 @@ class LoadedRun(Protocol):
 
     @property
     def events(self) -> RunTable:
-        """Events of the run, as a console shows them."""
+        """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
         ...
 
     def robot_from_ct(self, target: str) -> Transform:
@@ -209,11 +230,14 @@ class RunReader(Protocol):
 def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
     """Open the folder of one run for reading: finished, interrupted, or still running.
 
-    Raises CLI-005 if it is not the folder of a run, PRO-033 if its journal or a record was changed. A table
-    that another version wrote differently raises REC-003 when it is read.
+    All its files are compared with the hashes of the run. Raises CLI-005 if it is not the folder of a run,
+    PRO-033 if its journal, its request or a record was changed; other changes are in `notes`, and warn. A
+    table that another version wrote differently raises REC-003 when it is read, and that of the events
+    PRO-018 if a line of their file is damaged. Raises ARG-001 for an empty name and for what is no path.
     """
+    path = require_path(folder, "the folder of the run")
     for point in entry_points(group=GROUP):
         if point.name == READER:
             reader: RunReader = load_entry_point(point)
-            return reader(Path(folder))
+            return reader(path)
     raise NoRunReader("no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}")

@@ -294,7 +294,10 @@ def localization(
 @with_option_records
 def strategies(
     arms: Annotated[
-        int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")
+        int,
+        typer.Option(
+            "--arms", min=2, max=500, help="Random arms of parameter set S; few save little: poses take most."
+        ),
     ] = 200,
     identified: Annotated[
         bool,
@@ -503,10 +506,12 @@ def times(
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
+    from procedures.runs.folders import require_run
     from ronna_hw.evidence.inspection import inspect_run
     from studies.times import time_tables
 
     for run in runs:
+        require_run(run)
         inspect_run(run, every_file=False).require_unchanged()
     found = time_tables(runs)
     if as_json:

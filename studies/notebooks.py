@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
+from ronna_hw.arguments import LONGEST_SHOWN
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.host.child_process import end_descendants
@@ -51,8 +53,10 @@ def execute_notebook(path: Path, out: Path) -> Path:
         )
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="ronna-") as sockets, end_descendants():
+        running: list[tuple[int, str]] = []  # number from 1 and source, of the cells so far
         client = NotebookClient(
             notebook,
+            on_cell_execute=lambda cell, cell_index: running.append((cell_index + 1, cell.source)),
             kernel_name="python3",
             timeout=LONGEST_CELL_S,
             resources={"metadata": {"path": str(out)}},
@@ -63,13 +67,22 @@ def execute_notebook(path: Path, out: Path) -> Path:
             client.execute()
         except CellExecutionError as error:
             raise NotebookFailed(
-                f"a cell of {path.name} failed", got=f"{error.ename}: {error.evalue}"
+                f"{_name_cell(running, path)} failed", got=f"{error.ename}: {error.evalue}"
             ) from error
         except CellTimeoutError as error:
             raise NotebookFailed(
-                f"a cell of {path.name} took too long", limit=f"{LONGEST_CELL_S:g} s"
+                f"{_name_cell(running, path)} took too long", limit=f"{LONGEST_CELL_S:g} s"
             ) from error
         except DeadKernelError as error:
-            raise NotebookFailed(f"a cell of {path.name} ended its kernel") from error
+            raise NotebookFailed(f"{_name_cell(running, path)} ended its kernel") from error
     write_atomically(written, nbformat.writes(notebook).encode())
     return written
+
+
+def _name_cell(running: Sequence[tuple[int, str]], path: Path) -> str:
+    """Name the cell that ran last, with its first line."""
+    if not running:
+        return f"a cell of {path.name}"
+    number, source = running[-1]
+    first = next(iter(source.strip().splitlines()), "")
+    return f"cell {number} of {path.name} ({first[:LONGEST_SHOWN]})"

@@ -80,7 +80,8 @@ def advice(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
 
 def _advise(view: CaseView, *, is_mine: bool, may_operate: bool) -> tuple[str, str]:
     if view.outcome:
-        return f"The case is closed: {view.outcome}", "Its results are below, and in the run's report.html."
+        where = "Its results are below, and in the run's report.html."
+        return f"The case is closed: {view.outcome}", f"{view.ending} {where}".strip()
     if not view.steps:
         return "The theatre is opening", "Nothing to do yet: the first step appears here."
     step = _find_title(view, view.running or view.upcoming)

@@ -236,7 +236,7 @@ class CasePage:
 
     def _view(self) -> CaseView:
         latest = self._hub.aged_view
-        return latest if self._moment is None else self._moment.view(latest)
+        return self._hub.told(latest if self._moment is None else self._moment.view(latest))
 
     def _show(self, now_s: float) -> None:
         view = self._view()

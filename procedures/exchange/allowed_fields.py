@@ -52,10 +52,11 @@ DOCUMENT_FIELDS = {
     "name": "of a sphere: M1, M2, ...",
 }
 INDEX_FIELDS = {
-    "ending": "how the run ended: done, in doubt, missed, failed, interrupted, ...",
+    "ending": "how the run ended: done, missed, in doubt, error not determined, failed, ...",
     "code": "of the error that ended it",
     "simulated": "whether the theatre was simulated",
     "files": "what each file holds",
+    "sha256": "hash of each file as it was exported",
     "absent": "what the run does not have, and why",
 }
 

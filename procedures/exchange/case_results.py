@@ -23,7 +23,7 @@ from procedures.exchange.trajectory_lines import (
 from procedures.journal.results import StepResult
 from procedures.postoperative.comparison import FoundTrajectory
 from procedures.reporting.ending import Ending, ending_of
-from procedures.reporting.files import load_check, load_truth
+from procedures.reporting.files import load_check
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration, find_used_registrations
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -147,18 +147,19 @@ class CaseResults:
         }
 
 
-def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
+def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
     """Read what a run has for an export.
 
     `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-003 for a run without
     a CT, REC-001, REC-003.
     """
-    imported, reading = run.standing(ImportedCt), RunReading(run, ())
+    run = reading.run
+    imported = run.standing(ImportedCt)
     if not imported:
         raise NothingToExport(
             f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
             expected="a case that imported its CT",
-            got=f"a run without, {ending_of(reading, None).word}",
+            got=f"a run without, {ending_of(reading).word}",
         )
     ct = imported[-1].result
     plan = _last(run, CheckedPlan)
@@ -168,10 +169,10 @@ def read_results(run: RunFolder, find_truth: FindTruth) -> CaseResults:
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
     spheres = run.standing(LocalizedFiducials)
     after = load_check(reading)
-    truth = (load_truth(run.path) or find_truth(run.path)) if run.opened.get("banner") else None
+    truth = (reading.truth or find_truth(run.path)) if run.opened.get("banner") else None
     return CaseResults(
         run=run,
-        ending=ending_of(reading, truth),
+        ending=ending_of(reading),
         ct=CtIdentity(ct.series_instance_uid, ct.frame_of_reference_uid, ct.study_instance_uid),
         spheres=spheres[-1] if spheres else None,
         plan=plan,

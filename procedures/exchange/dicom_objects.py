@@ -274,12 +274,17 @@ def decimals(values: Sequence[float]) -> list[str]:
     return [_decimal(float(value)) for value in values]
 
 
-def write(made: Dataset, path: Path) -> Path:
-    """Write an object as a DICOM file. Raises EXC-002."""
+def encode(made: Dataset) -> bytes:
+    """Return the content of the DICOM file of an object."""
     content = BytesIO()
     made.save_as(content, enforce_file_format=True)
+    return content.getvalue()
+
+
+def write(made: Dataset, path: Path) -> Path:
+    """Write an object as a DICOM file. Raises EXC-002."""
     try:
-        write_atomically(path, content.getvalue())
+        write_atomically(path, encode(made))
     except OSError as error:
         raise NotWritable(f"cannot write {path}: {error.strerror}") from error
     return path

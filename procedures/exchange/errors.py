@@ -1,4 +1,4 @@
-"""Export errors, EXC-001 to EXC-005."""
+"""Export errors, EXC-001 to EXC-006."""
 
 from __future__ import annotations
 
@@ -38,3 +38,10 @@ class NoRegistration(DataError):
 
     code = "EXC-005"
     action = "Give a trajectory whose predicted_mm in run.targets is a number."
+
+
+class NoSuchLook(DataError, IndexError):
+    """The run has fewer looks of the stereo head."""
+
+    code = "EXC-006"
+    action = "len(run.pictures) counts them; the row of a look in run.looks is its place."

@@ -9,11 +9,13 @@ from typing import overload
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import describe_torn_end
+from procedures.exchange.errors import NoSuchLook
 from procedures.exchange.raw_readings import iterate_steps
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import identify_strays
 from ronna_hw.loaded_run import Column, RunTable, StereoPictures
+from ronna_hw.text import format_count
 
 STRAYS = (
     Column("frame", int, "number of the tracker frame in the run, from 0"),
@@ -50,9 +52,11 @@ class RecordedPictures(Sequence[StereoPictures]):
     @overload
     def __getitem__(self, index: slice) -> RecordedPictures: ...
     def __getitem__(self, index: int | slice) -> StereoPictures | RecordedPictures:
-        """Return the pictures of one look, or of several. Raises PRO-024 for damaged pixels."""
+        """Return the pictures of one look, or of several. Raises EXC-006, and PRO-024 for damaged pixels."""
         if isinstance(index, slice):
             return RecordedPictures(self._loaders[index])
+        if not -len(self) <= index < len(self):
+            raise NoSuchLook(f"there is no look {index}", expected=f"0 to {len(self) - 1}")
         pair = self._loaders[index]()
         assert isinstance(pair, StereoReading)
         return StereoPictures(*(None if one is None else one.pixels for one in (pair.left, pair.right)))
@@ -60,25 +64,30 @@ class RecordedPictures(Sequence[StereoPictures]):
 
 @dataclass(frozen=True)
 class RecordedTables:
-    """Readings of a run: its stray markers, its looks with their pictures, and why they end early, if so."""
+    """Readings of a run: its stray markers, its looks with their pictures, and what is missing in them."""
 
     strays: RunTable
     looks: RunTable
     pictures: RecordedPictures
-    ends_early: str
+    gaps: tuple[str, ...]
 
 
 def recorded_tables(run: Path) -> RecordedTables:
-    """Read the tape of a run up to the first damaged reading. One pass; pictures stay on the disk."""
+    """Read the tape of a run without its damaged readings. One pass; pictures stay on the disk."""
     frames: list[tuple[str, TrackerFrame]] = []
     looks: list[tuple[object, ...]] = []
     loaders: list[Callable[[], object]] = []
-    problem = ""
+    damaged: list[str] = []
+    gaps: list[str] = []
     try:
         for step, one in iterate_steps(run):
             if one.kind not in (TrackerFrame, StereoReading):
                 continue
-            value = one.load()
+            try:
+                value = one.load()
+            except NotRecorded as error:
+                damaged.append(f"{error.code}: {error.summary}")
+                continue
             if isinstance(value, TrackerFrame) and value.validity is not Validity.STALE:
                 frames.append((step, value))
             elif isinstance(value, StereoReading):
@@ -90,13 +99,12 @@ def recorded_tables(run: Path) -> RecordedTables:
                     )
                 )
                 loaders.append(one.load)
-        problem = describe_torn_end(run)
-    except (
-        NotRecorded,
-        InputRefused,
-    ) as error:  # of a run that goes on, the last reading may be half written
-        problem = str(error)
-    return RecordedTables(_strays(frames), RunTable.of(LOOKS, looks), RecordedPictures(loaders), problem)
+        gaps += filter(None, [describe_torn_end(run)])
+    except (NotRecorded, InputRefused) as error:
+        gaps.append(f"the readings end early: {error.code}: {error.summary}")
+    if damaged:
+        gaps.append(f"{format_count(len(damaged), 'damaged reading')} left out; the first: {damaged[0]}")
+    return RecordedTables(_strays(frames), RunTable.of(LOOKS, looks), RecordedPictures(loaders), tuple(gaps))
 
 
 def _strays(frames: Sequence[tuple[str, TrackerFrame]]) -> RunTable:

@@ -5,6 +5,7 @@ A run that ended early is exported as far as it came; the index says what is abs
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +16,6 @@ from pathlib import Path
 from pydicom.dataset import Dataset
 
 from procedures.engine.case import Stored, ancestor_of_kind
-from procedures.engine.run_folder import run_of
 from procedures.exchange.allowed_fields import (
     FILES,
     FOUND,
@@ -30,10 +30,10 @@ from procedures.exchange.allowed_fields import (
 from procedures.exchange.case_results import CaseResults, FindTruth, read_results
 from procedures.exchange.dicom_objects import (
     Origin,
+    encode,
     fiducial_uid,
     spatial_registration,
     sphere_fiducials,
-    write,
 )
 from procedures.exchange.errors import NotWritable
 from procedures.exchange.export_tables import (
@@ -46,7 +46,7 @@ from procedures.exchange.export_tables import (
 )
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
-from procedures.reporting.run_reading import UsedRegistration
+from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
@@ -71,22 +71,21 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
     `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-002, EXC-003, EXC-004,
     REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another export.
     """
-    results = read_results(run_of(inspect_run(run).require_whole()), find_truth)
+    results = read_results(RunReading.of(inspect_run(run).require_whole()), find_truth)
     fits = _label_registrations(results)
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
-    objects = {name: require_allowed(made) for name, made in _dicom_objects(results, fits).items()}
+    objects = {name: encode(require_allowed(made)) for name, made in _dicom_objects(results, fits).items()}
     absent = results.absent()
-    texts = {INDEX: _index(results, [*texts, *objects], absent), **texts}
-    _refuse_others(out, {*texts, *objects})
+    contents = {name: text.encode() for name, text in texts.items()} | objects
+    contents = {INDEX: _index(results, contents, absent).encode(), **contents}
+    _refuse_others(out, set(contents))
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            write_atomically(out / name, text.encode())
+        for name, content in contents.items():
+            write_atomically(out / name, content)
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
-    for name, made in objects.items():
-        write(made, out / name)
-    return Exported(tuple(out / name for name in (*texts, *objects)), absent)
+    return Exported(tuple(out / name for name in contents), absent)
 
 
 def _refuse_others(out: Path, own: set[str]) -> None:
@@ -212,11 +211,11 @@ def _placing(registration: Record, results: CaseResults) -> str:
     return "" if locked is None else locked.sha256
 
 
-def _index(results: CaseResults, names: list[str], absent: Mapping[str, str]) -> str:
-    """Format the index: frame, unit and UIDs, what each file holds, and what is absent."""
+def _index(results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[str, str]) -> str:
+    """Format the index: frame, unit and UIDs, what each file holds with its hash, and what is absent."""
     ending = results.ending
     meanings = {
-        name: next(meaning for known, meaning in FILES.items() if fnmatch(name, known)) for name in names
+        name: next(meaning for known, meaning in FILES.items() if fnmatch(name, known)) for name in contents
     }
     content = {
         **results.ct.describe(IN_CT),
@@ -224,6 +223,7 @@ def _index(results: CaseResults, names: list[str], absent: Mapping[str, str]) ->
         "ending": ending.word,
         "code": ending.code,
         "files": meanings,
+        "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
         "absent": dict(absent),
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

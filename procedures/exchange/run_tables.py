@@ -30,6 +30,7 @@ from ronna_hw.loaded_run import Column, RunTable
 Array = NDArray[np.float64]
 NOWHERE = (math.nan,) * 3
 UNKNOWN_JOINTS = (math.nan,) * 6
+UNKNOWN_COVARIANCE = (NOWHERE,) * 3
 
 TARGETS = (
     Column("name", str, "of the trajectory in the plan"),
@@ -64,7 +65,14 @@ LOCALIZED = (
     Column("standing", bool, "whether the result still holds; False once another took its place"),
     Column("sphere", str, "its name in `spheres`"),
     Column("centre_robot_mm", float, "its centre by the stereo head", (3,)),
-    Column("covariance_robot_mm2", float, "of the stereo measurement", (3, 3)),
+    Column("stereo_covariance_robot_mm2", float, "of the stereo measurement alone: no arm, no CT", (3, 3)),
+    Column(
+        "total_covariance_robot_mm2",
+        float,
+        "of CT, seating of the sphere, stereo measurement and arm together, which weighted the registration: "
+        "what `register` asks for; NaN without one",
+        (3, 3),
+    ),
     Column("residual_mm", float, "last residual of the servo"),
     Column("ray_gap_mm", float, "between the two lines of sight"),
     Column("looks", int, "image pairs taken"),
@@ -78,6 +86,13 @@ REGISTRATIONS = (
     Column("fre_mm", float, "fiducial registration error; not a measure of accuracy"),
     Column("robot_from_ct_mm", float, "origin of the CT in the robot frame", (3,)),
     Column("robot_from_ct_wxyz", float, "rotation robot <- ct, scalar first", (4,)),
+)
+BUDGET = (
+    Column("target", str, "name of the trajectory"),
+    Column("record", str, "registration that the prediction belongs to"),
+    Column("standing", bool, "whether the result still holds; False once another took its place"),
+    Column("source", str, "source of error, such as `CT` or `links and joint offsets`"),
+    Column("rms_mm", float, "its rms at the target; the squares add up to that of `predicted_mm`"),
 )
 MOTIONS = (
     Column("motion", int, "its number in the run, from 1"),
@@ -158,6 +173,7 @@ def sphere_name(index: int) -> str:
 def localized_table(run: RunFolder) -> RunTable:
     """Return one row per sphere and fine localization. Raises REC-001, REC-003."""
     rows = []
+    totals_mm2 = _find_total_covariances_mm2(run)
     for stored in run.made(Relocalization):
         one, record = stored.result, stored.record
         step = ":".join(filter(None, (record.kind, record.trajectory)))
@@ -166,11 +182,27 @@ def localized_table(run: RunFolder) -> RunTable:
             rows.append(
                 (
                     *(step, standing, sphere_name(fiducial), one.points_robot_mm[index]),
-                    *(one.covariances_mm2[index], one.residuals_mm[index][-1], one.ray_gaps_mm[index]),
+                    one.covariances_mm2[index],
+                    totals_mm2.get((record.identifier, fiducial), UNKNOWN_COVARIANCE),
+                    *(one.residuals_mm[index][-1], one.ray_gaps_mm[index]),
                     *(one.looks[index], one.joints_rad[index]),
                 )
             )
     return RunTable.of(LOCALIZED, rows)
+
+
+def _find_total_covariances_mm2(run: RunFolder) -> dict[tuple[str, int], Any]:
+    """Map relocalization record and sphere to the covariance that its last registration was weighted with."""
+    found: dict[tuple[str, int], Any] = {}
+    localizations = {stored.record.identifier: stored.result for stored in run.made(Relocalization)}
+    for stored in run.made(RegisteredRobot):
+        left_out = {one.fiducial for one in stored.result.left_out_spheres}
+        for identifier in localizations.keys() & stored.record.parents.keys():
+            used = [one for one in localizations[identifier].fiducials if one not in left_out]
+            covariances = stored.result.covariances_mm2 or [UNKNOWN_COVARIANCE] * len(used)
+            pairs = zip(used, covariances, strict=True)
+            found |= {(identifier, fiducial): covariance for fiducial, covariance in pairs}
+    return found
 
 
 def registrations_table(run: RunFolder) -> RunTable:
@@ -187,6 +219,22 @@ def registrations_table(run: RunFolder) -> RunTable:
                 stored.result.robot_from_ct.quaternion_wxyz,
             )
             for stored in run.made(RegisteredRobot)
+        ),
+    )
+
+
+def budget_table(run: RunFolder) -> RunTable:
+    """Return one row per target, registration and source of its predicted error. Raises REC-001, REC-003."""
+    return RunTable.of(
+        BUDGET,
+        (
+            (
+                *(predicted.target, stored.record.identifier),
+                *(stored.record.identifier not in run.superseded, share.source, share.rms_mm),
+            )
+            for stored in run.made(RegisteredRobot)
+            for predicted in stored.result.predictions
+            for share in predicted.budget
         ),
     )
 

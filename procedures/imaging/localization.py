@@ -33,6 +33,7 @@ from procedures.imaging.examination import (
 from procedures.imaging.markers import Candidate, Doubt, Localization
 from procedures.imaging.scan_faults import check_distortion
 from procedures.imaging.volume import Volume, VoxelGeometry
+from ronna_hw.arguments import require_numbers, show
 
 Array = NDArray[np.float64]
 
@@ -248,7 +249,15 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
         )
     geometry = volume.geometry
     coarsest_mm = float(geometry.spacing_mm.max())
-    if not np.isfinite(diameter_mm) or diameter_mm < MIN_VOXELS_ACROSS * coarsest_mm:
+    (size_mm,) = require_numbers([diameter_mm], "diameter_mm", shape=(1,), mistake=LocalizationMisused)
+    if not 0.0 < size_mm < np.inf:
+        raise LocalizationMisused(
+            "diameter_mm is not the diameter of a sphere",
+            expected="a positive number",
+            got=show(diameter_mm),
+            action="Give the diameter of the spheres in mm.",
+        )
+    if diameter_mm < MIN_VOXELS_ACROSS * coarsest_mm:
         finer_mm = diameter_mm / MIN_VOXELS_ACROSS
         raise LocalizationMisused(
             f"spheres of {diameter_mm:g} mm cannot be localized in voxels of {coarsest_mm:g} mm",

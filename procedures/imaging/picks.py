@@ -8,10 +8,10 @@ from CSV rows, a JSON list, output of `ronna-ct`, or a 3D Slicer point list (`.m
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from procedures.imaging.localization import (
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_faults import check_distortion
 from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
+from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM
 
@@ -169,8 +170,9 @@ def _crop(volume: Volume, grid_mm: Array, half_width_mm: float) -> tuple[Volume,
     return replace(volume, voxels=voxels, geometry=part), low * geometry.spacing_mm
 
 
-def read_picks(path: Path) -> Array:
-    """Read picks (n, 3) LPS mm from a .csv or .json file. Raises CT-018."""
+def read_picks(path: str | os.PathLike[str]) -> Array:
+    """Read picks (n, 3) LPS mm from a .csv or .json file. Raises CT-018, ARG-001."""
+    path = require_path(path, "the file of picks")
     try:
         content = read_bounded(path, LARGEST_FILE_BYTES)
     except OSError as error:

@@ -226,6 +226,13 @@ def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
     )
 
 
+def describe_seal(plan: Plan) -> str:
+    """Say who sealed a plan, or that nothing says who made it."""
+    if plan.seal is None:
+        return "not sealed: nothing says who made or altered it"
+    return f"sealed by {plan.seal.author}"
+
+
 def require_unaltered(plan: Plan, name: str) -> None:
     """Raise PLAN-023 if a plan does not match its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):

@@ -13,7 +13,7 @@ class BadPoints(DataError):
 
 
 class TooFewPoints(DataError):
-    """Fewer than three point pairs were given for a rigid transform."""
+    """Fewer than three pairs, or points of a layout, were given for a rigid transform."""
 
     code = "REG-002"
     action = "Measure at least three fiducials; five are recommended."

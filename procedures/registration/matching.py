@@ -29,7 +29,8 @@ from procedures.registration.pairings import (
     gate,
     leave_one_out,
 )
-from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, validate_points
+from procedures.registration.points import FEWEST_PAIRS, validate_points
+from ronna_hw.arguments import REAL_KINDS, show
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ def _variance_mm2(name: str, sigma_mm: Any) -> float:
         raise BadParameter(
             f"sigma_{name}_mm is not a standard deviation",
             expected="one number or three (x, y, z), finite, not negative",
-            got=" ".join(str(sigma_mm).split()),
+            got=show(sigma_mm),
             action="Give standard deviations per axis in mm.",
         )
     squares = [float(one) ** 2 for one in given.ravel()]
@@ -114,7 +115,7 @@ def _check_expected(expected: Any) -> None:
     if isinstance(expected, bool) or not isinstance(expected, int | np.integer) or expected < FEWEST_PAIRS:
         raise BadParameter(
             f"expected must be a whole number of at least {FEWEST_PAIRS}",
-            got=f"{expected}",
+            got=show(expected),
             action="Give the number of markers on the patient, or omit it.",
         )
 

@@ -106,16 +106,9 @@ class Registration:
     def between(self, target: Frame, source: Frame) -> Transform:
         """Return the transform between named frames, such as `between(Frame.ROBOT, Frame.CT)`.
 
-        Raises REG-007 for a name that is no frame.
+        Raises FRM-002 for a name that is no frame.
         """
-        if unknown := [name for name in (target, source) if name not in list(Frame)]:
-            raise BadParameter(
-                "there is no such frame",
-                expected=", ".join(Frame),
-                got=", ".join(map(repr, unknown)),
-                action="Name the frames as in Frame.ROBOT and Frame.CT.",
-            )
-        return Transform(Frame(target), Frame(source), self.transform)
+        return Transform(target, source, self.transform)
 
     def require_sound(self) -> None:
         """Raise REG-009 if the fit is mirrored or ill-posed, in which case it must not be used."""

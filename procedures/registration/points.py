@@ -13,6 +13,7 @@ from procedures.registration.errors import (
     DuplicatePoints,
     TooFewPoints,
 )
+from ronna_hw.arguments import require_numbers
 from ronna_hw.frames import Transform, is_rotation
 
 Array = NDArray[np.float64]
@@ -23,12 +24,10 @@ SMALLEST_SPREAD_M = 0.01  # of markers: a set wider than this but no wider than 
 FEWEST_PAIRS = 3  # a rigid transform has six unknowns; two points leave one undetermined
 SYMMETRY_TOLERANCE = 1e-9  # relative; covariances are products, symmetric up to rounding
 
-REAL_KINDS = "iuf"  # of a NumPy type: signed, unsigned, floating
-
 
 def validate_points(points_mm: ArrayLike, name: str) -> Array:
     """Return the points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
-    values = _validate_numbers(points_mm, f"the {name} points", BadPoints)
+    values = require_numbers(points_mm, f"the {name} points", mistake=BadPoints)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
     if values.ndim != 2 or values.shape[1] != 3:
@@ -94,11 +93,16 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
-    if len(image) < FEWEST_PAIRS:
-        raise TooFewPoints(f"{len(image)} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
+    require_enough(image, "pair(s)")
     for name, points in (("image", image), ("physical", physical)):
         refuse_duplicates(points, name)
     return image, physical
+
+
+def require_enough(points: Array, name: str, action: str | None = None) -> None:
+    """Raise REG-002 for fewer points than determine a rigid transform."""
+    if len(points) < FEWEST_PAIRS:
+        raise TooFewPoints(f"{len(points)} {name} given", expected=f"at least {FEWEST_PAIRS}", action=action)
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
@@ -119,7 +123,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
 
 def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     """Return covariances (count, 3, 3) in mm2, symmetrized exactly. Raises REG-005."""
-    values = _validate_numbers(covariance_mm2, "the covariances", BadCovariance)
+    values = require_numbers(covariance_mm2, "the covariances", mistake=BadCovariance)
     if values.shape != (count, 3, 3):
         raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
     if not np.all(np.isfinite(values)):
@@ -136,14 +140,3 @@ def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
             f"covariance {row} is not positive definite", got=f"smallest variance {smallest[row]:.3g} mm2"
         )
     return np.asarray(values, dtype=float)
-
-
-def _validate_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
-    """Return a new float array; reject complex numbers, booleans, strings and objects."""
-    try:
-        given = np.asarray(numbers)
-    except (TypeError, ValueError) as error:
-        raise mistake(f"{what} are not an array of numbers") from error
-    if given.dtype.kind not in REAL_KINDS:
-        raise mistake(f"{what} are not real numbers", expected="integers or floats", got=str(given.dtype))
-    return np.array(given, dtype=float)

@@ -18,7 +18,7 @@ from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.matching import MOST_POINTS, match, validate_prior, weigh_evidence
 from procedures.registration.pairings import as_hypothesis, evaluate
-from procedures.registration.points import validate_points
+from procedures.registration.points import require_enough, validate_points
 
 Array = NDArray[np.float64]
 Sigma = float | Sequence[float] | NDArray[np.float64]
@@ -27,6 +27,7 @@ TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and
 
 # Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
 SCAN_SIGMA_MM = 0.12
+FEW = "Give all of them: two points leave the rotation about their line undetermined."
 TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for --pick."
 
 
@@ -58,9 +59,10 @@ def match_by_template(
 
     UNIQUE only when all k template points are found on both sides, in exactly one way each, and the sides
     agree. The reason for a failure names the side; its runner-up then pairs template points with those of
-    that side. Raises REG-001 and REG-007.
+    that side. Raises REG-001, REG-002 and REG-007.
     """
     template = validate_points(template_mm, "template")
+    require_enough(template, "point(s) of a template", FEW)
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     image_prior = validate_prior(prior)
     ct_match = _match_template(template, image, sigma_template_mm, sigma_image_mm, None)
@@ -120,9 +122,10 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
     """Find a layout (k, 3), k >= 3, among the spheres (n, 3) of a scan, both in mm.
 
     Every sphere of the layout must be present, in exactly one way, each where the others predict it to within
-    the scanner's accuracy. Raises REG-012, REG-001.
+    the scanner's accuracy. Raises REG-012, REG-001, REG-002.
     """
     layout, spheres = validate_points(layout_mm, "layout"), validate_points(spheres_mm, "scan")
+    require_enough(layout, "sphere(s) of a layout", FEW)
     if len(spheres) > MOST_POINTS:
         raise LayoutNotFound(
             "the scan shows too many spheres to search it for a layout",

@@ -1,9 +1,16 @@
-"""How a run ended, according to its journal."""
+"""How a run ended, according to its journal, its seal, and the sealed truth of a simulated theatre.
+
+Everything that tells an ending asks here, so that all say the same.
+"""
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
@@ -12,13 +19,25 @@ from procedures.operator.margin import MarginVerdict
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import target_rows
+from procedures.steps.clinical.at_target import ReachedTarget
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.manifest import KEPT_TRUTH, TRUTH_FIELD
+from ronna_hw.host.port_users import PortUser, find_lock_holder
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
 GO_ON = (
     "Put right what is named, then ronna-procedure resume RUN goes on from there; ronna-procedure home RUN "
     "only brings the arm home."
+)
+UNKNOWN_ERROR, UNSEALED = "error not determined", "not sealed"
+RUNNING, CLOSING = "running", "closing"  # in a program that has the run open
+SEALED_WITHIN_S, AGAIN_S = 30.0, 0.2  # host time; a report and a seal take a second or two
+DONE = ("done", "in doubt")  # by the journal: every step was done
+ERROR_LOST = f"The error at its targets is not known: {KEPT_TRUTH} is not there as it was sealed."
+NOT_SEALED = (
+    "No seal confirms the end of the run: the program was killed before, or the seal is lost or changed."
 )
 ADVICE = {  # by the word of an ending, for a case
     "missed": (
@@ -29,6 +48,11 @@ ADVICE = {  # by the word of an ending, for a case
         "Do not rely on these targets until an image confirms them: ronna-ct postoperative compares one "
         "taken after the operation with the plan."
     ),
+    UNKNOWN_ERROR: (
+        "Do not rely on these targets: whether one was missed is not known. ronna-procedure verify RUN names "
+        "what is lost."
+    ),
+    UNSEALED: "ronna-procedure verify RUN names what is missing; ronna-procedure resume RUN completes it.",
     "killed": (
         "ronna-procedure list says whether a program still holds the run. If none does: ronna-procedure "
         "resume RUN goes on, ronna-procedure home RUN only brings the arm home."
@@ -47,28 +71,83 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 class Ending:
     """Ending of a run.
 
-    `word` is done, in doubt, missed, failed, refused, aborted, interrupted, left, killed or not begun; while
-    a program holds the run, `find_ending` says running for killed.
+    `word` is done, in doubt, missed, error not determined, not sealed, failed, refused, aborted, interrupted,
+    left, killed or not begun; while another program holds the run, running for killed, and closing for a run
+    whose steps are all done.
     """
 
     word: str
     sentence: str
     code: str = ""
     instrument_in: str | None = None  # the trajectory it was still in
+    is_open: bool = False  # in another program, which goes on with it or has yet to seal it
 
 
-def ending_of(reading: RunReading, truth: Truth | None, error: RunError | None = None) -> Ending:
-    """Determine the ending: by the journal, and missed if the known error at a target is beyond its margin.
+def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: bool = False) -> Ending:
+    """Determine how a run ended. `error` is the command's error, if known.
 
-    `error` is the command's error, if known.
+    A program that holds the run goes on with it, unless that is the caller, the `is_writer` of its report.
+
+    Every step may be done without the run being done: it is missed if a known error is beyond the margin of
+    its target; not sealed as long as nothing confirms its end; and its error is not determined if the truth
+    of its simulated theatre is lost. What is in doubt stays so.
     """
     ending = _by_journal(reading.run.journal, error)
-    rows = target_rows(reading, truth or Truth()) if ending.word in ("done", "in doubt") else ()
-    beyond = sum(row.verdict is MarginVerdict.BEYOND for row in rows)
-    if not beyond:
+    holder = None if is_writer else find_run_holder(reading.folder)
+    if ending.word == "killed" and holder is not None:
+        return Ending(RUNNING, f"{holder} has it open.", is_open=True)
+    if ending.word not in DONE:
         return ending
-    sentence = f"{format_count(beyond, 'target')} beyond the margin of the plan. {ending.sentence}"
-    return replace(ending, word="missed", sentence=sentence)
+    if error is not None and not _has_true_error(reading):  # of what is computed after the steps
+        return Ending("failed", f"Every step was done, but {error.what}", error.code)
+    rows = target_rows(reading, reading.truth or Truth())
+    beyond = sum(row.verdict is MarginVerdict.BEYOND for row in rows)
+    if beyond:
+        sentence = f"{format_count(beyond, 'target')} beyond the margin of the plan. {ending.sentence}"
+        return replace(ending, word="missed", sentence=sentence)
+    if not reading.is_sealed:
+        open_words = f"{holder} has it open and seals it next."
+        word, why = (UNSEALED, NOT_SEALED) if holder is None else (CLOSING, open_words)
+    elif reading.truth is None and _has_true_error(reading):
+        holder = None
+        word, why = UNKNOWN_ERROR, ERROR_LOST if error is None else f"The error is not known: {error.what}"
+    else:
+        return ending
+    sentence = f"{ending.sentence} {why}"
+    code = "" if error is None else error.code
+    word = word if ending.word == "done" else ending.word
+    return replace(ending, word=word, sentence=sentence, code=code, is_open=holder is not None)
+
+
+def read_ending(folder: Path) -> Ending:
+    """Read from its folder how a run ended, in milliseconds."""
+    return ending_of(RunReading.of(inspect_run(folder, every_file=False)))
+
+
+def await_ending(folder: Path) -> Ending:
+    """Return how a run ended once its program has left it, or after a time limit as it is then."""
+    until_s = time.monotonic() + SEALED_WITHIN_S
+    while (ending := read_ending(folder)).is_open and time.monotonic() < until_s:
+        time.sleep(AGAIN_S)
+    return ending
+
+
+def _has_true_error(reading: RunReading) -> bool:
+    """Return whether the verifier knows the error at a target: the run has its own simulated theatre."""
+    return any(TRUTH_FIELD in line for line in reading.run.journal) and any(
+        record.kind == ReachedTarget.kind for record in reading.run.valid_records
+    )
+
+
+def find_run_holder(folder: Path) -> PortUser | None:
+    """Return the program that has a run folder locked, or None."""
+    with suppress(OSError):
+        file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            return find_lock_holder(file)
+        finally:
+            os.close(file)
+    return None
 
 
 def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
@@ -109,8 +188,6 @@ def _describe_closed_run(
 ) -> tuple[str, str, str]:
     """Return word, sentence and code for a closed run. `last` is the line that ended its last step."""
     outcome = closed.get("outcome")
-    if outcome == "done" and error is not None:  # computed after the steps
-        return "failed", f"Every step was done, but {error.what}", error.code
     if outcome == "done":
         if doubts := targets_in_doubt(journal):
             why = "; ".join(dict.fromkeys(one for each in doubts.values() for one in each))

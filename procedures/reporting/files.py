@@ -1,9 +1,8 @@
-"""Files stored with a report: images, tables, the simulated truth, and the postoperative check."""
+"""Files stored with a report: images, tables, and the postoperative check."""
 
 from __future__ import annotations
 
 import base64
-import contextlib
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,51 +10,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
-from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.records import write_atomically
 
 REPORT_FOLDER = "report"
-TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
-KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
 LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
 SUMMARY_FILE = "postoperative.json"
 PICTURE = "postoperative-"  # the trajectory's name follows
-
-
-def store_truth(run: Path, truth: Truth) -> Path:
-    """Store the theatre verifier's result in a run folder."""
-    (run / REPORT_FOLDER).mkdir(exist_ok=True)
-    path = run / KEPT_TRUTH
-    content = (truth.model_dump_json(indent=1) + "\n").encode()
-    if not path.is_file() or path.stat().st_size != len(content) or path.read_bytes() != content:
-        write_atomically(
-            path, content
-        )  # else nothing is: a finished run is also shown where it cannot be written
-    return path
-
-
-def drop_unconfirmed_truth(run: Path) -> bool:
-    """Remove the stored truth unless the seal confirms it, since the next seal would cover it."""
-    found = inspect_run(run, every_file=False, files=(KEPT_TRUTH,))
-    changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
-    if changed:
-        with contextlib.suppress(OSError):  # what is no file is not read either
-            (run / KEPT_TRUTH).unlink()
-    return changed
-
-
-def load_truth(run: Path) -> Truth | None:
-    """Load the result stored by `store_truth`, or return None if missing or unreadable."""
-    try:
-        return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
-    except (OSError, ValueError):
-        return None
 
 
 class ReportFiles:

@@ -77,10 +77,13 @@ class RunOutcome(Values):
     matcher: Matcher = Matcher.OURS
 
 
+FinishedOutcome = Literal["done", "in doubt", "missed"]
+
+
 class FinishedRun(RunOutcome):
     """A run that reached the end of its case."""
 
-    outcome: Literal["done", "in doubt", "missed"] = Field(
+    outcome: FinishedOutcome = Field(
         default="done", description="A target beyond its margin is missed, whatever else is doubted."
     )
     markers: int = Field(description="Found in the CT.")

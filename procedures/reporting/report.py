@@ -6,6 +6,7 @@ from its verifier and is passed in.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
@@ -16,21 +17,20 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
+from procedures.planning.plan_file import describe_seal
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
-from procedures.reporting.ending import advise, ending_of
+from procedures.reporting.ending import advise, ending_of, find_run_holder
 from procedures.reporting.files import (
     REPORT_FOLDER,
-    TRUTH_FILE,
     PostoperativeResult,
     ReportFiles,
     data_url,
     load_check,
     load_picture,
-    load_truth,
     store_check,
-    store_truth,
 )
+from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.pictures import (
     clearance_figure,
@@ -72,7 +72,7 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, read_hashes
+from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
 from ronna_hw.text import escape_controls
@@ -89,18 +89,22 @@ def write_report(
     out: Path | None = None,
     after: PostoperativeResult | None = None,
     unconfirmed: Sequence[str] = (),
+    seals: bool = False,
 ) -> Path:
     """Write the report of a run to its folder or to `out`, and return the path.
 
-    `truth` is the theatre verifier's result, `after` the postoperative check; both default to what is stored
-    in the folder. `error` is the command line's. `unconfirmed` says what no seal vouches for; what had none
-    when the run was resumed is in its journal. Raises OSError when it cannot be written, and nothing that
-    the run's content can cause.
+    `truth` is the theatre verifier's result, by default the sealed one; `after` the postoperative check, by
+    default the stored one. With `seals` the caller seals run, truth and report next, and the report tells the
+    ending that everybody reads then. `error` is the command line's. `unconfirmed` says what no seal vouches
+    for; what had none when the run was resumed is in its journal. Raises OSError when it cannot be written,
+    and nothing that the run's content can cause.
     """
     out = run if out is None else out
     reading = read_for_report(run)
     files = ReportFiles(out)
-    truth = load_truth(run) if truth is None else truth
+    truth = reading.truth if truth is None else truth
+    if seals:
+        reading = reading.sealed_with(truth)
     rows = target_rows(reading, truth or Truth())
     if truth is not None:
         store_truth(out, truth)
@@ -113,7 +117,7 @@ def write_report(
         "opened": reading.run.opened,
         "began": _host_time(reading, 0),
         "ended": _host_time(reading, -1),
-        "ending": (ending := ending_of(reading, truth, error)),
+        "ending": (ending := ending_of(reading, error, is_writer=_is_held_by_us(run))),
         "advice": advise(ending, is_case=not reading.run.opened.get("procedure")),
         "moves": moves(reading.run.journal),
         "unprinted": [],  # titles, as the page collects them
@@ -125,7 +129,8 @@ def write_report(
         **_plan(reading, files),
         "truth": truth,
         "series": reading.find(ImportedCt),
-        "plan": reading.find(CheckedPlan),
+        "plan": (plan := reading.find(CheckedPlan)),
+        "plan_seal": "" if plan is None else describe_seal(plan.plan),
         "localization": reading.find(LocalizedFiducials),
         "tracked": reading.find(GlobalLocalization),
         "relocalizations": reading.standing(Relocalization),
@@ -176,6 +181,11 @@ def write_report(
     path = out / REPORT_FILE
     write_atomically(path, _template().render(page).encode())
     return path
+
+
+def _is_held_by_us(run: Path) -> bool:
+    holder = find_run_holder(run)
+    return holder is not None and holder.pid == os.getpid()
 
 
 def _findings(reading: RunReading) -> list[str]:
@@ -263,7 +273,7 @@ def _second_reading(
     if not rows:
         return {"second_text": "", "agree": True}
     try:
-        second_rows = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
+        second_rows = second_reading(reading.folder, out / KEPT_TRUTH)
         text = as_text(second_rows)
     except UNREADABLE as error:
         reading.note(f"The figures of the targets could not be read a second time: {error}")

@@ -7,7 +7,7 @@ and does not prevent the rest from being shown.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,12 +15,15 @@ from typing import Any, TypeVar
 from procedures.engine.case import Case, Stored, parent_of_kind
 from procedures.engine.run_folder import RunFolder, parse_record, run_of
 from procedures.journal.results import StepResult
+from procedures.reporting.kept_truth import load_sealed_truth
+from procedures.reporting.outcome import Truth
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.inspection import Inspection, inspect_run
+from ronna_hw.evidence.manifest import KEPT_TRUTH, find_valid_seal
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 
@@ -31,12 +34,31 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class RunReading:
-    """Content of a run folder, later `changes` to it, and `problems` encountered in reading it."""
+    """Content of a run folder, later `changes` to it, and `problems` encountered in reading it.
+
+    `truth` is what the seal confirms of the simulated theatre's verifier.
+    """
 
     run: RunFolder
-    log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
+    log: tuple[Mapping[str, Any], ...] = ()  # lines of log.jsonl
     changes: tuple[str, ...] = ()
     problems: list[str] = field(default_factory=list)
+    is_sealed: bool = False
+    truth: Truth | None = None
+
+    @classmethod
+    def of(cls, found: Inspection) -> RunReading:
+        """Build the reading of an inspected run, without its log."""
+        folder = found.folder
+        return cls(
+            run_of(found),
+            is_sealed=find_valid_seal(folder) is not None,
+            truth=load_sealed_truth(folder),
+        )
+
+    def sealed_with(self, truth: Truth | None) -> RunReading:
+        """Return the reading for the program that stores this truth and seals the run next."""
+        return replace(self, is_sealed=True, truth=truth)
 
     @property
     def folder(self) -> Path:
@@ -73,12 +95,12 @@ class RunReading:
             self.problems.append(problem)
 
 
-def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> RunReading:
+def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
     """Read a run folder for the report. Damaged files never raise errors.
 
-    Without `every_file` only journal, records and `files` are compared, which takes milliseconds.
+    Without `every_file` only journal, records and stored truth are compared, which takes milliseconds.
     """
-    found = inspect_run(folder, every_file=every_file, files=files)
+    found = inspect_run(folder, every_file=every_file, files=(KEPT_TRUTH,))
     notes = []
     if not found.chain.lines:
         notes.append("There is no journal: the run ended before its theatre was open.")
@@ -87,7 +109,7 @@ def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[
     changes = tuple(map(str, found.changes[:MOST_CHANGES]))
     if len(found.changes) > MOST_CHANGES:
         notes.append(f"{len(found.changes) - MOST_CHANGES} more changes are not listed; verify lists them.")
-    return RunReading(run_of(found), _log(folder), changes, notes)
+    return replace(RunReading.of(found), log=_log(folder), changes=changes, problems=notes)
 
 
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:

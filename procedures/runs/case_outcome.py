@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, restore_order
@@ -21,7 +21,7 @@ from ronna_hw.evidence.journal_reading import read_chain
 
 if TYPE_CHECKING:
     from procedures.engine.case import Case
-    from procedures.reporting.outcome import FinishedRun, Truth, UnfinishedRun
+    from procedures.reporting.outcome import FinishedOutcome, FinishedRun, Truth, UnfinishedRun
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
 
 
@@ -62,8 +62,7 @@ def finish_case(
 
 def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:
     """Return the outcome of a finished case as recorded in its folder, with its report if any."""
-    from procedures.reporting.files import load_truth
-    from ronna_hw.evidence.manifest import is_sealed
+    from procedures.reporting.kept_truth import load_sealed_truth
 
     folder, journal = interrupted.folder, interrupted.run.journal
     order = restore_order(request.case, interrupted)
@@ -73,7 +72,7 @@ def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> Fin
         order.trajectories,
         theatre_time_s(journal[-1]),
         wall_time_s(journal),
-        load_truth(folder) if is_sealed(folder) else None,
+        load_sealed_truth(folder),
     )
     return with_report(outcome, folder)
 
@@ -124,7 +123,8 @@ def build_finished_outcome(
     """Return the outcome of a finished case, asking the verifier for missing `truth`. Raises PRO-013."""
     from procedures.engine.run_folder import targets_in_doubt
     from procedures.operator.margin import MarginVerdict
-    from procedures.reporting.files import store_truth
+    from procedures.reporting.ending import ending_of
+    from procedures.reporting.kept_truth import store_truth
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
     from procedures.reporting.run_reading import read_for_report, registrations_of
     from procedures.reporting.tables import target_rows
@@ -152,7 +152,7 @@ def build_finished_outcome(
         ),
     ]
     plan = case.get(CheckedPlan).result
-    reading = read_for_report(case.folder, every_file=False)
+    reading = read_for_report(case.folder, every_file=False).sealed_with(truth)
     rows = {row.target: row for row in target_rows(reading, truth)}
     errors_mm = [one.application_error_mm for one in truth.targets]
     beyond_margin_mm = {
@@ -163,7 +163,7 @@ def build_finished_outcome(
     in_doubt = targets_in_doubt(reading.run.journal)
     return FinishedRun(
         run=case.folder.name,
-        outcome="missed" if beyond_margin_mm else "in doubt" if in_doubt else "done",
+        outcome=cast("FinishedOutcome", ending_of(reading).word),
         seed=request.seed,
         strategy=request.case.strategy,
         localizer=request.case.methods.localizer,

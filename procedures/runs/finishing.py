@@ -126,9 +126,11 @@ def write_final_report(
     if not folder.is_dir():
         return None
     try:
+        from procedures.reporting.kept_truth import load_truth
         from procedures.reporting.report import write_report
 
-        path = write_report(folder, truth=find_truth(folder) if with_truth else None, error=error)
+        truth = find_truth(folder) if with_truth else load_truth(folder)
+        path = write_report(folder, truth=truth, error=error, seals=True)
     except Exception as problem:  # the run's own ending is what matters
         way = f"To write it: ronna-procedure report {shlex.quote(str(folder))}"
         tell(f"the report could not be written: {as_ronna_error(problem)} {way}")
@@ -144,7 +146,7 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
     The journal is not continued, and a run without a seal remains without one. Raises CLI-005 for an `out` in
     a run; without `out` PRO-030 where another program has the run open, PRO-033 for a changed one; OSError.
     """
-    from procedures.reporting.files import drop_unconfirmed_truth
+    from procedures.reporting.kept_truth import drop_unsealed_truth, load_sealed_truth
     from procedures.reporting.report import write_report
 
     if out is not None:
@@ -153,18 +155,24 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
         found = inspect_run(run)
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
-            drop_unconfirmed_truth(run)
+            drop_unsealed_truth(run)
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         unconfirmed = tuple(describe_unconfirmed_files(found))
         for sentence in unconfirmed:
             tell(sentence)
-        write = partial(write_report, run, truth=find_truth(run), after=after, unconfirmed=unconfirmed)
+        write = partial(
+            write_report,
+            run,
+            truth=load_sealed_truth(run) or find_truth(run),
+            after=after,
+            unconfirmed=unconfirmed,
+        )
         if out is not None:
             return write(out=out)
         beside = run / BESIDE
         try:
-            write(out=beside)
+            write(out=beside, seals=(run / JOURNAL_FILE).exists() and is_sealed(run))
             with defer_interruption():
                 _take_over(beside, run)
         finally:

@@ -17,11 +17,11 @@ from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.command_line.options import require_output_folder
+from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
-from ronna_hw.host.port_users import PortUser, find_lock_holder
+from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER
 from ronna_hw.text import format_count, format_names
@@ -35,7 +35,8 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
-    require_output_folder(out)
+    require_folder(out)
+    require_outside_runs(out)
     case = request is not None and isinstance(request.procedure, CaseProcedure)
     seed = f"s{request.seed}-" if case and request is not None and request.seed is not None else ""
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
@@ -80,15 +81,6 @@ def hold_run(folder: Path) -> Iterator[None]:
         os.close(file)
 
 
-def find_run_holder(folder: Path) -> PortUser | None:
-    """Return the program that has a run folder locked, or None."""
-    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return find_lock_holder(file)
-    finally:
-        os.close(file)
-
-
 def find_runs(folder: Path) -> list[Path]:
     """Return the runs in a folder, oldest first. Raises CLI-005 if the folder does not exist."""
     if not folder.is_dir():
@@ -115,8 +107,9 @@ def require_run(folder: Path) -> None:
             f"{folder} is not a run; it holds {format_count(len(held), 'run')}: {format_names(held)}",
             action=f"Give one of them: {folder / held[-1]}.",
         )
+    is_file = folder.is_file()
     raise PathProblem(
-        f"{folder} is not the folder of a run",
+        f"{folder} is {'a file, not a run' if is_file else 'not the folder of a run'}",
         expected="a folder with journal.jsonl",
         action=next((f"Give the run's folder: {above}." for above in folder.parents if is_run(above)), None),
     )

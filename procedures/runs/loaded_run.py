@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import cached_property
 from pathlib import Path
 
 from procedures.engine.events.event_file import EVENTS_FILE
-from procedures.engine.run_folder import run_of
 from procedures.exchange.errors import NoRegistration
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
     EVENTS,
+    budget_table,
     events_table,
     find_registration,
     localized_table,
@@ -19,48 +20,44 @@ from procedures.exchange.run_tables import (
     spheres_table,
     targets_table,
 )
-from procedures.reporting.ending import Ending, ending_of
-from procedures.reporting.files import KEPT_TRUTH, load_truth
+from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
-from procedures.runs.folders import find_run_holder, require_run
+from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.files import open_regular
-from ronna_hw.loaded_run import RunTable
-from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
+from ronna_hw.loaded_run import RunTable, RunWarning
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
+from ronna_hw.text import format_names
 
 TAPE = f"{READINGS_FOLDER}/{READINGS_FILE}"
-PIXELS = f"{READINGS_FOLDER}/{PIXELS_FILE}"
-
-
-def find_ending(reading: RunReading, truth: Truth | None) -> Ending:
-    """Determine how a run ended, or that a program still has it open."""
-    ending = ending_of(reading, truth)
-    holder = find_run_holder(reading.folder) if ending.word == "killed" else None
-    return ending if holder is None else Ending("running", f"{holder} has it open.")
+MOST_SHOWN = 5  # notes, of which a run without its pictures has hundreds
+OPENING_LEVEL = 3  # of the stack: who called `load_run`
+READING_LEVEL = 4  # who read the table, past its property and `functools`
 
 
 class RunArrays:
     """Run folder as arrays; `ronna_hw.LoadedRun` describes each of them."""
 
     def __init__(self, folder: Path) -> None:
-        """Check and read the journal and the records. Raises CLI-005, PRO-033."""
+        """Check every file, and read the journal and the records. Raises CLI-005, PRO-033."""
         require_run(folder)
-        found = inspect_run(folder, every_file=False, files=(KEPT_TRUTH,)).require_account()
-        truth_changed = any(problem.file == KEPT_TRUTH for problem in found.changes)
+        found = inspect_run(folder).require_account()
         self.path = folder
-        self._reading = RunReading(run_of(found), ())
-        self._truth = (None if truth_changed else load_truth(folder)) or Truth()
-        self._found = found
+        self._reading = RunReading.of(found)
         self._problems = list(map(str, found.problems))
         if not (folder / SEAL_FILE).exists():
             self._problems.append(f"{SEAL_FILE}: missing: no seal confirms the files as the run left them")
-        self._note_changes(EVENTS_FILE, TAPE)
+        if found.changes:
+            changes = format_names(list(map(str, found.changes)))
+            warnings.warn(f"{self.name} is not as it was left: {changes}", RunWarning, OPENING_LEVEL)
 
     def __repr__(self) -> str:
-        return "\n  ".join((f"run {self.name}: {self.outcome}", *self.notes))
+        shown, rest = self.notes[:MOST_SHOWN], self.notes[MOST_SHOWN:]
+        more = (f"and {len(rest)} more: run.notes has all",) if rest else ()
+        return "\n  ".join((f"run {self.name}: {self.outcome}", *shown, *more))
 
     @property
     def name(self) -> str:
@@ -68,17 +65,17 @@ class RunArrays:
 
     @property
     def outcome(self) -> str:
-        return find_ending(self._reading, self._truth).word
+        return ending_of(self._reading).word
 
     @property
     def notes(self) -> tuple[str, ...]:
         unreadable = (self._explain_unreadable(name) for name in (EVENTS_FILE, TAPE))
-        ends_early = self._recorded.ends_early if "_recorded" in self.__dict__ else ""
-        return tuple(dict.fromkeys(filter(None, (*self._problems, *unreadable, ends_early))))
+        gaps = self._recorded.gaps if "_recorded" in self.__dict__ else ()
+        return tuple(dict.fromkeys(filter(None, (*self._problems, *unreadable, *gaps))))
 
     @cached_property
     def targets(self) -> RunTable:
-        return targets_table(self._reading, self._truth)
+        return targets_table(self._reading, self._reading.truth or Truth())
 
     @cached_property
     def spheres(self) -> RunTable:
@@ -93,6 +90,10 @@ class RunArrays:
         return registrations_table(self._reading.run)
 
     @cached_property
+    def budget(self) -> RunTable:
+        return budget_table(self._reading.run)
+
+    @cached_property
     def motions(self) -> RunTable:
         return motions_table(self._reading.run.journal)
 
@@ -104,13 +105,11 @@ class RunArrays:
 
     @cached_property
     def _recorded(self) -> RecordedTables:
-        self._note_changes(PIXELS)  # only here, being most of a run
-        return recorded_tables(self.path)
-
-    def _note_changes(self, *names: str) -> None:
-        """Note how files differ from their hashes in the journal's last line or in the seal."""
-        if self._found.chain.is_closed or (self.path / SEAL_FILE).exists():
-            self._problems += map(str, self._found.check_files(names))
+        found = recorded_tables(self.path)
+        if found.gaps:
+            text = f"strays, looks and pictures of {self.name} are incomplete: {format_names(found.gaps)}"
+            warnings.warn(text, RunWarning, READING_LEVEL)
+        return found
 
     def _explain_unreadable(self, name: str) -> str:
         try:
@@ -138,7 +137,7 @@ class RunArrays:
         used = find_registration(self._reading, target)
         if used is None:
             raise NoRegistration(
-                f"{self.name} has no registration for a target {target}",
+                f"{self.name} has no registration for a target {target!r}",
                 expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
             )
         return used.result.robot_from_ct.transform

@@ -12,7 +12,7 @@ from procedures.engine.run_folder import close_run
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
-from procedures.reporting.files import KEPT_TRUTH, drop_unconfirmed_truth
+from procedures.reporting.kept_truth import drop_unsealed_truth
 from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 from procedures.runs.request import RunRequest
@@ -21,6 +21,7 @@ from procedures.runs.theatre_lock import list_last_runs, require_free_theatre, r
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.manifest import KEPT_TRUTH
 from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.records import PARTIAL
 
@@ -103,7 +104,7 @@ def prepare_folder(interrupted: InterruptedRun) -> None:
     folder = interrupted.folder
     _check_writable(folder)
     _remove_half_written(folder)
-    if drop_unconfirmed_truth(folder):
+    if drop_unsealed_truth(folder):
         tell(f"{KEPT_TRUTH} was removed: no seal confirms it")
     if interrupted.chain.torn:
         torn = len(interrupted.chain.torn)

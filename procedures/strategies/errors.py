@@ -13,7 +13,7 @@ class UnknownStrategy(ConfigurationError):
 
 
 class BadTrajectory(DataError):
-    """Entry and target coincide, or a number is not finite."""
+    """Entry and target coincide, or a number is not finite, or not in its place and range."""
 
     code = "STR-003"
     action = "Correct the trajectory in the plan."

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import BadTrajectory
+from ronna_hw.arguments import require_numbers
 from ronna_hw.frames import Frame, FrameMismatch, Transform, build_rigid
 
 Array = NDArray[np.float64]
@@ -26,6 +27,7 @@ SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
 # For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
 PARALLEL_SINE = math.sin(math.radians(5.0))
 ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
+LARGEST_ANGLE_RAD = 4.0 * math.pi  # a plan's half turn, and turns tried about it, stay far within
 UP = np.array([0.0, 0.0, 1.0])
 AHEAD = np.array([1.0, 0.0, 0.0])
 
@@ -36,7 +38,8 @@ class Trajectory:
 
     `beyond_mm` is how far beyond the target, along the axis, the tool origin comes to rest: a guide is held
     outside the head, and its tip frame is at the end of its mandrel. `standoff_mm` is the plan's, from the
-    entry to the guide, for messages. Raises STR-003 when entry and target coincide or a number is not finite.
+    entry to the guide, for messages. Raises STR-003 when entry and target coincide, or a number is
+    not finite, has another shape, or is an angle of more than two turns.
     """
 
     identifier: str
@@ -47,12 +50,29 @@ class Trajectory:
     standoff_mm: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise STR-003 unless all numbers are finite and entry and target are distinct."""
-        numbers = (*self.entry_mm, *self.target_mm, self.free_angle_rad, self.beyond_mm)
-        if not all(map(math.isfinite, numbers)):
+        """Raise STR-003 unless all numbers are finite, in range, and entry and target are distinct."""
+        numbers = np.concatenate(
+            [
+                self._require_numbers("entry_mm", (3,)),
+                self._require_numbers("target_mm", (3,)),
+                *(self._require_numbers(name, ()).reshape(1) for name in ("free_angle_rad", "beyond_mm")),
+            ]
+        )
+        if not np.isfinite(numbers).all():
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
+        if abs(self.free_angle_rad) > LARGEST_ANGLE_RAD:
+            raise BadTrajectory(
+                f"the free angle of trajectory {self.identifier} is more than two turns: are these degrees?",
+                limit=f"{LARGEST_ANGLE_RAD:.3f} rad",
+                got=f"{self.free_angle_rad:g} rad",
+                action="Give radians, such as math.radians(30).",
+            )
         if self.depth_mm < SHORTEST_MM:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
+
+    def _require_numbers(self, name: str, shape: tuple[int, ...]) -> Array:
+        what = f"the numbers in {name} of trajectory {self.identifier}"
+        return require_numbers(getattr(self, name), what, shape=shape, mistake=BadTrajectory)
 
     def with_rest(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
         """Return a copy of the trajectory whose tool comes to rest `beyond_mm` past the target."""

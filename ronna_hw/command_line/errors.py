@@ -147,7 +147,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
         expected, got = reason
         meaning = _describe_parameter(parameter, context)
         return UsageMistake(
-            f"{_format_parameter(parameter, context)} cannot be {got}",
+            f"{format_parameter(parameter)} cannot be {got}",
             expected=expected,
             action=f"{meaning} {see}".lstrip(),
         )
@@ -171,7 +171,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
-            f"{_format_parameter(parameter, context)} is missing",
+            f"{format_parameter(parameter)} is missing",
             action=f"{_describe_parameter(parameter, context)} {see}".lstrip(),
         )
     hint = getattr(mistake, "param_hint", None)
@@ -213,7 +213,7 @@ def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
     return expected, repr(first["input"])
 
 
-def _format_parameter(parameter: Any, context: Any) -> str:
+def format_parameter(parameter: Any) -> str:
     """Format an option or argument as typed."""
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 

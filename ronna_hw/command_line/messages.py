@@ -128,12 +128,13 @@ def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[i
 
 BAR_WIDTH = 24  # beside a description of 45 characters in a line of 80
 PROGRESS_DELAY_S = 2.0  # no bar for shorter work
+PROGRESS_LINE_S = 60.0  # without a terminal: a log shows that the work goes on, and is not filled
 Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 
 @contextlib.contextmanager
 def progress_bar(description: str) -> Iterator[ProgressBar]:
-    """Show a progress bar on standard error after two seconds, provided it is a terminal."""
+    """Show progress on standard error: a bar after two seconds on a terminal, else a line every minute."""
     bar = ProgressBar(description, shown=on_terminal(sys.stderr))
     try:
         yield bar
@@ -144,7 +145,7 @@ def progress_bar(description: str) -> Iterator[ProgressBar]:
 class ProgressBar:
     """Progress bar called with the completed fraction. Bar and timer pause while `hidden`.
 
-    Never shown unless `shown`, which is False when nobody is watching.
+    If it is not `shown`, as without a terminal, a line is printed every minute instead.
     """
 
     def __init__(self, description: str, *, shown: bool) -> None:
@@ -154,16 +155,26 @@ class ProgressBar:
         self._bar = self._create_bar() if shown else None
         self._task = None if self._bar is None else self._bar.add_task(description, total=1.0)
         self._started = False
+        self._description, self._line_due_s = description, self._began_s + PROGRESS_LINE_S
 
     def __call__(self, share: float, description: str = "") -> None:
         """Report the completed fraction, 0 to 1, of what was described last."""
-        if self._bar is None or self._task is None:
-            return
         with self._writing:
+            if self._bar is None or self._task is None:
+                self._tell_line(share, description)
+                return
             self._bar.update(self._task, completed=share, description=printable(description) or None)
             if not self._started and not self._is_hidden and self._now_s() > self._began_s + PROGRESS_DELAY_S:
                 self._started = True
                 self._bar.start()
+
+    def _tell_line(self, share: float, description: str) -> None:
+        self._description = description or self._description
+        if self._now_s() < self._line_due_s or self._is_hidden:
+            return
+        self._line_due_s = self._now_s() + PROGRESS_LINE_S
+        minutes = (self._now_s() - self._began_s) / 60.0
+        tell(f"{self._description}: {share:.0%} after {minutes:.0f} min")
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:

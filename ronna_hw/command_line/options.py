@@ -14,11 +14,12 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.arguments import require_path
+from ronna_hw.command_line.errors import PathProblem, UsageMistake, format_parameter
 from ronna_hw.command_line.messages import say
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import Logger, is_known_logger, list_loggers, logger, set_level
@@ -31,9 +32,27 @@ def with_common_options(command: Any) -> Any:
     """Add the common options to a typer command, or to every command of a group, and return it."""
     declared = _create_options()
     for one in _walk_commands(command):
+        for parameter in one.params:
+            _refuse_empty_path(parameter)
         is_group = bool(getattr(one, "commands", {}))
         one.params.extend(declared[-1:] if is_group else declared)
     return command
+
+
+def _refuse_empty_path(parameter: Any) -> None:
+    """Make an option or argument for a path refuse an empty one, as an unset variable gives; ARG-001."""
+    annotation = parameter.type_descriptor.annotation
+    if Path not in (annotation, *get_args(annotation)):
+        return
+    process_value = parameter.process_value
+
+    def process_filled(context: Any, value: Any) -> Any:
+        for one in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(one, str):
+                require_path(one, format_parameter(parameter).strip("[]"))
+        return process_value(context, value)
+
+    parameter.process_value = process_filled
 
 
 def _walk_commands(command: Any) -> Iterator[Any]:
@@ -202,9 +221,17 @@ def require_folder(out: Path) -> None:
 
 
 def require_output_folder(out: Path) -> None:
-    """Raise CLI-005 for an output folder that is a file, or belongs to a run."""
+    """Raise CLI-005 for an output folder that is a file, belongs to a run, or holds runs."""
+    from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+
     require_folder(out)
     require_outside_runs(out)
+    if out.is_dir() and any((one / JOURNAL_FILE).exists() for one in out.iterdir()):
+        raise PathProblem(
+            f"{out} holds runs, which this would mix with other files",
+            expected="a folder without runs, which may be new",
+            action=f"Name another, such as {out / 'results'}.",
+        )
 
 
 def require_outside_runs(*outputs: Path) -> None:

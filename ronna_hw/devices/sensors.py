@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator, Mapping
+from operator import index
 from typing import Protocol, runtime_checkable
 
+from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.devices.errors import NoNewFrame
 from ronna_hw.devices.lifecycle import Device, LastKnown
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFrame, Validity
@@ -111,11 +113,22 @@ def new_frames(
 ) -> Iterator[TrackerFrame]:
     """Yield `count` new measurements, or endlessly if None, skipping STALE repeats.
 
-    `timeout_s` is host time for each. Raises DEV-009 when the tracker delivers no new measurement in time,
-    and the errors of `read_frame`.
+    `timeout_s` is host time for each. Raises ARG-001 for a count that is none, DEV-009 when the tracker
+    delivers no new measurement in time, and the errors of `read_frame`.
     """
-    for _ in itertools.count() if count is None else range(count):
-        yield _read_new_frame(tracker, timeout_s)
+    try:
+        wanted = None if count is None else index(count)
+    except TypeError:
+        wanted = -1
+    if wanted is not None and wanted < 0:
+        raise WrongArgument(
+            "the count of new frames is no count",
+            expected="a whole number, not negative, or None for endlessly many",
+            got=show(count),
+            action="Give the number of frames, such as 60 for one second.",
+        )
+    counted = itertools.count() if wanted is None else range(wanted)
+    return (_read_new_frame(tracker, timeout_s) for _ in counted)
 
 
 def _read_new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:

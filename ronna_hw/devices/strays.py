@@ -7,12 +7,13 @@ may move, `stray_tracks` compares it with the last position, within a wider gate
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arguments import WrongArgument, require_numbers
 from ronna_hw.devices.errors import BadStrays
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.robust_scale import robust_sigma
@@ -73,12 +74,27 @@ def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
 
 
 def select_strays(frames: Iterable[TrackerFrame]) -> list[tuple[TrackerFrame, list[Vector3]]]:
-    """Return each measured frame with its strays inside the measuring volume, mm. Repeats are left out."""
+    """Return each measured frame with its strays inside the measuring volume, mm. Repeats are left out.
+
+    Raises ARG-001 for anything else than frames.
+    """
     return [
         (frame, [one.position_mm for one in frame.strays if one.validity is Validity.OK])
-        for frame in frames
+        for frame in _require_frames(frames)
         if frame.validity is not Validity.STALE
     ]
+
+
+def _require_frames(frames: Iterable[TrackerFrame]) -> Iterator[TrackerFrame]:
+    for frame in frames if isinstance(frames, Iterable) else (frames,):
+        if not isinstance(frame, TrackerFrame):
+            raise WrongArgument(
+                "strays are read from frames of the tracker",
+                expected="TrackerFrame objects",
+                got=type(frame).__name__,
+                action="Give new_frames(tracker, 60); a loaded run has done it already: run.strays.identity.",
+            )
+        yield frame
 
 
 def group_strays(
@@ -111,7 +127,7 @@ def group_strays(
 
 def require_positions(frame: Sequence[Vector3]) -> Array:
     """Return the positions of one frame as an array (n, 3). Raises DEV-005."""
-    readings = np.asarray(frame, dtype=float)
+    readings = require_numbers(frame, "the positions of strays", mistake=BadStrays)
     if readings.size == 0:
         return np.zeros((0, 3))
     if readings.ndim != 2 or readings.shape[1] != 3 or not np.isfinite(readings).all():

@@ -50,9 +50,7 @@ MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousa
 LARGEST_INPUTS_BYTES = 8_000_000_000  # four times the largest CT that is read
 MOST_LINES_BEFORE_NAME = 100  # of a log: its first line names the run
 SHOWN = 3  # problems named in an error; verify lists all
-BESIDE_ACTION = (
-    "What the run wrote is unchanged. Rename the folder back and move added files out of it, then repeat."
-)
+BESIDE_ACTION = "Rename the folder back and move added files out of it, then repeat."
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
@@ -101,6 +99,7 @@ class Inspection:
     records: tuple[Record, ...]
     problems: tuple[Problem, ...]
     out_of_reach: tuple[str, ...] = ()  # inputs outside the run that are not here, and were not compared
+    every_file: bool = True  # compared, not only journal, request and records
 
     @property
     def superseded(self) -> frozenset[str]:
@@ -162,7 +161,8 @@ class Inspection:
             more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
             named = "; ".join(map(str, problems[:SHOWN]))
             if action is None and all(problem.beside for problem in problems):
-                action = BESIDE_ACTION
+                checked = "What the run wrote" if self.every_file else "Its journal, request and records"
+                action = f"{checked}: unchanged. {BESIDE_ACTION}"
             raise RunChanged(f"{self.folder.name} is not {state}: {named}{more}", action=action)
         return self
 
@@ -170,24 +170,24 @@ class Inspection:
 def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
     """Check a run folder; never raises, whatever its contents.
 
-    Without `every_file` only the journal (also against the seal), the records, and those of `files` that
-    exist are checked, which takes milliseconds.
+    Without `every_file` only the journal (also against the seal), the request, the records and `files` are
+    checked, which takes milliseconds.
     """
     problems: list[Problem] = []
     chain = _read_chain(folder, problems)
     if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
-        return Inspection(folder, chain, Manifest(), (), tuple(problems))
+        return Inspection(folder, chain, Manifest(), (), tuple(problems), every_file=every_file)
     manifest = Manifest(chain.lines)
     records = tuple(_check_records(folder, chain.lines, problems))
+    problems += compare_files(folder, manifest.request)
     if every_file and chain.lines:
         problems += _check_files(folder, chain, manifest)
     elif chain.lines:
-        present = [name for name in files if os.path.lexists(folder / name)]
-        problems += _check_named_files(folder, chain, manifest, present)
+        problems += _check_named_files(folder, chain, manifest, files)
     found = tuple(issue for issue in dict.fromkeys(problems) if not issue.out_of_reach)
     out_of_reach = dict.fromkeys(issue.file for issue in problems if issue.out_of_reach)
-    return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
+    return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach), every_file)
 
 
 def _read_chain(folder: Path, problems: list[Problem]) -> Chain:
@@ -265,9 +265,9 @@ def _find_mismatches(
 
 
 def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
-    """Find problems with the request, pictures, truth, and files listed by the journal's end or the seal."""
+    """Find problems with pictures, truth, and files listed by the journal's end or the seal."""
     closed, named = chain.is_closed, manifest.files
-    yield from compare_files(folder, manifest.request | manifest.pictures)
+    yield from compare_files(folder, manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))
     yield from _find_foreign_logs(folder, chain)
     present = [name for name, _ in iterate_files(folder)]

@@ -30,7 +30,8 @@ PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for
 SEAL_FILE = "seal.json"
 ROOM_FILE = f".room{PARTIAL}"  # held while a run is open; a kill leaves it as an unfinished file
 REPORT_FILE = "report.html"
-ONLY_IN_REPORT = "report/postoperative"  # the check after the operation: its CT is elsewhere
+KEPT_TRUTH = "report/truth.json"  # what the verifier of a simulated theatre found: how the run ended
+ONLY_IN_REPORT = (KEPT_TRUTH, "report/postoperative")  # evidence; of the check, the CT is elsewhere
 # Also written after the run is closed: prefixes of file names, and folders with everything in them.
 LOG_FILES = ("log.jsonl", "events.jsonl")  # each names its run at its beginning
 WORLD_FILE = "theatre/world.json"  # how a simulated theatre was left
@@ -344,7 +345,11 @@ def seal_report(folder: Path, *, finished: bool = True) -> None:
     """
     former = read_seal(folder)
     assert former is not None, "only a seal can be renewed"
-    files = {name: sha256 for name, sha256 in former.files.items() if not is_of_report(name)}
+    files = {
+        name: sha256
+        for name, sha256 in former.files.items()
+        if name == KEPT_TRUTH or not is_of_report(name)  # without it, a kill would hide a miss
+    }
     if finished:
         files |= {name: sha256_of(path) for name, path in _own_files(folder) if is_of_report(name)}
     renewed = former.model_copy(update={"files": files}).with_own_hash()
@@ -359,6 +364,15 @@ def read_seal(folder: Path) -> Seal | None:
     except (OSError, ValueError):
         return None
     return found if found.whole and content == _encode_seal(found) else None
+
+
+def find_valid_seal(folder: Path) -> Seal | None:
+    """Return the seal if it covers the journal as it is, or None."""
+    found = read_seal(folder)
+    with suppress(OSError):
+        if found is not None and sha256_of(folder / JOURNAL_FILE) == found.journal_sha256:
+            return found
+    return None
 
 
 def is_sealed(folder: Path) -> bool:

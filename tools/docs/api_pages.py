@@ -77,12 +77,13 @@ def runs() -> str:
         "spheres": run_tables.SPHERES,
         "localized": run_tables.LOCALIZED,
         "registrations": run_tables.REGISTRATIONS,
+        "budget": run_tables.BUDGET,
         "strays": recorded_tables.STRAYS,
         "looks": recorded_tables.LOOKS,
         "motions": run_tables.MOTIONS,
         "events": run_tables.EVENTS,
     }
-    page = _page([_all_of(loaded_run, "load_run", "LoadedRun", "RunTable", "StereoPictures")])
+    page = _page([_all_of(loaded_run, "load_run", "LoadedRun", "RunTable", "RunWarning", "StereoPictures")])
     for name, columns in tables.items():
         rows = ((f"`{one.name}`", _format_column_type(one), one.description) for one in columns)
         page += f"\n## `run.{name}`\n\n{table(('column', 'type', 'meaning'), rows)}"

@@ -242,11 +242,11 @@ def follow(
     final = Finalized()
     try:
         with (
+            contextlib.ExitStack() as at_last,  # a console shows how the run ended: it closes after the seal
             finalize_run(folder, left, with_truth=False, name_report=False) as final,  # the outcome names it
             observe_run(quiet=as_json) as shown,
-            _add_console(shown, folder, console, waits=waits) as observers,
         ):
-            outcome = run(observers)
+            outcome = run(at_last.enter_context(_add_console(shown, folder, console, waits=waits)))
     except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
         if as_json:
             unfinished_outcome = build_unfinished_outcome(request, folder, problem)

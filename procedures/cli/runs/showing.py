@@ -13,13 +13,11 @@ from procedures.engine.events import CaseState, Event, Questioned, Refusal, Sign
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.ending import resumes
-from procedures.reporting.files import KEPT_TRUTH, load_truth
+from procedures.reporting.ending import await_ending, ending_of, resumes
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.tables import target_rows
 from procedures.runs.folders import find_folders_of_runs, find_runs
-from procedures.runs.loaded_run import find_ending
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
@@ -62,7 +60,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print the steps of a run, its outcome and its target errors."""
     reading = read_for_report(folder)
-    row, missing = _summary(reading, load_truth(folder)), missing_in_raw(folder, tuple(reading.run.journal))
+    row, missing = _summary(reading), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
         print_json(row | {"problems": [*reading.changes, *reading.problems], "raw_missing": missing})
         return
@@ -108,10 +106,8 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
 
 
 def _summarize_run(folder: Path) -> dict[str, Any]:
-    reading = read_for_report(folder, every_file=False, files=(KEPT_TRUTH,))
-    truth_is_intact = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
-    row = _summary(reading, load_truth(folder) if truth_is_intact else None)
-    return row | {"problems": [*reading.changes, *reading.problems]}
+    reading = read_for_report(folder, every_file=False)
+    return _summary(reading) | {"problems": [*reading.changes, *reading.problems]}
 
 
 def _largest_error(row: dict[str, Any]) -> str:
@@ -122,10 +118,9 @@ def _largest_error(row: dict[str, Any]) -> str:
     return f"{error_mm:.3f}{mark}"
 
 
-def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
-    run = reading.run
-    ending = find_ending(reading, truth)
-    errors_mm = () if truth is None else [one.application_error_mm for one in truth.targets]
+def _summary(reading: RunReading) -> dict[str, Any]:
+    run, truth = reading.run, reading.truth or Truth()
+    ending, errors_mm = ending_of(reading), [one.application_error_mm for one in truth.targets]
     return {
         "run": reading.folder.resolve().name,
         "theatre": run.opened.get("theatre"),
@@ -150,14 +145,14 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
                 "margin_mm": one.margin_mm,
                 "verdict": one.verdict,
             }
-            for one in target_rows(reading, truth or Truth())
+            for one in target_rows(reading, truth)
         ],
         "max_application_error_mm": max(errors_mm, default=None),
     }
 
 
 def watch(run: Path, *, as_json: bool) -> None:
-    """Show a run's current state, then each event until it ends. Raises CLI-005, PRO-018.
+    """Show a run's current state, then each event until it ends, then its ending. Raises CLI-005, PRO-018.
 
     For a run that is over, files that are not as it left them are named first.
     """
@@ -178,7 +173,10 @@ def watch(run: Path, *, as_json: bool) -> None:
             tell(line)
     else:
         _write_lines(followed, line_of)
-    if not followed.closed:
+    if followed.closed:
+        ending = await_ending(run)
+        tell(f"{ending.word}: {ending.sentence}")
+    else:
         tell("the run was ended without being closed")
 
 

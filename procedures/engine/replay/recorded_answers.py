@@ -20,7 +20,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.methods import CaseMethods
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
-from ronna_hw.bounded_input import parse_json, read_json_lines
+from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
@@ -169,6 +169,8 @@ class RecordedAnswers:
                 name: _parse_value(PROPERTIES[name], part, self._get_pixels)
                 for name, part in line.properties.items()
             }
+        except NotRecorded:
+            raise
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
         return RecordedAnswer(line.state, value, properties)
@@ -177,6 +179,8 @@ class RecordedAnswers:
         """Parse a recorded answer as `kind`, loading any pixels. Raises PRO-024 for damaged data."""
         try:
             return _parse_value(kind, plain, self._get_pixels)
+        except NotRecorded:
+            raise
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
 
@@ -187,9 +191,8 @@ class RecordedAnswers:
                 file.seek(place.at)
                 return unpack_pixels(file.read(place.count), place.shape, place.type)
         except (OSError, ValueError) as error:
-            raise NotRecorded(
-                f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {error}"
-            ) from error
+            why = error.summary if isinstance(error, InputRefused) else str(error)
+            raise NotRecorded(f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {why}") from error
 
 
 def read_answers(run: Path) -> RecordedAnswers:

@@ -20,7 +20,7 @@ from procedures.operator.question import Identity, Picture, Question, ReadBack, 
 from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.plan_check import PlanCheck, check_plan
-from procedures.planning.plan_file import parse_plan_bytes
+from procedures.planning.plan_file import describe_seal, parse_plan_bytes
 from procedures.planning.plan_lock import lock_plan
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
@@ -82,7 +82,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
             head=head,
             warnings=tuple(check.warnings),
         ),
-        summary="; ".join((summary, *check.warnings)),
+        summary="; ".join((summary, f"plan {describe_seal(plan)}", *check.warnings)),
     )
 
 
@@ -167,6 +167,7 @@ def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
             f"tool {plan.tool}; instrument {plan.instrument_length_mm:g} mm, "
             f"stand-off {plan.standoff_mm:g} mm",
             f"CT series {series}, {plan.patient_orientation.value}",
+            f"plan {describe_seal(plan)}",
         )
     )
 

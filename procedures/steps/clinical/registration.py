@@ -169,6 +169,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             fre_mm=float(fit.fre_mm),
             residuals_mm=fit.residuals_mm.tolist(),
             leave_one_out_mm=tuple(fit.leave_one_out_mm),
+            covariances_mm2=None if fit.covariance_mm2 is None else fit.covariance_mm2.tolist(),
             predictions=predictions,
             two_way=two_way,
             left_out_spheres=left_out_spheres,

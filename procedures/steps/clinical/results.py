@@ -138,6 +138,11 @@ class RegisteredRobot(StepResult, kind="registration"):
     leave_one_out_mm: tuple[float | None, ...] = Field(
         description="Residual of each sphere when fitted without it."
     )
+    covariances_mm2: tuple[Matrix3, ...] | None = Field(
+        default=None,
+        description="Total error of each pair that weighted the fit: CT, seating of the sphere, stereo "
+        "measurement and arm; robot frame. Null in records of earlier versions.",
+    )
     predictions: tuple[Prediction, ...] = Field(description="One for each target it serves.")
     two_way: TwoWayTable = Field(description="CT to room and room to CT.")
     left_out_spheres: tuple[LeftOutSphere, ...] = Field(

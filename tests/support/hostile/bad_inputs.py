@@ -104,6 +104,8 @@ def _files() -> dict[str, str | bytes]:
     return {
         "notes.txt": "hello\n",
         "no.toml": "a = = 3\n",
+        "results/one/journal.jsonl": "",
+        "latin.toml": 'schema = 1\npatient = "M\u00fcller"\n'.encode("latin-1"),
         "binary.toml": b"\xff\xfe\x00",
         "wide.toml": scene.replace("columns = 256", "columns = 100000"),
         "negative.toml": scene.replace("columns = 256", "columns = -1"),

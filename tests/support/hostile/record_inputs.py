@@ -34,7 +34,7 @@ from procedures.imaging.series import read_pixels
 from procedures.planning.proposed_place import ProposedPlace, read_place
 from procedures.reporting.calibration_figures import load_figures
 from procedures.reporting.ending import ending_of
-from procedures.reporting.files import load_truth
+from procedures.reporting.kept_truth import load_truth
 from procedures.reporting.run_events import notable_events, questions
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_statistics import link_counters, timeline
@@ -195,7 +195,7 @@ def _read_run(run: Path) -> None:
                 lines.append(text)
     journal.write_bytes(b"".join(lines))
     reading = read_for_report(run)
-    ending_of(reading, None)
+    ending_of(reading)
     notable_events(reading.run.journal)
     questions(reading.run.journal)
     timeline(reading.run.journal)

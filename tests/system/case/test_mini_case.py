@@ -26,6 +26,7 @@ from procedures.cli.procedure import app as ronna_procedure
 from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import FramedPose
+from procedures.registration import register
 from procedures.workcell.tracker_look import FRAMES
 from ronna_hw import load_run
 from ronna_hw.devices.capabilities import Direction
@@ -96,6 +97,23 @@ def test_the_run_loads_as_arrays_that_agree_with_its_outcome_and_its_records(fin
     assert len(run.looks) == len(run.pictures) == run.localized.looks.sum()
     assert np.isfinite(run.motions.end_s).all()
     assert (run.events.number[1:] >= run.events.number[:-1]).all()
+
+
+def test_the_arrays_give_the_registration_of_the_run_and_add_up_to_its_prediction(finished: MiniRun) -> None:
+    run = load_run(finished.folder)
+    (target,), localized, budget = run.targets, run.localized, run.budget
+    assert localized.sphere.tolist() == run.spheres.name.tolist()
+    fit = register(
+        run.spheres.centre_ct_mm,
+        localized.centre_robot_mm,
+        covariance_mm2=localized.total_covariance_robot_mm2,
+    )
+    recorded = run.robot_from_ct(target.name)
+    np.testing.assert_allclose(fit.between("robot", "ct").as_matrix(), recorded.as_matrix(), atol=1e-9)
+    assert np.linalg.norm(budget.rms_mm) == pytest.approx(target.predicted_mm)
+    # Those of the spheres, with the arm's as if each sphere had its own: most of the prediction, and not all.
+    (spheres_mm,) = fit.predict_tre_mm(target.target_ct_mm)
+    assert 0.5 * target.predicted_mm < spheres_mm < target.predicted_mm
 
 
 @pytest.mark.slow

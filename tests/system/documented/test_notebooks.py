@@ -105,8 +105,9 @@ def test_a_cell_that_ends_its_kernel_leaves_no_process_and_names_no_time_limit(t
 
 
 def test_a_cell_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
-    write_notebook(tmp_path / "own.ipynb", "1 / 0")
+    write_notebook(tmp_path / "own.ipynb", "1 / 0\n2")
     done = in_this_process(app, "notebook", tmp_path / "own.ipynb", "--out", tmp_path / "out")
     assert "STU-017" in done.stderr
+    assert "cell 1 of own.ipynb (1 / 0)" in done.stderr
     assert "ZeroDivisionError" in done.stderr
     assert not (tmp_path / "out" / "own.ipynb").exists()

@@ -50,6 +50,25 @@ def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
     assert "0:01:" not in terminal.getvalue()
 
 
+def test_without_a_terminal_a_line_a_minute_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+    terminal: StringIO,
+    now: SimpleNamespace,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(messages, "on_terminal", lambda _stream: False)
+    with messages.progress_bar("strategies") as bar:
+        for share in range(10):
+            bar(share / 10.0)
+            now.s += 20.0
+    assert capsys.readouterr().err.splitlines() == [
+        "strategies: 30% after 1 min",
+        "strategies: 60% after 2 min",
+        "strategies: 90% after 3 min",
+    ]
+    assert terminal.getvalue() == ""
+
+
 def test_a_bar_not_yet_shown_stays_hidden_during_a_question(terminal: StringIO, now: SimpleNamespace) -> None:
     with messages.progress_bar("looking") as bar:
         with bar.hidden():

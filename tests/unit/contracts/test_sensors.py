@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.devices import new_frames
 from ronna_hw.devices.errors import NoNewFrame
 from ronna_hw.devices.readings import Stamp, TrackerFrame, Validity
@@ -27,6 +28,13 @@ def test_repeated_measurements_are_skipped() -> None:
 
 def test_new_frames_without_a_count_never_end() -> None:
     assert len(list(itertools.islice(new_frames(tracker(Validity.OK)), 1000))) == 1000
+
+
+def test_a_count_of_frames_that_is_none_is_refused_at_once() -> None:
+    assert list(new_frames(tracker(Validity.OK), 0)) == []
+    for count in (-1, 2.5, "3"):
+        with pytest.raises(WrongArgument, match="ARG-001: the count of new frames"):
+            new_frames(tracker(Validity.OK), count)  # type: ignore[arg-type]
 
 
 def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:

@@ -25,7 +25,7 @@ from spoilt_runs import files_in, with_another_byte
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
-from ronna_hw.evidence.manifest import OWN_FOLDERS, SEAL_FILE
+from ronna_hw.evidence.manifest import OWN_FOLDERS, REQUEST_FILE, SEAL_FILE
 from ronna_hw.records import canonical_json
 
 
@@ -168,6 +168,21 @@ def test_a_run_beside_which_something_was_added_is_told_apart_from_a_changed_one
         inspect_run(renamed).require_whole()
     assert "rename the folder to run" in str(refused.value)
     assert "Do not rely" not in str(refused.value)
+
+
+def test_a_renamed_run_is_called_unchanged_only_as_far_as_it_was_compared(run: Path) -> None:
+    renamed = run.rename(run.with_name("another"))
+    for every_file, compared in (
+        (True, "What the run wrote: unchanged"),
+        (False, "request and records: unch"),
+    ):
+        with pytest.raises(RunChanged, match=compared):
+            inspect_run(renamed, every_file=every_file).require_unchanged()
+    request = renamed / REQUEST_FILE
+    request.write_text(request.read_text() + " ")
+    with pytest.raises(RunChanged, match=r"request\.json: changed") as refused:
+        inspect_run(renamed, every_file=False).require_unchanged()
+    assert "unchanged" not in str(refused.value)
 
 
 def test_exports_are_not_part_of_the_run(run: Path) -> None:

@@ -11,6 +11,8 @@ from user_commands import in_this_process
 
 from procedures.cli.procedure import app
 from procedures.journal.journal import JOURNAL_FILE
+from procedures.reporting.kept_truth import load_sealed_truth, store_truth
+from procedures.reporting.outcome import Truth
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, DeviceError
@@ -72,6 +74,13 @@ def test_a_new_report_of_a_sealed_run_leaves_the_rest_of_its_seal(run: Path) -> 
     (run / "log.jsonl").write_text("exchanged meanwhile\n")
     seal_report(run)
     assert changed_files(run) == {"log.jsonl"}
+
+
+def test_the_truth_stays_sealed_while_a_report_is_replaced(run: Path) -> None:
+    store_truth(run, Truth())
+    seal_report(run)
+    seal_report(run, finished=False)  # killed here
+    assert load_sealed_truth(run) == Truth()
 
 
 @pytest.mark.hazard(39)

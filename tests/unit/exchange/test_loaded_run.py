@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,17 @@ import procedures.registration
 import procedures.relocalization
 import ronna_hw
 from procedures.engine.case import Case, StepKey
+from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
-from procedures.exchange.errors import NoRegistration
+from procedures.exchange.errors import NoRegistration, NoSuchLook
 from procedures.journal.journal import Entry, Journal
-from procedures.reporting.files import KEPT_TRUTH
 from procedures.runs.folders import hold_run
+from procedures.runs.loaded_run import MOST_SHOWN
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from ronna_hw import RunTable, load_run
+from ronna_hw import RunTable, RunWarning, load_run, track_strays
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
@@ -37,8 +40,9 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
-from ronna_hw.evidence.manifest import seal
+from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
 from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OtherVersion
@@ -116,12 +120,16 @@ def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     row = targets[targets.name == "T1"][0]
     np.testing.assert_allclose(loaded.robot_from_ct("T1").apply(row.target_ct_mm), row.target_robot_mm)
     assert loaded.registrations.standing.tolist() == [True]
+    # Prepared without relocalization as its parent: nothing says what it was weighted with.
+    assert np.isnan(loaded.localized.total_covariance_robot_mm2).all()
 
 
 def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> None:
     strays = load_run(run).strays
     assert strays.identity.tolist() == [0, 1, 1, 0, 1]
     assert strays.position_tracker_mm[strays.identity == 1].tolist() == [[0.0, 40.0, -1500.0]] * 3
+    with pytest.raises(WrongArgument, match=r"got record. .*run\.strays\.identity"):
+        track_strays(strays)
     assert strays.device_clock.tolist() == [100, 100, 101, 101, 102]
     assert set(strays.step) == {"global_localization"}
 
@@ -134,6 +142,9 @@ def test_looks_have_their_pictures_and_none_for_a_side_that_did_not_arrive(run: 
     np.testing.assert_array_equal(pair.left, LEFT.pixels)
     assert pair.right is None
     assert len(loaded.pictures[:0]) == 0
+    assert len(list(loaded.pictures)) == 1
+    with pytest.raises(NoSuchLook, match="no look 7; expected 0 to 0"):
+        loaded.pictures[7]
 
 
 def test_a_motion_tells_how_it_ended_or_that_nothing_is_known_of_its_end(run: Path) -> None:
@@ -146,14 +157,16 @@ def test_a_motion_tells_how_it_ended_or_that_nothing_is_known_of_its_end(run: Pa
     assert np.isnan(motions.joints_rad[1:]).all()
 
 
-def test_readings_after_a_damaged_one_are_left_out_and_it_is_said(run: Path) -> None:
-    (run / READINGS_FOLDER / PIXELS_FILE).write_bytes(
-        b""
-    )  # of a running case they may not be on the disk yet
+def test_damaged_readings_alone_are_left_out_and_reading_the_table_warns(run: Path) -> None:
+    (run / READINGS_FOLDER / PIXELS_FILE).write_bytes(b"")  # of a running case they may not be there yet
     loaded = load_run(run)
-    assert (len(loaded.strays), len(loaded.looks)) == (5, 0)
-    assert any("PRO-024" in note for note in loaded.notes)
-    assert "PRO-024" in repr(loaded)
+    with pytest.warns(RunWarning, match="1 damaged reading left out; the first: PRO-024") as warned:
+        assert len(loaded.looks) == 0
+    assert warned[0].filename == __file__
+    assert len(loaded.strays) == 5
+    (note,) = [note for note in loaded.notes if "PRO-024" in note]
+    assert "INP-001" not in note
+    assert note in repr(loaded)
 
 
 @pytest.mark.parametrize("name", [READINGS_FILE, PIXELS_FILE])
@@ -165,11 +178,20 @@ def test_readings_changed_since_the_seal_are_noted_and_so_is_that_nothing_is_sea
     path = run / READINGS_FOLDER / name
     for content, is_changed in ((path.read_bytes(), False), (path.read_bytes() + b"\n", True)):
         path.write_bytes(content)
-        loaded = load_run(run)
+        with pytest.warns(RunWarning, match=f"{name}: changed") if is_changed else nullcontext():
+            loaded = load_run(run)
         assert len(loaded.strays) == 5
         assert (f"{READINGS_FOLDER}/{name}: changed" in loaded.notes) == is_changed
         assert (f"{name}: changed" in repr(loaded)) == is_changed
         assert not any("seal" in note for note in loaded.notes)
+
+
+def test_a_damaged_line_of_the_events_is_refused_and_spares_the_other_tables(run: Path) -> None:
+    (run / EVENTS_FILE).write_text('{"version": 1, \n')
+    loaded = load_run(run)
+    with pytest.raises(EventsUnreadable, match="line 1 of"):
+        _ = loaded.events
+    assert len(loaded.strays) == 5
 
 
 def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Path) -> None:
@@ -177,14 +199,18 @@ def test_a_pipe_in_place_of_a_file_and_a_damaged_last_reading_are_noted(run: Pat
     with (run / READINGS_FOLDER / READINGS_FILE).open("ab") as tape:
         tape.write(b"[" * 200_000)
     loaded = load_run(run)
-    assert (len(loaded.events), len(loaded.strays)) == (0, 5)
+    with pytest.warns(RunWarning, match="the last, is torn"):
+        assert (len(loaded.events), len(loaded.strays)) == (0, 5)
     assert f"{EVENTS_FILE}: replaced: not a regular file" in loaded.notes
     assert any("the last, is torn" in note for note in loaded.notes)
 
 
 def test_an_unknown_column_names_the_nearest(run: Path) -> None:
+    targets = load_run(run).targets
     with pytest.raises(AttributeError, match="no column error: did you mean error_mm"):
-        load_run(run).targets.error  # noqa: B018 - the access is what raises
+        targets.error  # noqa: B018 - the access is what raises
+    with pytest.raises(WrongArgument, match="no column error: did you mean error_mm"):
+        targets["error"]
 
 
 def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
@@ -194,7 +220,8 @@ def test_errors_from_a_changed_truth_are_left_out(run: Path) -> None:
     seal(run, {})
     assert load_run(run).targets.error_mm[0] == 0.25
     truth.write_text(truth.read_text().replace("0.25", "0.05"))
-    loaded = load_run(run)
+    with pytest.warns(RunWarning):
+        loaded = load_run(run)
     assert np.isnan(loaded.targets.error_mm[0])
     assert f"{KEPT_TRUTH}: changed" in loaded.notes
 
@@ -214,13 +241,33 @@ def test_a_changed_record_is_refused_and_one_of_another_version_spares_the_other
         load_run(run)
 
 
+def test_loading_names_what_verify_names_and_warns(run: Path) -> None:
+    for name in ("case/plan.toml", *(f"pictures/{number}.png" for number in range(MOST_SHOWN))):
+        (run / name).parent.mkdir(exist_ok=True)
+        (run / name).write_text("as sealed")
+    seal(run, {})
+    (run / "case/plan.toml").write_text("edited")
+    for picture in (run / "pictures").iterdir():
+        picture.unlink()
+    with pytest.warns(RunWarning, match=r"pictures/0.png: missing") as warned:
+        loaded = load_run(run)
+    assert warned[0].filename == __file__
+    assert {str(problem) for problem in inspect_run(run).problems} <= set(loaded.notes)
+    assert "case/plan.toml: changed" in loaded.notes
+    assert f"{len(loaded.notes) - MOST_SHOWN} more" in repr(loaded)
+
+
 def test_what_is_no_run_folder_is_refused_with_what_to_give(run: Path, tmp_path: Path) -> None:
     with pytest.raises(PathProblem, match=run.name):
         load_run(run.parent)  # a folder of runs
     for wrong in (run / "journal.jsonl", tmp_path / "nothing", tmp_path):
         with pytest.raises(PathProblem):
             load_run(wrong)
-    with pytest.raises(NoRegistration, match="no registration for a target T9"):
+    for not_a_path in ("", " ", None, [run], 5, b"run"):
+        with pytest.raises(WrongArgument, match=r"got .") as refused:
+            load_run(not_a_path)
+        assert isinstance(refused.value, TypeError)
+    with pytest.raises(NoRegistration, match="no registration for a target 'T9'"):
         load_run(run).robot_from_ct("T9")
 
 
@@ -238,7 +285,7 @@ def test_a_table_for_pandas_has_a_column_per_component_and_needs_pandas(
     loaded = load_run(run)
     table = loaded.localized[loaded.localized.sphere == "M1"].to_pandas()
     assert table["centre_robot_y_mm"].tolist() == [relocalization().points_robot_mm[0][1]]
-    assert {"joints_A6_rad", "covariance_robot_xz_mm2"} <= set(table.columns)
+    assert {"joints_A6_rad", "stereo_covariance_robot_xz_mm2"} <= set(table.columns)
     assert "robot_from_ct_w" in loaded.registrations.to_pandas()
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(NoPandas, match="pip install pandas"):

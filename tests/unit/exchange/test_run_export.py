@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 import re
@@ -145,6 +146,8 @@ def test_a_run_that_ended_early_is_exported_as_far_as_it_came(tmp_path: Path) ->
     exported = export_run(run, tmp_path / "export")
     index = json.loads((tmp_path / "export" / "export.json").read_text())
     assert {path.name for path in exported.files} == set(index["files"]) | {"export.json"}
+    content = {path.name: path.read_bytes() for path in exported.files if path.name in index["files"]}
+    assert index["sha256"] == {name: hashlib.sha256(held).hexdigest() for name, held in content.items()}
     assert {"planned.mrk.json", "lines.csv", "errors.csv", "spheres.mrk.json"} < set(index["files"])
     assert index["absent"] == exported.absent
     assert {f"registration of {FIRST}", f"reached line of {LAST}", "found lines"} < set(exported.absent)

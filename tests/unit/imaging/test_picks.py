@@ -123,7 +123,7 @@ def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
 )
 def test_picks_are_read_from_common_file_formats(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    np.testing.assert_allclose(read_picks(tmp_path / name), [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]])
+    np.testing.assert_allclose(read_picks(str(tmp_path / name)), [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]])
 
 
 @pytest.mark.parametrize("text", ["x,y,z\n1,2,3\n", "# a\n1 2 3\n", "1,2,3\n4,5\n", "1,5;2,5;3,5\n"])

@@ -15,7 +15,7 @@ import pytest
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
 from procedures.planning.plan_check import check_plan
-from procedures.planning.plan_file import parse_plan_bytes, read_plan, seal_plan, write_plan
+from procedures.planning.plan_file import describe_seal, parse_plan_bytes, read_plan, seal_plan, write_plan
 from procedures.planning.plan_lock import is_plan_in_use, lock_plan, plan_replacement
 from procedures.planning.plan_model import Plan
 
@@ -32,6 +32,7 @@ def test_a_sealed_plan_is_read_as_it_was_saved(saved: Path, make_volume: Callabl
     assert plan.seal is not None
     assert plan.seal.author == "Dr Test"
     assert check_plan(plan, make_volume()).passed
+    assert describe_seal(plan) == "sealed by Dr Test"
     assert saved.read_text().startswith("# a note in one line\n")
 
 
@@ -55,7 +56,9 @@ def test_a_plan_altered_under_its_seal_is_refused(saved: Path, before: str, afte
 
 def test_a_plan_without_a_seal_can_be_edited_freely(saved: Path) -> None:
     saved.write_text(saved.read_text().partition("[seal]")[0].replace("60.0", "61.0", 1))
-    assert read_plan(saved).seal is None
+    plan = read_plan(saved)
+    assert plan.seal is None
+    assert describe_seal(plan).startswith("not sealed")
 
 
 def test_a_ct_with_the_series_uid_but_other_voxels_is_refused(

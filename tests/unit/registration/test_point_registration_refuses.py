@@ -7,7 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from procedures.registration import match, register, register_clouds, verify_two_way
+from procedures.registration import (
+    find_layout,
+    match,
+    match_by_template,
+    register,
+    register_clouds,
+    verify_two_way,
+)
 from procedures.registration.errors import (
     BadCovariance,
     BadParameter,
@@ -19,7 +26,7 @@ from procedures.registration.errors import (
 )
 from procedures.registration.rigid_fit import fit_weighted
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import Frame, FrameMismatch, Transform, UnknownFrame
 
 GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
 LINE = np.outer([0.0, 30.0, 70.0, 100.0], [1.0, 2.0, 3.0])
@@ -143,9 +150,26 @@ def test_what_is_no_rigid_transform_is_refused(transform):
         verify_two_way(GOOD, GOOD, [(0, 0)], transform)
 
 
-def test_a_misspelt_frame_is_refused():
-    with pytest.raises(BadParameter, match="'robt'"):
-        register(GOOD, GOOD).between("robt", Frame.CT)
+def test_frames_may_be_named_by_words_and_a_misspelt_one_is_refused():
+    fit = register(GOOD, GOOD)
+    assert (Transform.of("robot", "ct") @ fit.between(Frame.CT, "robot")).source is Frame.ROBOT
+    for build in (fit.between, Transform.of):
+        with pytest.raises(UnknownFrame, match="'robt'"):
+            build("robt", Frame.CT)
+
+
+def test_a_layout_of_two_spheres_is_refused():
+    with pytest.raises(TooFewPoints, match=r"2 sphere\(s\) of a layout given"):
+        find_layout(GOOD[:2], GOOD)
+    with pytest.raises(TooFewPoints, match=r"2 point\(s\) of a template given"):
+        match_by_template(GOOD[:2], GOOD, GOOD, sigma_image_mm=0.1, sigma_physical_mm=0.1)
+
+
+def test_a_number_given_as_text_is_shown_as_text():
+    with pytest.raises(BadParameter, match=r"got '0\.05'"):
+        match(GOOD, GOOD, sigma_image_mm="0.05", sigma_physical_mm=0.1)
+    with pytest.raises(BadParameter, match="at least 3: '5'"):
+        match(GOOD, GOOD, sigma_image_mm=0.1, sigma_physical_mm=0.1, expected="5")
 
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])

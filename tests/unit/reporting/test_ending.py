@@ -23,6 +23,7 @@ from procedures.reporting.ending import Ending, advise, ending_of, resumes
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
+from procedures.runs.finishing import seal_run
 
 
 def raising(problem: BaseException) -> Work:
@@ -52,7 +53,8 @@ def test_the_ending_is_named_with_the_code_of_its_error(
     with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
         engine.run_to()
     engine.close(outcome)
-    ending = ending_of(read_for_report(cell.folder), None)
+    seal_run(cell.folder)
+    ending = ending_of(read_for_report(cell.folder))
     assert ending.sentence in write_report(cell.folder).read_text()
     assert (ending.word, ending.code) == (word, code)
 
@@ -65,8 +67,9 @@ def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(ce
         cell.journal.write(Entry.ACCEPTED, 2.0)
     engine.run_to()
     engine.close("done")
+    seal_run(cell.folder)
     sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
-    assert ending_of(read_for_report(cell.folder), None).sentence == sentence
+    assert ending_of(read_for_report(cell.folder)).sentence == sentence
 
 
 def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on_count(
@@ -86,8 +89,9 @@ def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on
     cell.journal.write(Entry.ACCEPTED, 8.0)
     engine.run_to()
     engine.close("done")
+    seal_run(cell.folder)
     reading = read_for_report(cell.folder)
-    assert ending_of(reading, None).sentence == "Every step was done, after 2 emergency stops, 1 resume."
+    assert ending_of(reading).sentence == "Every step was done, after 2 emergency stops, 1 resume."
     assert resumes(reading.run.journal) == 1
 
 
@@ -103,7 +107,7 @@ def test_an_ending_by_a_fault_says_who_acknowledged_that_one(
     cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="EKI-010", what="The arm was stopped.")
     cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=fault, by="Ann")
     engine.close("failed")
-    sentence = ending_of(read_for_report(cell.folder), None).sentence
+    sentence = ending_of(read_for_report(cell.folder)).sentence
     assert sentence == f"fit:T1 failed. The arm was stopped.{over}"
 
 
@@ -183,7 +187,10 @@ def test_a_changed_record_is_named(registered: Path) -> None:
 @pytest.mark.parametrize("is_case", [True, False])
 @pytest.mark.parametrize(
     "word",
-    ["not begun", "failed", "refused", "aborted", "interrupted", "left", "killed", "in doubt", "missed"],
+    [
+        *("not begun", "failed", "refused", "aborted", "interrupted", "left", "killed", "in doubt", "missed"),
+        *("not sealed", "error not determined"),
+    ],
 )
 def test_every_ending_but_the_good_one_says_what_to_do(word: str, is_case: bool) -> None:
     assert advise(Ending(word, ""), is_case=is_case)

@@ -38,6 +38,7 @@ from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
+from procedures.runs.finishing import seal_run
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
@@ -123,7 +124,8 @@ def test_the_verdict_and_the_errors_against_the_margin_come_before_everything_el
     engine.run_to()
     engine.close("done")
     known = [] if error_mm is None else [TargetTruth(id=FIRST, application_error_mm=error_mm)]
-    text = report_text(write_report(engine.case.folder, truth=Truth(targets=tuple(known))))
+    truth = Truth(targets=tuple(known))
+    text = report_text(write_report(engine.case.folder, truth=truth, seals=True))
     head = text.partition("</style>")[2].partition("<details")[0]
     assert f"<strong>{word}.</strong>" in head
     (row,) = re.findall(rf"<tr><td>{FIRST}</td>.*?</tr>", head)
@@ -264,6 +266,7 @@ def test_every_drawing_has_its_data_in_a_csv_file(registered: Path) -> None:
 
 def test_a_report_made_again_from_the_folder_alone_is_identical(registered: Path, tmp_path: Path) -> None:
     first = write_report(registered, truth=TRUTH).read_text()
+    seal_run(registered)
     again = write_report(registered, out=tmp_path / "elsewhere").read_text()
     made = r"Report made [^<]*"
     assert re.sub(made, "", again) == re.sub(made, "", first)

@@ -27,16 +27,20 @@ from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 from user_commands import in_this_process
 
+from console.hub import Hub
 from procedures.cli.procedure import app
 from procedures.engine.case import StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
+from procedures.engine.events import Event, JournalLine
+from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.order import Outcome, Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
+from procedures.reporting.ending import await_ending
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -63,7 +67,7 @@ from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw import load_run
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.manifest import Manifest, seal
+from ronna_hw.evidence.manifest import KEPT_TRUTH, SEAL_FILE, Manifest, seal
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
@@ -140,7 +144,9 @@ PREDICTED_MM = {FIRST: 0.4, LAST: 0.8}  # by the fourth and by the eighth record
 
 
 def test_outcome_and_report_show_each_target_with_the_registration_that_led_there(tmp_path: Path) -> None:
-    engine = registered_twice(ClinicalCell(tmp_path))
+    cell = ClinicalCell(tmp_path)
+    cell.journal.write(Entry.OPENED, 0.0, run=tmp_path.name)
+    engine = registered_twice(cell)
     outcome = build_finished_outcome(
         RunRequest(procedure=CaseProcedure()), engine.case, TRAJECTORIES, 0.0, 0.0, Truth()
     )
@@ -173,25 +179,64 @@ def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
 
 
-@pytest.mark.parametrize(("error_mm", "word"), [(0.5, "done"), (2.5, "missed")])
-def test_every_reader_of_a_run_says_the_same_ending(tmp_path: Path, error_mm: float, word: str) -> None:
-    run = tmp_path / "runs" / "run"
+ENDINGS = {  # error, whether the second target is in doubt, file lost after the end or None -> ending
+    (0.5, False, None): "done",
+    (2.5, False, None): "missed",
+    (0.5, True, None): "in doubt",
+    (2.5, True, None): "missed",
+    (2.5, False, KEPT_TRUTH): "error not determined",
+    (2.5, True, KEPT_TRUTH): "in doubt",
+    (2.5, False, SEAL_FILE): "not sealed",
+}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(("error_mm", "doubted", "lost"), ENDINGS)
+def test_every_reader_of_a_run_says_the_same_ending(
+    tmp_path: Path, error_mm: float, doubted: bool, lost: str | None
+) -> None:
+    word, run = ENDINGS[error_mm, doubted, lost], tmp_path / "runs" / "run"
     run.parent.mkdir()
     cell = ClinicalCell(run)
-    cell.journal.write(Entry.OPENED, 0.0, run="run", banner="SIMULATION")
+    cell.journal.write(Entry.OPENED, 0.0, run="run", banner="SIMULATION", truth={"theatre/scene.json": None})
+    if doubted:
+        cell.journal.write(Entry.FINDING, 0.0, text="the room was bent", targets=[LAST])
     engine, request = registered_twice(cell), RunRequest(procedure=CaseProcedure())
     truth = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=error_mm),))
+    closed = event_of_last_line(run)
     outcome = build_finished_outcome(request, engine.case, TRAJECTORIES, 0.0, 0.0, truth)
-    assert outcome.beyond_margin == ({FIRST: error_mm} if word == "missed" else {})
-    assert f'<p class="ending {word}">' in write_report(run, truth=truth).read_text()
+    write_report(run, truth=truth, seals=True)
     seal(run, Manifest(read_chain(run / JOURNAL_FILE).lines).files)
-    export_run(run, tmp_path / "out")
+    if lost is None:
+        export_run(run, tmp_path / "out")
+        exported = json.loads((tmp_path / "out" / "export.json").read_text())
+        page = (run / "report.html").read_text()
+        assert {outcome.outcome, exported["ending"]} == {word}
+    else:
+        (run / lost).unlink()
+        page = write_report(run, out=tmp_path / "out").read_text()
     (listed,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
     shown = json.loads(in_this_process(app, "show", run, "--json").stdout)
-    exported = json.loads((tmp_path / "out" / "export.json").read_text())
-    said = (outcome.outcome, load_run(run).outcome, listed["ended"], shown["ended"], exported["ending"])
-    assert set(said) == {word}
-    assert shown["targets"][0]["verdict"] == ("beyond" if word == "missed" else "within")
+    watched = in_this_process(app, "watch", run).stderr.splitlines()[-1]
+    hub = Hub(run)
+    hub.take(closed)
+    hub.take_ending(await_ending(run))
+    page_of_case = hub.told(hub.view)
+    assert f'<p class="ending {word.replace(" ", "-")}">' in page
+    said = (load_run(run).outcome, listed["ended"], shown["ended"], watched.split(":")[0])
+    assert {*said, page_of_case.outcome} == {word}
+    assert {listed["sentence"], watched.partition(": ")[2], page_of_case.ending} == {shown["sentence"]}
+    error_known = word in ("done", "missed") or lost is None
+    assert {row["max_application_error_mm"] for row in (listed, shown)} == {error_mm if error_known else None}
+    assert bool(listed["problems"]) is (lost is not None)
+
+
+def event_of_last_line(run: Path) -> Event:
+    """Leave the last line of a journal as the only event of its run."""
+    line = json.loads((run / JOURNAL_FILE).read_text().splitlines()[-1])
+    event = Event(number=1, host_time=line["host_time"], theatre_time_s=1.0, what=JournalLine(line=line))
+    (run / EVENTS_FILE).write_text(event.model_dump_json() + "\n")
+    return event
 
 
 def test_the_robot_gets_another_frame_of_reference_after_the_move(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from procedures.engine.events.event_file import EVENTS_FILE, EventFile
 from procedures.engine.events.stream import EventStream
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
-from procedures.reporting.files import load_truth, store_truth
+from procedures.reporting.kept_truth import load_truth, store_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.runs import finishing
 from procedures.runs.case import clinical_input

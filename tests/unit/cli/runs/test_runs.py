@@ -20,7 +20,7 @@ from procedures.cli.runs.showing import draw_lineage
 from procedures.engine import run_folder
 from procedures.engine.run_folder import RunFolder
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.files import load_truth, store_truth
+from procedures.reporting.kept_truth import load_truth, store_truth
 from procedures.reporting.outcome import Truth
 from procedures.runs import case_outcome
 from procedures.runs.finishing import seal_run
