@@ -34,6 +34,7 @@ from procedures.runs.orders import (
     RunTo,
     activity_of,
 )
+from ronna_hw.devices.lifecycle import LONGEST_NAME
 from ronna_hw.text import parse_typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
@@ -56,8 +57,11 @@ class SeatPanel:
         with ui.element("div").classes("seatbox"):
             self._line = ui.html("", sanitize=False)
             self._name = (
-                ui.input("Your name").props("dense outlined maxlength=60 autocomplete=off").classes("name")
+                ui.input("Your name")
+                .props(f"dense outlined maxlength={LONGEST_NAME} autocomplete=off")
+                .classes("name")
             )
+            self._name.on("keydown.enter", self._claim_seat)
             self._claim = _button("Take the seat", self._claim_seat, "claim")
             self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
@@ -170,7 +174,7 @@ class QuestionPanel:
         self._tell = tell
         self._words = ""
         self._said: ui.html | None = None
-        self._shown: object = ()
+        self._shown: tuple[object, ...] | None = ()
         self._time_limit: ui.html | None = None
         self._place = (
             ui.element("section").classes("question").props('aria-label="Question" aria-live=polite')
@@ -183,6 +187,8 @@ class QuestionPanel:
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
         )
         if key != self._shown:
+            if self._words and key is not None and (self._shown or ())[:2] == key[:2]:
+                self._words = ""  # the seat changed hands: it was said to somebody else
             if self._words:
                 self._tell(self._words)
             self._shown, self._time_limit, self._said, self._words = key, None, None, ""

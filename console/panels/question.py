@@ -8,7 +8,7 @@ from pathlib import PurePath
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
-from procedures.operator.question import PredictedError
+from procedures.operator.question import Picture, PredictedError
 
 NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them."
 
@@ -29,10 +29,7 @@ def question_words(question: Questioned) -> str:
 
 def question_pictures(question: Questioned) -> str:
     """Show the pictures of a question, all but the first folded."""
-    return "".join(
-        _render_picture(PurePath(one.name), one.sha256, is_first=not place)
-        for place, one in enumerate(question.pictures)
-    )
+    return "".join(_render_picture(one, is_first=not place) for place, one in enumerate(question.pictures))
 
 
 def question_evidence(question: Questioned) -> str:
@@ -80,11 +77,14 @@ def _render_value(question: Questioned) -> str:
     return tag("ul", "".join(tag("li", line) for line in lines), class_="value")
 
 
-def _render_picture(name: PurePath, sha256: str, *, is_first: bool) -> str:
-    """Show a picture, addressed by its digest: the server serves no other content there."""
-    way = name.stem.removeprefix(PLAN_PICTURE)
-    caption = text(f"{way} in the CT")
-    address = f"/picture/{escape(name.name)}?shown={escape(sha256)}"
+def _render_picture(picture: Picture, *, is_first: bool) -> str:
+    """Show a picture, addressed by its digest: the server serves no other content there.
+
+    The stem of its name may end in a number, if the plan was checked again.
+    """
+    name = PurePath(picture.name)
+    caption = text(f"{picture.trajectory or name.stem.removeprefix(PLAN_PICTURE)} in the CT")
+    address = f"/picture/{escape(name.name)}?shown={escape(picture.sha256)}"
     image = f'<img src="{address}" alt="{caption}: three planes through the target; opens enlarged">'
     link = f'<a href="{address}" target="_blank" rel="noopener">{image}</a>'
     return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{link}</details>"

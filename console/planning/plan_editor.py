@@ -22,7 +22,7 @@ from procedures.imaging.markers import Marker
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
 from procedures.planning.head_in_ct import sample_hu
 from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
-from procedures.planning.plan_lock import PlannerLock, is_plan_in_use, plan_replacement
+from procedures.planning.plan_lock import PlannerLock, find_planner, is_plan_in_use, plan_replacement
 from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
@@ -103,7 +103,7 @@ class PlanEditor(ChangeNotifier):
             return self.problem
         name = self.file.name
         if not self._lock.take():
-            return PlanInUse(f"{name} is open in another planner: read-only")
+            return PlanInUse(f"{name} is open in another planner ({find_planner(self.file)}): read-only")
         if is_plan_in_use(self.file):
             return PlanInUse(f"a case is running on {name}: read-only")
         return None

@@ -45,6 +45,7 @@ from console.panels.results import (
 from console.scene.theatre_scene import ScenePanel
 from console.web.library import bind_page, page_head, use_library
 from procedures.reporting.case_figures import CaseFigures
+from procedures.runs.orders import explain_invalid_order
 
 TITLE = "RONNA console"  # the same for every case: titles are visible in window lists
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
@@ -202,9 +203,7 @@ class CasePage:
         try:
             refusal = await self._hub.order(self._session, order)
         except ValueError:
-            refusal = (
-                "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "not a valid order"
-            )
+            refusal = explain_invalid_order(order)
         words = refusal if refusal == NO_REPLY else f"Refused: {refusal}"
         return f"{words}." if refusal else ""
 

@@ -331,15 +331,19 @@ def open_plan(
     Without --robot-from-ct the reach is checked from the cart's proposed place, place.json next to the plan.
     The page's address, which includes a key, is printed on standard error.
     """
+    from procedures.planning.plan_lock import find_planner
     from procedures.runs.console_link import check_console
 
     require_theatre_options(config, robot_from_ct, home, strategy, chosen_later=True)
     check_console()
     if not series_dir.is_dir():
         raise PathProblem(f"{series_dir} does not exist", expected="the folder of a CT series")
+    plan = (plan_file or series_dir.resolve().parent / "plan.toml").resolve()
+    if (planner := find_planner(plan)) is not None:
+        terminal.tell(f"{plan} is open in another planner, {planner}: read-only here until that one ends")
     request = {
         "series": str(series_dir.resolve()),
-        "plan": str((plan_file or series_dir.resolve().parent / "plan.toml").resolve()),
+        "plan": str(plan),
         "folder": str(Path.cwd()),
         "port": port,
         "config": config and str(config.resolve()),

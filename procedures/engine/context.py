@@ -127,13 +127,13 @@ class StepContext:
         """Return a device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
         return self.workcell.device(name, interface)
 
-    def keep_picture(self, name: str, png: bytes) -> Picture:
-        """Save a PNG image in the run folder, adding a number if the name is taken."""
+    def keep_picture(self, name: str, png: bytes, trajectory: str = "") -> Picture:
+        """Save a PNG image in the run folder, of a `trajectory` if any, numbered if the name is taken."""
         path = next(path for path in self._numbered(name) if not path.exists())
         path.parent.mkdir(exist_ok=True)
         write_atomically(path, png, exclusive=True)
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
-        return Picture(name=path.name, sha256=self._pictures[path.name])
+        return Picture(name=path.name, sha256=self._pictures[path.name], trajectory=trajectory)
 
     def find_picture(self, name: str, others: Collection[str] = ()) -> Picture | None:
         """Return the latest image that was saved under a name, as it is now; None if there is none.

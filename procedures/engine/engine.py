@@ -75,6 +75,8 @@ class Engine:
         self.recorders = list(recorders)
         self.running: StepKey | None = None
         self.compare_place = setting.workcell.compare_place  # before a step begins
+        # Whether somebody elsewhere is to take a seat, order or answer, and nothing moves until then.
+        self.is_awaiting_person: Callable[[], bool] = lambda: False
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 
@@ -135,7 +137,8 @@ class Engine:
             _log.warning("step interrupted", step=self._redact(str(key)))
             raise
         except Exception as problem:
-            self._fail(key, problem)
+            self._fail(key, self._journal.deletion or problem)
+            self.require_record()  # its loss is the cause, whatever the step missed first
             raise
         finally:
             self.running = None
@@ -161,6 +164,16 @@ class Engine:
         if self.machine.ended:
             return "No further step is possible in this run."
         return self.course.advice_now(key) if unmet == self.course.why_not_now(key) else None
+
+    def require_record(self) -> None:
+        """Raise PRO-053 if the run's journal was deleted: nothing more may move."""
+        if (deletion := self._journal.deletion) is not None:
+            raise deletion
+
+    @property
+    def record_is_deleted(self) -> bool:
+        """Whether the run's journal was deleted."""
+        return self._journal.deletion is not None
 
     @property
     def over(self) -> bool:

@@ -79,14 +79,17 @@ class Questions:
         return answer
 
     def ask_in_time(self, question: Question) -> str:
-        """Ask the operator and return the word. Raises PRO-002 if nobody answers within the time limit."""
-        word = self.ask(question).word
-        if word == question.silence and (late_s := self.unanswered_s) is not None:
+        """Ask the operator and return the word. Raises PRO-002 if it counts as an answer that nobody gave."""
+        answer = self.ask(question)
+        reason = answer.silence_reason
+        if answer.word == question.silence and (late_s := self.unanswered_s) is not None:
+            reason = f"no answer within {late_s:g} s{f' ({reason})' if reason else ''}"
+        if reason:
             raise NotConfirmed(
-                f"no answer within {late_s:g} s to: {question.subject}",
+                f"{reason} to: {question.subject}",
                 action="Nothing was done; the step asks again when it is repeated.",
             )
-        return word
+        return answer.word
 
     def _misread(self, question: Question) -> None:
         """Record a failed read-back without the typed text, which may identify another patient."""

@@ -12,6 +12,16 @@ class JournalNotWritable(RonnaError):
     action = "Free space or choose another output folder; the arm has been stopped."
 
 
+class RunDeleted(JournalNotWritable):
+    """The folder of a run, or its journal, was deleted while the run was open."""
+
+    code = "PRO-053"
+    action = (
+        "Nothing may move without a journal. What was deleted cannot be resumed: start a new run once the "
+        "arm is at home."
+    )
+
+
 class StepRefused(RefusedError):
     """A step cannot start because its preconditions, listed in the message, are not met."""
 

@@ -13,8 +13,10 @@ def describe_shortage(folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> str 
     """Describe a lack of free space where a run is written, or return None if there is enough."""
     try:
         total, _, free = shutil.disk_usage(folder)
+    except FileNotFoundError:
+        return f"the run folder {folder} is not there: move it back, or mount its disk again"
     except OSError as error:
-        return f"the run folder cannot be read ({error.strerror}): mount it again"
+        return f"the run folder {folder} cannot be read ({error.strerror}): mount it again"
     if not total:  # such as /proc
         return "no files can be written there: choose another folder"
     if free >= least_bytes:

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from procedures.journal.errors import JournalNotWritable
+from procedures.journal.errors import JournalNotWritable, RunDeleted
 from ronna_hw.evidence.journal_reading import (
     ENDS_OF_A_STEP,
     FIRST,
@@ -141,6 +141,8 @@ class Journal:
             raise self._not_writable("the journal is closed")
         if self._failure:
             raise self._not_writable(self._failure)
+        if (deletion := self.deletion) is not None:
+            raise deletion
         self._settle_pending()
         if entry is Entry.INTENT:
             self._hold_room()
@@ -228,6 +230,15 @@ class Journal:
 
     def _not_writable(self, reason: str | None) -> JournalNotWritable:
         return JournalNotWritable(f"cannot write {self.path.name}: {reason}")
+
+    @property
+    def deletion(self) -> RunDeleted | None:
+        """Error if the file was deleted, or None. Writes to a deleted file succeed, and are lost."""
+        if self.closed or os.stat(self._file).st_nlink:
+            return None
+        folder = self.path.parent
+        lost = self.path if folder.is_dir() else f"the run folder {folder}"
+        return RunDeleted(f"{lost} was deleted while the run was open")
 
     def close(self) -> None:
         """Close the file."""

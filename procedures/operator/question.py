@@ -130,6 +130,7 @@ class Picture(BaseModel):
 
     name: str
     sha256: str
+    trajectory: str = ""  # whose cuts it shows
 
 
 class Identity(BaseModel):
@@ -154,6 +155,7 @@ YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
 HELP = "help"  # in place of any answer: what can be typed
 MOST_MISREAD = 3  # wrong values at one question that count as no answer
+MISREAD_REASON = f"{MOST_MISREAD} wrong values were typed, which counts as no answer"
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,7 @@ class Answer:
     typed: str | None = None  # what was read back
     readings: tuple[float, ...] | None = None  # what was read off
     signature: Signature | None = None  # of a named person
+    silence_reason: str = ""  # why this is the answer that counts for none
 
 
 @dataclass(frozen=True)

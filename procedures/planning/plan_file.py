@@ -60,6 +60,8 @@ GEOMETRY_ERRORS: dict[str, type[PlanError]] = {
 }
 # Keys that plans of earlier versions lack, with advice.
 ADDED = {
+    "trajectories": "add one with `ronna-plan open CT_DIR --plan FILE`, or a block [[trajectories]] with id, "
+    "entry_mm, target_mm, free_angle_deg and margin_mm",
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
     "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
     "still holds a depth stop, as on its packaging",

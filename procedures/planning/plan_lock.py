@@ -9,9 +9,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from socket import gethostname
 
 from procedures.planning.errors import PlanInUse, PlanNotSaved, PlanUnreadable
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES
+
+LONGEST_HOLDER = 300  # bytes: a process and the longest name of a host
 
 
 @dataclass(frozen=True)
@@ -75,11 +78,32 @@ def is_plan_in_use(path: Path) -> bool:
     return False
 
 
+def find_planner(plan: Path) -> str | None:
+    """Return the process of another planner that has this plan, or None if none has it."""
+    try:
+        file = os.open(_planner_file(plan), os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return os.pread(file, LONGEST_HOLDER, 0).decode(errors="replace") or "another process"
+    except OSError:  # a file system without locks
+        return None
+    finally:
+        os.close(file)
+    return None
+
+
+def _planner_file(plan: Path) -> Path:
+    return plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
+
+
 class PlannerLock:
     """Exclusive lock for changing a plan, from the first successful `take` until `leave`."""
 
     def __init__(self, plan: Path) -> None:
-        self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
+        self._path = _planner_file(plan)
         self._file: int | None = None
         self._is_released = False
 
@@ -98,6 +122,9 @@ class PlannerLock:
                 return False
             except OSError:  # a file system without locks
                 return True
+            with suppress(OSError):  # such as a full disk: nobody is named
+                os.ftruncate(self._file, 0)
+                os.pwrite(self._file, f"process {os.getpid()} on {gethostname()}".encode(), 0)
         return True
 
     def leave(self) -> None:

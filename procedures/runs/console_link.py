@@ -127,6 +127,8 @@ class ConsoleLink:
             self._answered.set()
             return
         tell_address(ready, self._say)
+        if self._station.waits:
+            self._say("the case waits until someone takes the operator's seat on that page")
         self._answered.set()
         self._take_orders()
 

@@ -17,11 +17,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.journal.errors import StepRefused
+from procedures.journal.errors import RunDeleted, StepRefused
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Room
 from procedures.runs.finishing import begin_report
-from procedures.runs.observers import RunObservers, operator_selection
+from procedures.runs.observers import SEAT_AWAITED, RunObservers, operator_selection
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
@@ -153,6 +153,7 @@ def open_engine(
             observers.opened(engine)
             with _build_device_watch(engine, fast=observers.executor is not None):
                 yield engine
+            engine.require_record()
             only_acknowledged = resumption is not None and not resumption.asks
             outcome = "left" if only_acknowledged or not engine.over else "done"
         except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
@@ -164,6 +165,10 @@ def open_engine(
         finally:
             if (instrument := engine.setting.workcell.place.instrument_description) is not None:
                 tell(f"{instrument}: the arm does not move")
+            if engine.record_is_deleted:
+                from procedures.runs.theatre_note import describe_arm_without_record
+
+                tell(describe_arm_without_record(engine.setting.workcell.place, own=simulated is not None))
             with defer_interruption():
                 engine.close(outcome, ended_by)
 
@@ -293,7 +298,9 @@ def run_steps(
             from procedures.runs.recovery import recover
 
             if observers.executor is not None:
+                observers.status(SEAT_AWAITED)
                 observers.executor.await_operator()
+            observers.status("comparing the theatre with the record")
             recover(engine, resumption.interrupted)
         run_to_end(engine, observers)
         conclude(engine)
@@ -322,7 +329,7 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:
-            if held is None or engine.machine.ended:
+            if held is None or engine.machine.ended or isinstance(error, RunDeleted):
                 raise
             held.tell_held(engine, error)
             if failure is None or not isinstance(error, StepRefused) or not engine.faults.now:

@@ -41,6 +41,7 @@ ASKED = "every question of a real case is asked here; manual work is done by the
 ASKED_AT_CONSOLE = (
     "questions are asked at the console; manual work is done here, by the word that is asked for"
 )
+SEAT_AWAITED = "waiting until someone takes the operator's seat at the console"
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 

@@ -17,7 +17,15 @@ from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import MOST_MISREAD, Answer, Question, Signature, Topic, tries_left
+from procedures.operator.question import (
+    MISREAD_REASON,
+    MOST_MISREAD,
+    Answer,
+    Question,
+    Signature,
+    Topic,
+    tries_left,
+)
 from procedures.runs.orders import (
     OPENING,
     PAUSED,
@@ -44,6 +52,7 @@ if TYPE_CHECKING:
 
 LEASE_S = 10.0  # host time without a sign of life; a page renews each second
 LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
+EMPTY_SEAT = "the operator's seat was empty"
 NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
 
 
@@ -131,6 +140,7 @@ class OperatorStation:
         self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
         self._taken: deque[tuple[str, str, float | None]] = deque()  # as `changes_of_seat`
         self._vacated = 0
+        self._awaits_seat = False
         self._gone = False
         self._stopped = False  # and nobody in the seat has answered since
 
@@ -172,6 +182,14 @@ class OperatorStation:
         with self._changed:
             current = self._question
             return None if current is None else (current.question.number, current.shown)
+
+    @property
+    def is_awaiting_person(self) -> bool:
+        """Whether the engine waits for somebody to take the seat, to order or to answer.
+
+        It takes no lock: a signal handler asks for it.
+        """
+        return self._awaits_seat or self._waiting_for is not None or self._question is not None
 
     @property
     def waits(self) -> bool:
@@ -316,7 +334,7 @@ class OperatorStation:
             wrong = f"{answer.typed!r} {question.read_back.wrong.rstrip('.')}"
             if current.misread < MOST_MISREAD:
                 return f"{wrong}; {tries_left(current.misread)}"
-            self._settle(Answer(question.silence, signature=by))
+            self._settle(Answer(question.silence, signature=by, silence_reason=MISREAD_REASON))
             return f"{wrong}; {MOST_MISREAD} wrong values count as {question.silence!r}"
         if refused := question.why_refused(answer):
             return refused
@@ -365,7 +383,9 @@ class OperatorStation:
                         LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
                     )
                     if remaining_s <= 0.0:
-                        return Answer(question.silence)
+                        return Answer(
+                            question.silence, silence_reason="" if self._seat.holder else EMPTY_SEAT
+                        )
                     self._changed.wait(remaining_s)
                     self._notice_lapse()
                     while current.misread_noted < current.misread:
@@ -385,9 +405,13 @@ class OperatorStation:
     def await_seat(self) -> None:
         """If the seat must be taken, wait until someone takes it or the console is gone."""
         with self._changed:
-            while self._waits and not self._seat.holder and not self._gone:
-                self._changed.wait(LOOK_AGAIN_S)
-                self._notice_lapse()
+            try:
+                while self._waits and not self._seat.holder and not self._gone:
+                    self._awaits_seat = True
+                    self._changed.wait(LOOK_AGAIN_S)
+                    self._notice_lapse()
+            finally:
+                self._awaits_seat = False
 
     def next_order(self, upcoming: str, timeout_s: float | None = None) -> PendingOrder | None:
         """Wait between steps for an order; return None after the time limit or if the console is gone."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from procedures.engine.display_feed import HOME, publish_waiting, upcoming_name
+from procedures.journal.errors import RunDeleted
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import NOBODY, READ, Answer, Operator, Question, Room, Task, Topic
 from procedures.runs.operator_station import OperatorStation, PendingOrder
@@ -124,6 +125,7 @@ class OrderExecutor:
     def attach(self, engine: Engine) -> None:
         """Direct all further orders to an engine."""
         self._engine = engine
+        engine.is_awaiting_person = lambda: self.station.is_awaiting_person
         self.station.attach(engine)
 
     def note_seat(self) -> None:
@@ -203,7 +205,7 @@ class OrderExecutor:
             if agreed:  # what was ordered ends here: the steps that come now were not meant
                 self._publish_waiting(engine)
                 return
-            if not self.in_charge or engine.machine.ended:
+            if not self.in_charge or engine.machine.ended or isinstance(error, RunDeleted):
                 raise
             if name == HOME:
                 self._tell_fault(engine, error)

@@ -10,7 +10,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Annotated, Any, Literal, Self
-from unicodedata import category
 
 from pydantic import (
     AfterValidator,
@@ -25,26 +24,15 @@ from pydantic import (
 from procedures.operator.checkpoint import ABORT, CONTINUE
 from procedures.operator.question import Topic
 from ronna_hw.bounded_input import check_json
+from ronna_hw.devices.errors import PersonNotNamed
+from ronna_hw.devices.lifecycle import require_person
 
 LONGEST_BYTES = 65_536  # of one order
 MOST_READINGS = 8  # with one answer
 Short = Annotated[str, Field(max_length=200)]
-HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode
-JOINERS = "\u200c\u200d"  # parts of names in some scripts
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
-
-
-def _require_visible_name(name: str) -> str:
-    """Reject control and format characters, which could disguise a name as another person's."""
-    if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
-        raise ValueError("a name has only characters that are shown")
-    return name
-
-
-Name = Annotated[
-    str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_require_visible_name)
-]
+Name = Annotated[str, AfterValidator(require_person)]
 
 
 class Order(BaseModel):
@@ -303,6 +291,16 @@ def read_order(line: bytes | str) -> SentOrder:
     if len(content) > LONGEST_BYTES:
         raise ValueError(f"an order of {len(content)} bytes")
     return SentOrder.model_validate_json(check_json(content))
+
+
+def explain_invalid_order(order: dict[str, Any]) -> str:
+    """Return why `read_order` does not accept an order of a page."""
+    if order["kind"] == "claim":
+        try:
+            require_person(order["name"])
+        except PersonNotNamed as problem:
+            return problem.summary
+    return "not a valid order"
 
 
 class Reply(BaseModel):

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from procedures.engine.errors import CommandRefused
+from procedures.journal.errors import RunDeleted
 from procedures.operator.question import Task
 from procedures.runs.request import RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
@@ -119,7 +120,8 @@ class SimulatedTheatre:
         self.theatre.end()
         if self._former is not None:
             write_atomically(self._file, self._former)
-        if theatre_gone and error is not None:  # what the procedure met is only the consequence
+        if theatre_gone and error is not None and not isinstance(error, RunDeleted):
+            # what the procedure met is only the consequence
             ended = describe_exit(child.process.returncode or 0)
             words = "it no longer responds" if halted else " / ".join(child.messages) or f"it ended: {ended}"
             raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import arm_history, fold_history
+from procedures.workcell.arm_history import ArmPlace, arm_history, fold_history
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -190,7 +190,8 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
         chain = read_chain(last / JOURNAL_FILE)
         place = fold_history(chain).place
     except (RonnaError, OSError):
-        return FormerRun(last, _describe_lost_run(last, at_home=note.at_home))
+        lost = _describe_lost_run(last, at_home=note.at_home)
+        return FormerRun() if lost is None else FormerRun(last, lost)
     inside = place.instrument_description
     try:
         read_request(last)
@@ -219,6 +220,21 @@ def _describe_lost_run(last: Path, *, at_home: bool) -> str | None:
         return None
     gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
     return f"{gone}; put it back for ronna-procedure home, or {JOG}: {may_be_inside}"
+
+
+def describe_arm_without_record(place: ArmPlace, *, own: bool) -> str:
+    """Describe where the arm of a deleted run is and how it comes home; `own` is the run's own simulation."""
+    inside = place.instrument_description
+    if not (place.is_out or inside):
+        return "the arm is at home" if place.is_home else "the arm was not moved"
+    where, first = "away from its home" if place.is_out else "at home", ""
+    if place.trajectory is not None:
+        where, first = f"on the axis of {place.trajectory}", "withdraw the guide along the axis, then "
+    if inside is not None:
+        where, first = f"{where}, and {inside}", f"take it out by hand, {first or 'then '}"
+    if own:
+        return f"the arm is {where}; its simulated theatre ends with this run, nothing has to be brought home"
+    return f"the arm is {where}, and no command brings it home without the record: {first}{JOG}"
 
 
 def _is_same(last: Path, run: Path) -> bool:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import errno
 import os
+import pwd
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
@@ -119,6 +121,7 @@ def _find_system_error(problem: BaseException) -> BaseException:
 
 
 MOST_ALIKE = 3  # suggestions
+_UNREADABLE = re.compile(r"'(.+)' is not readable")
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
@@ -166,7 +169,12 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     if found := _EXTRA.match(message):
         repeated = [candidate.opts[0] for candidate in parameters if getattr(candidate, "multiple", False)]
         repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
-        if any(map(os.path.exists, found[1].split())):
+        from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+
+        there = [word for word in found[1].split() if os.path.exists(word)]
+        if len(there) == 1 and os.path.exists(os.path.join(there[0], JOURNAL_FILE)):
+            repeat = f"To go on with this run: ronna-procedure resume {shlex.quote(there[0])}. "
+        elif there:
             repeat = "A pattern such as * may stand for several files or folders: name one. "
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
@@ -174,9 +182,30 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
             f"{format_parameter(parameter)} is missing",
             action=f"{_describe_parameter(parameter, context)} {see}".lstrip(),
         )
+    if found := _UNREADABLE.search(message):
+        return UsageMistake(
+            f"{found[1]}: {_name_account(os.geteuid())} may not read it",
+            action=f"{_advise_rights(found[1])}. {see}",
+        )
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _advise_rights(path: str) -> str:
+    """Say how a file or folder becomes readable: by its owner, and never for everybody."""
+    owner, place = os.stat(path).st_uid, shlex.quote(path)
+    if owner == os.geteuid():
+        return f"It is yours: chmod -R u+rX {place}"
+    name = _name_account(owner)
+    return f"It belongs to {name}: run as {name}, or have a group of yours read it: chmod -R g+rX {place}"
+
+
+def _name_account(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # of another computer or container
+        return f"user {number}"
 
 
 def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
+from unicodedata import category
 
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
@@ -20,6 +21,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
 
+LONGEST_NAME = 60  # characters of a person's name
+LINE_SIGNS = ("Zl", "Zp")  # categories of Unicode
+JOINERS = "\u200c\u200d"  # parts of names in some scripts
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 
@@ -200,18 +204,26 @@ def _deactivate(device: Device, timeout_s: float) -> None:
 
 
 def require_person(name: str) -> str:
-    """Validate and return a person's name; raises DEV-006 without letters, or with control characters.
+    """Validate and return a person's name; raises DEV-006 for one that does not name anybody.
 
-    A name is printed, and written into records: it may neither steer a terminal nor look like two lines.
+    A name is printed, and written into records: it may neither steer a terminal nor look like two lines, or
+    like the name of another person.
     """
-    has_letters = any(map(str.isalpha, name))
-    if not has_letters or not name.isprintable():
-        raise PersonNotNamed(
-            "an acknowledgement or confirmation needs the name of a person",
-            expected="a name without control characters" if has_letters else "letters",
-            got=repr(name) if name.strip() else "nothing",
-        )
+    needed, got = "the name of a person is needed", repr(name) if name.strip() else "nothing"
+    if not any(map(str.isalpha, name)):
+        raise PersonNotNamed(needed, expected="letters", got=got)
+    if any(_is_hidden(letter) for letter in name):
+        expected = "a name without control characters and invisible signs"
+        raise PersonNotNamed(needed, expected=expected, got=got)
+    if len(name) > LONGEST_NAME:
+        raise PersonNotNamed(needed, limit=f"{LONGEST_NAME} characters", got=f"{len(name)} characters")
     return name
+
+
+def _is_hidden(letter: str) -> bool:
+    """Whether a character is a control, format or line character, and no joiner of a name."""
+    kind = category(letter)
+    return (kind.startswith("C") or kind in LINE_SIGNS) and letter not in JOINERS
 
 
 class LifecycleGuard:

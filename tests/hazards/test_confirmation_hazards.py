@@ -24,7 +24,17 @@ from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Identity, PredictedError, Question, ReadBack, Task, Topic
+from procedures.operator.question import (
+    MISREAD_REASON,
+    Answer,
+    Identity,
+    PredictedError,
+    Question,
+    ReadBack,
+    Task,
+    Topic,
+)
+from procedures.runs.operator_station import EMPTY_SEAT, OperatorStation
 from ronna_hw.wire.room_tasks import DIALS
 
 READ_BACK = ReadBack("how many mm it moves first", "62")
@@ -80,6 +90,19 @@ def test_a_question_that_nobody_answered_in_time_is_named_without_its_value(
     with pytest.raises(NotConfirmed) as late:
         questions.ask_in_time(Question(Topic.APPROACH, "over T1", VALUE, timeout_s=0.05))
     assert late.value.summary == "no answer within 0.05 s to: over T1"
+
+
+def test_a_question_that_ends_at_the_console_names_what_counted_as_no(tmp_path: Path) -> None:
+    cell, station = RecordingCell(tmp_path), OperatorStation(waits=True)
+    cell.operator = SimpleNamespace(ask=station.ask)
+    questions = Questions(cell.setting(), cell.journal, EventStream(lambda: 0.0))
+    with pytest.raises(NotConfirmed) as late:
+        questions.ask_in_time(Question(Topic.PATIENT, "the right patient", VALUE, timeout_s=0.05))
+    assert late.value.summary == f"no answer within 0.05 s ({EMPTY_SEAT}) to: the right patient"
+    cell.operator = SimpleNamespace(ask=lambda _asked: Answer("no", silence_reason=MISREAD_REASON))
+    questions = Questions(cell.setting(), cell.journal, EventStream(lambda: 0.0))
+    with pytest.raises(NotConfirmed, match=f"{MISREAD_REASON} to: the right patient"):
+        questions.ask_in_time(Question(Topic.PATIENT, "the right patient", VALUE))
 
 
 @pytest.mark.hazard(36)
@@ -288,7 +311,7 @@ def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before
     faults = {"arm": "the arm is in fault (EKI-010), emergency stop: pressed"} if when == "before" else {}
     typed = iter((b"abort\n",) if when == "before" else (b"resume\n", b"abort\n"))
 
-    def at_prompt(_words: str) -> None:
+    def at_prompt(_words: str, *, question: str = "") -> None:
         os.write(keyboard, next(typed))
         faults["arm"] = "the arm is in fault (EKI-010), emergency stop: pressed"
 

@@ -22,11 +22,14 @@ from procedures.engine.events import (
     Progress,
     Questioned,
     Refusal,
+    Seat,
     SignalsLost,
     StepState,
+    Waiting,
 )
 from procedures.engine.events.stream import LAST_LINES
 from procedures.engine.states import HELD
+from procedures.runs.observers import SEAT_AWAITED
 from ronna_hw.text import printable
 
 if TYPE_CHECKING:
@@ -104,6 +107,8 @@ class CaseView:
     def __init__(self) -> None:
         self.state = "starting"
         self._step = ""  # the one that began last
+        self._seated = ""  # who is in the operator's seat of the console
+        self._upcoming: str | None = None  # while the case waits for an order
         self._lost = ""
         self.share = 0.0
         self.activity = ""
@@ -119,10 +124,17 @@ class CaseView:
                 self.state = describe_state(case)
             case StepState(step=step, state="begun"):
                 self._step = self.activity = step
+                self._upcoming = None
                 self.share = 0.0
                 self._settle(step)
             case Progress(step=step, share=share, text=text):
                 self.activity, self.share = f"{step}: {text}", share
+            case Waiting(upcoming=upcoming):
+                self._upcoming = upcoming
+                self._show_waiting()
+            case Seat(holder=holder):
+                self._seated = holder
+                self._show_waiting()
             case DeviceState(device=device) as state:
                 self._devices[device] = state
             case DeviceAge(device=device, age_s=age_s):
@@ -144,6 +156,11 @@ class CaseView:
                 self.state = self.state.partition(" (asks: ")[0]
             case _:
                 pass
+
+    def _show_waiting(self) -> None:
+        if self._upcoming is not None:
+            whom = f"waiting for an order of {self._seated}" if self._seated else SEAT_AWAITED
+            self.activity, self.share = f"{whom}; next is {self._upcoming}", 0.0
 
     @property
     def devices(self) -> str:

@@ -1,7 +1,8 @@
 """Display of a running case and its outcome, and Ctrl-C handling.
 
 Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
-points are between steps and before each motion. While a question is open, the second one ends everything.
+points are between steps and before each motion. While a question is open here, or the case waits for a person
+at the console, nothing moves and the second one ends everything.
 Without a terminal nothing is changed: one signal ends the command.
 """
 
@@ -12,6 +13,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -44,6 +46,8 @@ STANDARD_ERROR = 2
 PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
 STOPPING = b"\nstopping the arm; Ctrl-C again ends the command\n"
 AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
+AT_CONSOLE = b"\nnothing moves, the case waits for a person at the console; Ctrl-C again ends the command\n"
+AGAIN_S = 30.0  # host time in which a second Ctrl-C at such a wait is one
 
 
 class Interrupts:
@@ -53,7 +57,8 @@ class Interrupts:
         self._engine: Engine | None = None
         self._count = 0
         self._at_question: int | None = None  # interrupts at the open question, if any
-        self._prompt = ""
+        self._waiting_since_s = -AGAIN_S  # of the last interrupt while a person at the console was awaited
+        self._question = self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
         """Direct Ctrl-C to this engine. Until then, Ctrl-C ends the command."""
@@ -61,18 +66,18 @@ class Interrupts:
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[WritePrompt]:
-        """During a question, repeat the prompt on the first Ctrl-C and end the command on the second.
+        """During a question, repeat it on the first Ctrl-C and end the command on the second.
 
         Nothing moves meanwhile. On Ctrl-C a terminal discards output that it has not shown yet.
         """
-        self._at_question, self._prompt = 0, ""
+        self._at_question, self._question, self._prompt = 0, "", ""
         try:
             yield self._write
         finally:
             self._at_question = None
 
-    def _write(self, prompt: str) -> None:
-        self._prompt = prompt
+    def _write(self, prompt: str, *, question: str = "") -> None:
+        self._question, self._prompt = question, prompt
         write_prompt(prompt)
 
     def interrupt(self) -> None:
@@ -82,7 +87,13 @@ class Interrupts:
             raise KeyboardInterrupt
         if self._at_question is not None:
             self._at_question += 1
-            os.write(STANDARD_ERROR, AT_QUESTION + self._prompt.encode())
+            os.write(STANDARD_ERROR, AT_QUESTION + (self._question + self._prompt).encode())
+            return
+        if engine.is_awaiting_person():
+            before_s, self._waiting_since_s = self._waiting_since_s, time.monotonic()
+            if self._waiting_since_s - before_s < AGAIN_S:
+                raise KeyboardInterrupt
+            os.write(STANDARD_ERROR, AT_CONSOLE)
             return
         self._count = self._count + 1 if engine.checkpoint.wanted else 1
         if self._count > 2:

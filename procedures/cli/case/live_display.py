@@ -32,7 +32,8 @@ class LiveDisplay:
             BarColumn(bar_width=24),
             TimeElapsedColumn(),
         )
-        self._task = self._bar.add_task("starting", total=1.0)
+        self._status = "starting"
+        self._task = self._bar.add_task(self._status, total=1.0)
         self._live = self._picture()
 
     def _picture(self) -> Live:
@@ -40,8 +41,9 @@ class LiveDisplay:
         return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
-        """Show a progress message before the case exists."""
-        self._bar.update(self._task, description=printable(text))
+        """Show a progress message until a step begins."""
+        self._status = printable(text)
+        self._bar.update(self._task, description=self._status)
 
     def tell(self, text: str) -> None:
         """Print a line without wrapping or markup, so that it can be copied."""
@@ -54,7 +56,7 @@ class LiveDisplay:
             if (entry := entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(
-            self._task, completed=self.view.share, description=printable(self.view.activity) or "starting"
+            self._task, completed=self.view.share, description=printable(self.view.activity) or self._status
         )
 
     @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import sys
@@ -10,12 +11,14 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 from typer import style
 
 from procedures.operator.question import (
     HELP,
+    MISREAD_REASON,
     MOST_MISREAD,
     Answer,
     Question,
@@ -34,7 +37,16 @@ if TYPE_CHECKING:
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
 LONGEST_PART = 4096  # bytes; a terminal hands over no longer line
 ADVICE = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
-WritePrompt = Callable[[str], None]  # a prompt
+
+
+class WritePrompt(Protocol):
+    """Writer of prompts."""
+
+    def __call__(self, prompt: str, /, *, question: str = "") -> None:
+        """Write a prompt. The question it belongs to stands above it already."""
+        ...
+
+
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
 LEAVING = "Ctrl-C twice ends the command"  # while a question is open
 NOT_HERE = frozenset((*COMMANDS, "exit", "q"))  # typed at a prompt, not at a question
@@ -79,9 +91,12 @@ class Alarms:
 
 
 def forget_typed() -> None:
-    """Discard unread terminal input."""
-    with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
+    """Discard unread terminal input, and say so if there was any."""
+    with contextlib.suppress(termios.error, OSError):  # the terminal is gone, and its end is read
+        unread = fcntl.ioctl(sys.stdin, termios.FIONREAD, bytes(4))
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        if any(unread):
+            say_line("What was typed ahead was not used.")
 
 
 def await_line(alarms: Alarms, deadline_s: float | None = None) -> tuple[str | None, list[str]]:
@@ -115,8 +130,8 @@ def _read_part() -> bytes:
         return b""
 
 
-def write_prompt(prompt: str) -> None:
-    """Write a prompt."""
+def write_prompt(prompt: str, *, question: str = "") -> None:
+    """Write a prompt, as `WritePrompt` does."""
     sys.stderr.write(prompt)
     sys.stderr.flush()
 
@@ -148,11 +163,13 @@ class TerminalOperator:
             return silence
         deadline_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
-        with self._asking() as write:
+        with self._asking() as write_below:
             if not self._knows_rule:
                 say_line(RULE)
                 self._knows_rule = True
-            sys.stderr.write(_describe_question(question))
+            described = _describe_question(question)
+            sys.stderr.write(described)
+            write = partial(write_below, question=described)
             self._alarms.begin()
             while typed := read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
                 if (word := pick_answer(typed, question.answers)) is None:
@@ -202,7 +219,7 @@ class TerminalOperator:
             wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
             if misread == MOST_MISREAD:
                 say_line(f"{wrong} {MOST_MISREAD} wrong values count as {question.silence!r}.")
-                return Answer(question.silence)
+                return Answer(question.silence, silence_reason=MISREAD_REASON)
             say_line(f"{wrong} Type it again, or {join_answers(others)} to stop; {tries_left(misread)}.")
         return None
 

@@ -14,7 +14,7 @@ from procedures.cli.case.staff import WORDS
 from procedures.engine.errors import UnknownStep
 from procedures.engine.states import ABORTED
 from procedures.engine.states import HELD as MACHINE_HELD
-from procedures.journal.errors import StepRefused
+from procedures.journal.errors import RunDeleted, StepRefused
 from procedures.operator.checkpoint import CONTINUE
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Answer, Question
@@ -163,7 +163,7 @@ class Prompt:
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:
-            if engine.machine.state == ABORTED:
+            if engine.machine.state == ABORTED or isinstance(error, RunDeleted):
                 raise
             if engine.machine.state == MACHINE_HELD and not isinstance(error, NOTHING_DONE):
                 self.tell_held(engine, error)

@@ -142,7 +142,13 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
         by = _acknowledging_person(by)
         path = interrupted.folder
         if interrupted.parked:
-            _print_faults({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
+            words = "the run is finished, and had no fault left"
+            if request.config is not None:
+                words = (
+                    "the run is finished; for a fault of its theatre since: ronna-procedure acknowledge "
+                    f"{shlex.quote(str(request.config))} --by 'YOUR NAME'"
+                )
+            _print_faults({}, {}, by, as_json=as_json, nothing=words, run=path.name)
             return
         require_free_devices(request)
         if request.config is not None:

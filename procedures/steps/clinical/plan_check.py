@@ -109,7 +109,7 @@ def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> tuple[Pictur
     """Save CT cuts along the planned trajectories for the operator and the report."""
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
     return tuple(
-        context.keep_picture(plan_picture(name), trajectory_cuts(volume, ways, name)) for name in ways
+        context.keep_picture(plan_picture(name), trajectory_cuts(volume, ways, name), name) for name in ways
     )
 
 

@@ -264,7 +264,7 @@ def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
     found = context.find_picture(
         plan_picture(trajectory), [plan_picture(one) for one in context.trajectories]
     )
-    return () if found is None else (found,)
+    return () if found is None else (found.model_copy(update={"trajectory": trajectory}),)
 
 
 def _unnoticed_in_pushes_mm(context: StepContext) -> float:

@@ -47,11 +47,9 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
         except WrongTool as problem:
             if mounting == MOUNTINGS:
                 raise
+            context.find(f"the wrong tool is mounted: mount again {value}; {problem.summary}")
             context.setting.room.change_tool(number, name)
-            remount_question = WRONG_TOOL.question(
-                "the wrong tool is mounted: mount again", f"{value}; {problem.summary}"
-            )
-            if context.choose(remount_question) != YES:
+            if context.choose(WRONG_TOOL.question("the tool has been exchanged again", value)) != YES:
                 raise
     raise AssertionError("the last mounting has returned or raised")
 

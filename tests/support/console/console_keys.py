@@ -34,7 +34,7 @@ def press(page: Any, which: str) -> None:
 def take_seat_by_keys(page: Any, name: str = "Dr Test") -> None:
     tab_to(page, "[aria-label='Your name']")
     page.keyboard.type(name)
-    press(page, "[data-do=claim]")
+    page.keyboard.press("Enter")
     page.wait_for_selector(f"text=You are operating as {name}")
 
 

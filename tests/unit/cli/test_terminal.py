@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import pytest
 import typer
@@ -28,6 +29,7 @@ from ronna_hw.command_line.errors import (
     UsageMistake,
 )
 from ronna_hw.errors import LimitError, RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.host.process import ENDING_SIGNALS
 from ronna_hw.logs import PARTS, is_known_logger
 
@@ -145,6 +147,27 @@ def test_a_pattern_that_stood_for_several_folders_is_named_as_the_cause(
     Path("second").mkdir()
     assert terminal.exit_code_of(app_that(lambda: None), ["second"]) == 2
     assert "'second'. A pattern such as * may stand for several" in capsys.readouterr().err
+    Path("second", JOURNAL_FILE).touch()
+    assert terminal.exit_code_of(app_that(lambda: None), ["second"]) == 2
+    assert "'second'. To go on with this run: ronna-procedure resume second" in capsys.readouterr().err
+
+
+def test_a_file_without_read_rights_names_whose_it_is_and_who_may_not_read_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    series = tmp_path / "ct"
+    series.mkdir()
+    monkeypatch.setattr(os, "access", lambda *_given: False)
+
+    app = typer.Typer()
+
+    @app.command()
+    def imports(_series: Annotated[Path, typer.Argument(exists=True, readable=True)]) -> None:
+        raise AssertionError
+
+    assert terminal.exit_code_of(app, [str(series)]) == 2
+    said, owner = capsys.readouterr().err, series.owner()
+    assert f"{series}: {owner} may not read it. It is yours: chmod -R u+rX {series}. See" in said
 
 
 def test_a_command_without_arguments_shows_its_help_unchanged(capsys: pytest.CaptureFixture[str]) -> None:

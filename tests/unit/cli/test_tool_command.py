@@ -312,7 +312,7 @@ def test_the_doctor_warns_of_an_error_that_no_uncalibrated_arm_has(theatre: Path
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        ("renew guide --by '' --gauge-mm DIALS", "name of a person; expected letters, got nothing"),
+        ("renew guide --by '' --gauge-mm DIALS", "expected letters, got nothing"),
         ("renew gide --by Nurse --gauge-mm DIALS", "no tool 'gide' with a gauge; expected guide"),
         ("define drill --purpose gripper --number 2", "drill has number 2, already used by guide"),
         (

@@ -135,6 +135,21 @@ def test_external_text_is_escaped_in_every_panel() -> None:
         assert "&lt;script" in shown
 
 
+@pytest.mark.parametrize(("trajectory", "caption"), [("T1", "T1 in the CT"), ("", "T1-2 in the CT")])
+def test_the_cuts_of_a_repeated_check_are_named_after_their_trajectory(trajectory: str, caption: str) -> None:
+    picture = Picture(name="plan-T1-2.png", sha256="0" * 64, trajectory=trajectory)
+    asked = Questioned(
+        question=1,
+        topic="registration:T1",
+        subject="",
+        value="",
+        answers=("yes", "no"),
+        timeout_s=None,
+        pictures=(picture,),
+    )
+    assert f">{caption}<" in question_pictures(asked)
+
+
 def test_the_accuracy_panel_shows_the_registration_that_is_being_asked_about() -> None:
     def predicted(target: str, rms_mm: float) -> PredictedError:
         return PredictedError(target=target, rms_mm=rms_mm, limit_mm=0.83, confidence=0.95, margin_mm=2.0)

@@ -63,7 +63,7 @@ def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues
     draw(editor, standoff_mm=31.0)
     other = PlanEditor(scan(), file, None)
     assert other.draft.standoff_mm == 30.0
-    assert "another planner" in str(other.read_only)
+    assert f"another planner (process {os.getpid()} on " in str(other.read_only)
     draw(other, standoff_mm=35.0)
     assert other.draft.standoff_mm == 30.0
     save(editor)

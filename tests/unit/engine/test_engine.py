@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -227,6 +228,18 @@ def test_a_result_that_cannot_be_journalled_is_not_valid_and_holds_the_case(
         run(engine, "image")
     assert engine.machine.state == "held"
     assert engine.course.status(engine.order.find("image")) == "next"
+
+
+@pytest.mark.hazard(33)
+def test_deletion_of_the_run_folder_is_named_whatever_the_step_missed_first(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    run(engine, "image")
+    shutil.rmtree(cell.folder)
+    with pytest.raises(JournalNotWritable, match="PRO-053"):
+        run(engine, "localization:T1")
+    with pytest.raises(JournalNotWritable, match="PRO-053"):
+        engine.retreat_home()
+    assert cell.arm.motions == []
 
 
 @pytest.mark.hazard(33)

@@ -43,7 +43,7 @@ def test_low_disk_space_suspends_the_case(tmp_path: Path) -> None:
 
 @pytest.mark.hazard(33)
 def test_a_missing_run_folder_suspends_the_case(tmp_path: Path) -> None:
-    assert "cannot be read" in (DiskSpace(tmp_path / "gone").unmet() or "")
+    assert f"{tmp_path}/gone is not there: move it back" in (DiskSpace(tmp_path / "gone").unmet() or "")
 
 
 @pytest.mark.hazard(29)

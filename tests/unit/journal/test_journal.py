@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,18 @@ def test_a_full_disk_is_reported_when_writing_an_entry(tmp_path: Path) -> None:
     os.close(full)
     with pytest.raises(JournalNotWritable, match="No space left"):
         journal.write(Entry.INTENT, 0.0)
+
+
+@pytest.mark.hazard(33)
+def test_a_deleted_journal_takes_no_line_and_one_that_was_moved_does(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    journal = Journal(folder)
+    folder = folder.rename(tmp_path / "elsewhere")
+    journal.write(Entry.OPENED, 0.0)
+    shutil.rmtree(folder)
+    with pytest.raises(JournalNotWritable, match=r"PRO-053: the run folder .*/run was deleted"):
+        journal.write(Entry.INTENT, 1.0)
 
 
 @pytest.mark.parametrize("moment", ["write", "fdatasync", "fstat"])

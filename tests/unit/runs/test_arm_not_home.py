@@ -21,10 +21,16 @@ from procedures.runs import theatre_note
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import NOT_KNOWN, TheatreNote, find_former_run
+from procedures.runs.theatre_note import (
+    NOT_KNOWN,
+    TheatreNote,
+    describe_arm_without_record,
+    find_former_run,
+)
 from procedures.steps.clinical import set_up
 from procedures.workcell import Insertion, MountedTool
-from ronna_hw.errors import EXIT_RECOVERY_NEEDED
+from procedures.workcell.arm_history import ArmPlace, PlaceKind
+from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
 
 UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
@@ -57,6 +63,21 @@ def warning_of(run: Path) -> str | None:
     run.mkdir(exist_ok=True)
     with hold_theatre(run.parent / "theatre.toml", run) as last:
         return find_former_run(last, run).not_home
+
+
+def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_path: Path) -> None:
+    workcell = RecordingCell(tmp_path).workcell
+    workcell.mount.check(MountedTool.STEREO_HEAD)
+    held = Insertion("T1", workcell.tool_pose(), travel_mm=60.0)
+    told = describe_arm_without_record(ArmPlace(PlaceKind.ON_AXIS, held, moved=True), own=False)
+    assert "on the axis of T1" in told
+    assert "withdraw the guide along the axis" in told
+    assert "pendant" in told
+    with_instrument = ArmPlace(PlaceKind.ON_AXIS, held, instrument_may_be_inside="T1", moved=True)
+    told = describe_arm_without_record(with_instrument, own=False)
+    assert told.index("an instrument is still in T1") < told.index("take it out") < told.index("withdraw")
+    assert "pendant" not in describe_arm_without_record(ArmPlace(PlaceKind.AWAY, moved=True), own=True)
+    assert describe_arm_without_record(ArmPlace(PlaceKind.HOME), own=False) == "the arm is at home"
 
 
 def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
@@ -177,6 +198,7 @@ def test_a_run_that_brought_the_arm_home_may_be_removed(tmp_path: Path) -> None:
     shutil.rmtree(home)
     for _ in range(2):
         assert warning(tmp_path) is None
+    assert in_this_process(app, "home", earlier(tmp_path, 2), "--json").returncode == EXIT_DONE
 
 
 @pytest.mark.hazard(5)

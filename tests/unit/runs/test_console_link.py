@@ -92,7 +92,7 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
             return {}
 
     monkeypatch.setattr(console_link, "ChildProcess", Slow)
-    console = console_link.ConsoleLink(tmp_path, OperatorStation(waits=False), 0, said.append)
+    console = console_link.ConsoleLink(tmp_path, OperatorStation(waits=True), 0, said.append)
     try:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(console.await_ready)
@@ -100,6 +100,7 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
             may_answer.set()
             waiting.result(10.0)
         assert said[0].startswith("no console" if fails else "CONSOLE")
+        assert any("takes the operator's seat" in line for line in said) is not fails
     finally:
         console.close()
 

@@ -19,8 +19,10 @@ from procedures.runs.orders import (
     SentOrder,
     Stop,
     activity_of,
+    explain_invalid_order,
     read_order,
 )
+from ronna_hw.devices.lifecycle import LONGEST_NAME
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 
@@ -81,6 +83,7 @@ def test_the_names_of_people_are_taken(name: str) -> None:
         f'{{"kind":"answer","question":1,"answer":"yes","shown":"short",{GOOD}}}',
         f'{{"kind":"claim","name":"{"a" * LONGEST_BYTES}",{GOOD}}}',
         f'{{"kind":"claim","name":" ",{GOOD}}}',
+        f'{{"kind":"claim","name":"{"a" * (LONGEST_NAME + 1)}",{GOOD}}}',
         f'{{"kind":"claim","name":"Ana\\u202eneB",{GOOD}}}',
         f'{{"kind":"claim","name":"Ana\\u001b[2J",{GOOD}}}',
         f'{{"kind":"stop","expires_s":NaN,{GOOD}}}',
@@ -90,6 +93,13 @@ def test_the_names_of_people_are_taken(name: str) -> None:
 def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         read_order(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("Bell\x07", "control characters"), ("A" * 61, "limit 60"), (" ", "got nothing")]
+)
+def test_a_refused_name_is_told_its_reason_on_the_page(name: str, reason: str) -> None:
+    assert reason in explain_invalid_order({"kind": "claim", "name": name})
 
 
 PREDICTED = PredictedError(target="T1", rms_mm=0.4, limit_mm=0.8, confidence=0.95, margin_mm=2.0)

@@ -17,10 +17,20 @@ from procedures.cli.case.display import observe_run
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.showing import line_of
 from procedures.engine.context import StepContext
-from procedures.engine.events import Event, EventStream, Fault, JournalLine, Refusal
+from procedures.engine.events import (
+    Event,
+    EventStream,
+    Fault,
+    JournalLine,
+    Refusal,
+    Seat,
+    StepState,
+    Waiting,
+)
 from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
+from procedures.runs.observers import SEAT_AWAITED
 from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"
@@ -84,6 +94,25 @@ def test_what_was_refused_because_of_a_fault_disappears_when_the_fault_is_acknow
     for event in reader.read(0.0).events:
         view.take_in(event)
     assert not any(style == "red" for style, _text in view.lines())
+
+
+def test_the_live_view_names_whom_a_case_waits_for_until_its_step_begins() -> None:
+    view, events = CaseView(), EventStream(lambda: 0.0)
+    reader = events.subscribe()
+    shown = []
+    for what in (
+        Waiting(upcoming="ct_import"),
+        Seat(holder="Ann"),
+        Seat(holder=""),
+        StepState(step="ct_import", state="begun"),
+        Seat(holder="Ben"),
+    ):
+        events.publish(what)
+        for event in reader.read(0.0).events:
+            view.take_in(event)
+        shown.append(view.activity)
+    free = f"{SEAT_AWAITED}; next is ct_import"
+    assert shown == [free, "waiting for an order of Ann; next is ct_import", free, "ct_import", "ct_import"]
 
 
 def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(

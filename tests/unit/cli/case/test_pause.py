@@ -1,9 +1,10 @@
+import time
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from procedures.cli.case.display import Interrupts
+from procedures.cli.case.display import AGAIN_S, Interrupts
 
 
 class Engine:
@@ -12,6 +13,8 @@ class Engine:
     def __init__(self) -> None:
         self.paused: list[str] = []
         self.stops = 0
+        self.awaits_person = False
+        self.is_awaiting_person = lambda: self.awaits_person
         self.checkpoint = SimpleNamespace(wanted=False, pause=self.pause)
         self.setting = SimpleNamespace(workcell=SimpleNamespace(stop=self.stop))
 
@@ -58,13 +61,29 @@ def test_the_interrupt_count_restarts_after_a_pause(attached: tuple[Interrupts, 
     assert len(engine.paused) == 4
 
 
-def test_an_interrupt_at_a_question_repeats_the_prompt(
+def test_an_interrupt_at_a_question_repeats_the_question_with_its_figures(
     attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     interrupts, engine = attached
     with interrupts.asking() as write:
-        write("Type yes or no: ")
-        write("Type what it says: ")
+        write("Type yes or no: ", question="the wristband\n")
+        write("Type what it says: ", question="the wristband\n")
         interrupts.interrupt()
-    assert capfd.readouterr().err.endswith("Ctrl-C again ends the command\nType what it says: ")
+    repeated = "Ctrl-C again ends the command\nthe wristband\nType what it says: "
+    assert capfd.readouterr().err.endswith(repeated)
     assert engine.paused == []
+
+
+def test_while_a_person_at_the_console_is_awaited_the_second_interrupt_ends_the_command(
+    attached: tuple[Interrupts, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupts, engine = attached
+    now_s = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    engine.awaits_person = True
+    interrupts.interrupt()
+    now_s[0] += AGAIN_S  # forgotten meanwhile
+    interrupts.interrupt()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.interrupt()
+    assert (engine.paused, engine.stops) == ([], 0)
