@@ -122,6 +122,13 @@ class FaultOfRun(RefusedError):
     action = "Acknowledge it in that run."
 
 
+class InstrumentLeftInside(RefusedError):
+    """An earlier run on this theatre left, or may have left, an instrument inside."""
+
+    code = "PRO-047"
+    action = "Touch neither the tool nor the arm: bring that run's arm home first."
+
+
 class TheatreNotNoted(RefusedError):
     """The file that records which run last moved the arm cannot be written."""
 

@@ -294,11 +294,11 @@ def _describe_theatre_restart(folder: Path) -> str:
 def _has_other_run_left_arm_away(folder: Path) -> bool:
     """Whether another run on the same theatre left the arm away from home."""
     from procedures.runs.theatre_lock import read_last_note
-    from procedures.runs.theatre_note import arm_not_home
+    from procedures.runs.theatre_note import FormerRun, find_former_run
 
     with contextlib.suppress(RonnaError, OSError):
         theatre = read_request(folder).config
-        return theatre is not None and arm_not_home(read_last_note(theatre), folder) is not None
+        return theatre is not None and find_former_run(read_last_note(theatre), folder) != FormerRun()
     return False
 
 

@@ -183,13 +183,13 @@ def _hold_configured_theatre(
 ) -> tuple[str | None, Room]:
     """Lock a theatre file's devices; return a warning if the arm was left away from home, and the staff."""
     from procedures.runs.theatre_lock import hold_theatre
-    from procedures.runs.theatre_note import arm_not_home
+    from procedures.runs.theatre_note import find_former_run
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 
     only_leaving = resumption is not None and resumption.only_leaving
     note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
-    not_home = arm_not_home(note, folder)
+    not_home = find_former_run(note, folder).not_home
     if request.ask and (control := os.environ.get(VARIABLE)):  # it is not needed to acknowledge a fault
         staff = SimulatedRoom(control)
         if resumption is None or resumption.asks:

@@ -34,8 +34,13 @@ _TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
 def check_theatre(request: RunRequest) -> None:
     """Check theatre file and records before anything is opened. Raises CFG-001, CAL-001, CAL-005.
 
-    PRO-043 while another run has its devices, CLI-001 if nobody can be asked.
+    PRO-043 while another run has its devices, PRO-047 while the instrument of one may be inside, CLI-001 if
+    nobody can be asked.
     """
+    if request.config is not None:
+        from procedures.runs.theatre_lock import require_ready_theatre
+
+        require_ready_theatre(request.config)
     check_asking(request)
     if request.choice.records:
         from procedures.runs.calibration_files import require_records
@@ -43,12 +48,10 @@ def check_theatre(request: RunRequest) -> None:
         require_records(request.choice.records)
     if request.config is not None:
         from procedures.calibration.arm_check import require_record
-        from procedures.runs.theatre_lock import require_free_theatre
 
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
-        require_free_theatre(request.config)
 
 
 def check_asking(request: RunRequest) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.theatre_note import TheatreNote, note_path, read_note
+from procedures.runs.theatre_note import TheatreNote, find_former_run, note_path, read_note
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, find_lock_holder
@@ -53,7 +53,8 @@ class TheatreUser:
 def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
     """Lock a theatre file's devices for a run and yield the note left by earlier runs.
 
-    Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
+    Raises PRO-043 while another program has them, PRO-047 while the instrument of another run may be inside,
+    and PRO-045 if the next run could not know of this one.
     With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
     """
     if user := _find_user_of_own_run(theatre):
@@ -69,6 +70,7 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
                 stack.callback(os.close, file)
                 _lock(file, path, needed=note_descriptor in (None, file))
         before = read_note(path).with_outcome()
+        find_former_run(before, run).require_no_instrument()
         if note_descriptor is not None:
             with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
                 os.fchmod(
@@ -159,6 +161,12 @@ def list_last_runs(theatre: Path) -> tuple[Path, ...]:
     """Return the last run that moved a theatre's arm, then the last run that held its devices."""
     note = read_last_note(theatre)
     return tuple(run for run in (note.moved_before, note.run) if run is not None)
+
+
+def require_ready_theatre(theatre: Path, run: Path | None = None) -> None:
+    """Raise PRO-043 or PRO-047 as `hold_theatre` would for `run`, before anyone prepares anything."""
+    require_free_theatre(theatre)
+    find_former_run(read_last_note(theatre), run).require_no_instrument()
 
 
 def require_free_theatre(theatre: Path) -> None:

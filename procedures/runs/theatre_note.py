@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 import shlex
 import stat
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
+from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
 from procedures.workcell.arm_history import ArmPlace, arm_history, fold_history
@@ -56,7 +58,7 @@ class TheatreNote(BaseModel):
 
 
 def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
-    """Whether a run brought the arm home, or None if it certainly did not move the arm.
+    """Whether a run brought the arm home with nothing inside, or None if it certainly did not move the arm.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.
     """
@@ -65,9 +67,10 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
             return None
         chain = read_chain(run / JOURNAL_FILE)
         arm = fold_history(chain)
-        if not chain.torn and arm.journeys == arm_history(chain.lines[:lines_before]).journeys:
+        inside = arm.place.instrument_may_be_inside
+        if not (chain.torn or inside) and arm.journeys == arm_history(chain.lines[:lines_before]).journeys:
             return None
-        return not arm.place.is_out
+        return not (arm.place.is_out or inside)
     except (OSError, RonnaError):
         return False
 
@@ -143,58 +146,95 @@ def run_exists(run: Path) -> bool:
         return True
 
 
-def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
-    """Return a warning for the operator of `run` if another run left this theatre's arm away from home.
+@dataclass(frozen=True)
+class FormerRun:
+    """The arm as the run before left it: what a new run on it is refused for, warned of or asked about."""
 
-    None if the last run brought it home, is `run` itself, or does not exist. A new run would take the arm's
-    position for its home; a resumed one would send the arm home by a way of its own.
+    run: Path | None = None
+    not_home: str | None = None  # it is or may be away from its home, and how it gets there
+    inside: str | None = None  # an instrument is or may be inside
+    home: str | None = None  # the command that brings it home, of a run that can be resumed
+
+    @property
+    def refusal(self) -> InstrumentLeftInside | None:
+        """PRO-047 while an instrument may be inside and that run can ask for its removal, or None.
+
+        If nothing resumes that run, `not_home` tells the operator of the instrument before anything moves.
+        """
+        if self.run is None or self.inside is None or self.home is None:
+            return None
+        return InstrumentLeftInside(
+            f"run {self.run.name} on this theatre is unfinished: {self.inside}",
+            action="Touch neither the tool nor the arm, and start no other run: "
+            f"{self.home} asks for the removal, then brings the arm home.",
+        )
+
+    def require_no_instrument(self) -> None:
+        """Raise PRO-047 as `refusal` says."""
+        if (refusal := self.refusal) is not None:
+            raise refusal
+
+
+def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
+    """Return how another run than `run` left this theatre's arm; empty if at home with nothing inside.
+
+    A new run would take the arm's position for its home; a resumed one would send the arm home by a way of
+    its own.
     """
     if note.unreadable:
-        return NOT_KNOWN
+        return FormerRun(not_home=NOT_KNOWN)
     last = note.moved_before
     if last is None or (run is not None and _is_same(last, run)):
-        return None
+        return FormerRun()
     try:
         chain = read_chain(last / JOURNAL_FILE)
         place = fold_history(chain).place
-        if not place.is_out:
-            return None
     except (RonnaError, OSError):
-        if run_exists(last):
-            return f"run {last.name} moved the arm last, and its journal cannot be read"
-        gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
-        return None if note.at_home else f"{gone}; put it back for ronna-procedure home, or {JOG}"
-    verb = "has lost the end of its journal, and may have left" if chain.torn else "left"
-    message = f"run {last.name} {verb} the arm away from its home"
+        lost = _describe_lost_run(last, at_home=note.at_home)
+        return FormerRun() if lost is None else FormerRun(last, lost)
+    inside = place.instrument_description
     try:
         read_request(last)
+        home = f"ronna-procedure home {shlex.quote(str(last))}"
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
-        return f"{message}; {JOG}"
-    return f"{message}; ronna-procedure home {shlex.quote(str(last))} brings it there"
+        home = None
+    if not (place.is_out or inside):
+        return FormerRun()
+    verb = "has lost the end of its journal, and may have left" if chain.torn else "left"
+    message = (
+        f"run {last.name} {verb} the arm away from its home" if place.is_out else f"run {last.name} ended"
+    )
+    if home is not None:
+        return FormerRun(last, f"{message}; {home} brings it there" if place.is_out else None, inside, home)
+    if inside is not None:
+        message = f"{message}, and {inside}: take it out by hand"
+    return FormerRun(last, f"{message}; {JOG}", inside)
+
+
+def _describe_lost_run(last: Path, *, at_home: bool) -> str | None:
+    """Describe a run whose journal cannot be read; None if it had brought the arm home before it went."""
+    may_be_inside = "an instrument may still be inside"
+    if run_exists(last):
+        return f"run {last.name} moved the arm last, and its journal cannot be read: {may_be_inside}"
+    if at_home:
+        return None
+    gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
+    return f"{gone}; put it back for ronna-procedure home, or {JOG}: {may_be_inside}"
 
 
 def describe_arm_without_record(place: ArmPlace, *, own: bool) -> str:
     """Describe where the arm of a deleted run is and how it comes home; `own` is the run's own simulation."""
-    if not place.is_out:
+    inside = place.instrument_description
+    if not (place.is_out or inside):
         return "the arm is at home" if place.is_home else "the arm was not moved"
-    where, first = "away from its home", ""
+    where, first = "away from its home" if place.is_out else "at home", ""
     if place.trajectory is not None:
         where, first = f"on the axis of {place.trajectory}", "withdraw the guide along the axis, then "
+    if inside is not None:
+        where, first = f"{where}, and {inside}", f"take it out by hand, {first or 'then '}"
     if own:
         return f"the arm is {where}; its simulated theatre ends with this run, nothing has to be brought home"
     return f"the arm is {where}, and no command brings it home without the record: {first}{JOG}"
-
-
-def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
-    """Return the last run that moved the arm and where its instrument may still be, or None."""
-    last = note.moved_before
-    if last is None:
-        return None
-    try:
-        inside = fold_history(read_chain(last / JOURNAL_FILE)).place.instrument_description
-    except (RonnaError, OSError):  # `arm_not_home` says that nothing is known of it
-        return None
-    return None if inside is None else (last, inside)
 
 
 def _is_same(last: Path, run: Path) -> bool:

@@ -30,7 +30,7 @@ from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
-from procedures.runs.reopening import prepare_folder, require_free_devices
+from procedures.runs.reopening import prepare_folder, require_ready_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_asking
 from procedures.runs.theatre_lock import require_free_theatre
@@ -99,7 +99,7 @@ def resume_calibration(
         complete = has_every_look(request, interrupted)
         if not complete:
             check_asking(request)
-            require_free_devices(request)
+            require_ready_devices(request, folder)
         prepare_folder(interrupted)
         with finalize_run(folder, interrupted, with_truth=False):
             if complete:

@@ -13,7 +13,7 @@ from pathlib import Path
 from procedures.journal.free_space import describe_shortage
 from procedures.runs.reopening import resumable_run
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
-from procedures.runs.theatre_note import arm_not_home, find_instrument_inside
+from procedures.runs.theatre_note import find_former_run
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
@@ -81,19 +81,13 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
-    last = read_last_note(theatre)
-    if (instrument_left := find_instrument_inside(last)) is not None:
-        run, inside = instrument_left
-        home = f"ronna-procedure home {shlex.quote(str(run))}"
-        advice = (
-            "Touch neither the tool nor the arm, and start no other run: "
-            f"{home} asks for the removal, then brings the arm home."
-        )
-        seen = f"run {run.name} is unfinished: {inside}"
-        yield Diagnostic(INSTRUMENT, False, seen, advice, command=home)
-    if (away_reason := arm_not_home(last, None)) is not None:
-        hint = "" if instrument_left else "A new case asks whether to take where the arm stands as its home."
-        yield Diagnostic("home of the arm", False, away_reason, hint)
+    former = find_former_run(read_last_note(theatre), None)
+    if (refused := former.refusal) is not None:
+        yield Diagnostic(INSTRUMENT, False, refused.what, refused.advice, command=former.home or "")
+    if former.not_home is not None:
+        hint = "" if refused else "A new case asks whether to take where the arm stands as its home."
+        subject = INSTRUMENT if former.inside and not refused else "home of the arm"
+        yield Diagnostic(subject, False, former.not_home, hint)
     if (note := find_unwritable_note(theatre)) is not None:
         advice = "Give this user the right to write it: it tells a later run what this one left."
         yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
@@ -101,13 +95,13 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Adapt the advice in device diagnostics to the theatre and its unfinished run."""
-    run, instrument_left = resumable_run(theatre), find_instrument_inside(read_last_note(theatre))
+    run, inside = resumable_run(theatre), find_former_run(read_last_note(theatre), None).inside
     advised = list(found)
     for place, one in enumerate(found):
         if one.well:
             continue
-        if instrument_left is not None and one.subject.endswith(f": {TOOL}"):
-            advised[place] = replace(one, advice=f"Do not touch the tool: {instrument_left[1]}.")
+        if inside is not None and one.subject.endswith(f": {TOOL}"):
+            advised[place] = replace(one, advice=f"Do not touch the tool: {inside}.")
         elif one.subject.endswith(f": {MESSAGES}"):
             of = f"--config {shlex.quote(str(theatre))}" if run is None else shlex.quote(str(run))
             command = f"ronna-procedure acknowledge {of} --by 'YOUR NAME'"

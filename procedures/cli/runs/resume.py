@@ -24,12 +24,13 @@ from procedures.runs.reopening import (
     prepare_folder,
     read_reopened_request,
     require_free_devices,
+    require_ready_devices,
     resumable_run,
 )
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_asking
 from procedures.runs.theatre_lock import read_last_note
-from procedures.runs.theatre_note import arm_not_home
+from procedures.runs.theatre_note import FormerRun, find_former_run
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
@@ -70,7 +71,7 @@ def resume(
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
         else:
             check_asking(request)
-            require_free_devices(request)
+            require_ready_devices(request, interrupted.folder)
             prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
             follow(
@@ -98,7 +99,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             )
             return
         check_asking(request)
-        require_free_devices(request)
+        require_ready_devices(request, interrupted.folder)
         prepare_folder(interrupted)
         with finalize_run(interrupted.folder, interrupted), observe_run(quiet=as_json) as observers:
             from procedures.runs.recovery import bring_home
@@ -111,14 +112,14 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
 
 def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
-    """Raise PRO-032 if another run must bring the arm home first, or PRO-043 while that run is active."""
-    theatre = request.config
-    if (
-        theatre is not None
-        and (away := arm_not_home(read_last_note(theatre), interrupted.folder)) is not None
-    ):
-        require_free_devices(request)
-        raise RecoveryRefused(away, action="Nothing was moved.")
+    """Raise PRO-032 or PRO-047 if another run must bring the arm home first, PRO-043 while it is active."""
+    if request.config is None:
+        return
+    former = find_former_run(read_last_note(request.config), interrupted.folder)
+    if former == FormerRun():
+        return
+    require_ready_devices(request, interrupted.folder)
+    raise RecoveryRefused(former.not_home or "", action="Nothing was moved.")
 
 
 def _print_outcome(

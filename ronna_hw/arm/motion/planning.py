@@ -233,7 +233,10 @@ def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
     length, angle = max(line.length_mm, STANDSTILL_RAD), max(line.angle_rad, STANDSTILL_RAD)
     velocity = min(limits.line_speed_mm_s / length, limits.rotation_rad_s / angle)
     acceleration = min(limits.line_acceleration_mm_s2 / length, limits.rotation_rad_s2 / angle)
-    return PathLimits(velocity, acceleration, acceleration / limits.ramp_s)
+    # From rest to rest over s = 0..1 no more than sqrt(acceleration) is reached. On a line of nanometres the
+    # velocity itself would turn the rounding of the joint angles into apparent jerk.
+    reached = min(velocity, sqrt(acceleration))
+    return PathLimits(reached, acceleration, acceleration / limits.ramp_s)
 
 
 def _limit_for_joints(

@@ -12,6 +12,7 @@ from user_commands import in_this_process
 
 from procedures.cli.doctor.theatre_checks import use_diagnostics
 from procedures.cli.procedure import app
+from procedures.engine.errors import InstrumentLeftInside
 from procedures.engine.order import order_of
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
@@ -20,12 +21,19 @@ from procedures.runs import theatre_note
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import NOT_KNOWN, TheatreNote, arm_not_home, describe_arm_without_record
+from procedures.runs.theatre_note import (
+    NOT_KNOWN,
+    TheatreNote,
+    describe_arm_without_record,
+    find_former_run,
+)
 from procedures.steps.clinical import set_up
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
-from ronna_hw.errors import EXIT_RECOVERY_NEEDED
+from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
+
+UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
 
 
 def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Path:
@@ -54,7 +62,7 @@ def warning_of(run: Path) -> str | None:
     """What a session of that run on the theatre is warned of."""
     run.mkdir(exist_ok=True)
     with hold_theatre(run.parent / "theatre.toml", run) as last:
-        return arm_not_home(last, run)
+        return find_former_run(last, run).not_home
 
 
 def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_path: Path) -> None:
@@ -65,6 +73,9 @@ def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_
     assert "on the axis of T1" in told
     assert "withdraw the guide along the axis" in told
     assert "pendant" in told
+    with_instrument = ArmPlace(PlaceKind.ON_AXIS, held, instrument_may_be_inside="T1", moved=True)
+    told = describe_arm_without_record(with_instrument, own=False)
+    assert told.index("an instrument is still in T1") < told.index("take it out") < told.index("withdraw")
     assert "pendant" not in describe_arm_without_record(ArmPlace(PlaceKind.AWAY, moved=True), own=True)
     assert describe_arm_without_record(ArmPlace(PlaceKind.HOME), own=False) == "the arm is at home"
 
@@ -111,7 +122,7 @@ def test_a_run_whose_journal_cannot_be_read_is_named_and_not_forgotten(tmp_path:
     lines = (damaged / JOURNAL_FILE).read_bytes().splitlines(keepends=True)
     (damaged / JOURNAL_FILE).write_bytes(b"".join(lines[1:]))
     for _ in range(2):
-        assert warning(tmp_path) == f"run {damaged.name} moved the arm last, and its journal cannot be read"
+        assert warning(tmp_path) == UNREADABLE.format(damaged.name)
 
 
 def test_a_run_in_a_place_hidden_from_this_user_is_named(
@@ -125,7 +136,7 @@ def test_a_run_in_a_place_hidden_from_this_user_is_named(
     monkeypatch.setattr(theatre_note, "read_chain", hidden)
     monkeypatch.setattr(theatre_note, "read_chain", hidden)
     monkeypatch.setattr(Path, "exists", hidden)
-    assert warning(tmp_path) == f"run {away.name} moved the arm last, and its journal cannot be read"
+    assert warning(tmp_path) == UNREADABLE.format(away.name)
 
 
 @pytest.mark.hazard(5)
@@ -187,6 +198,7 @@ def test_a_run_that_brought_the_arm_home_may_be_removed(tmp_path: Path) -> None:
     shutil.rmtree(home)
     for _ in range(2):
         assert warning(tmp_path) is None
+    assert in_this_process(app, "home", earlier(tmp_path, 2), "--json").returncode == EXIT_DONE
 
 
 @pytest.mark.hazard(5)
@@ -248,8 +260,10 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     assert says in instrument.seen
     assert "Touch neither the tool nor the arm" in instrument.advice
     assert f"ronna-procedure home {cell.folder}" in away.seen
-    with hold_theatre(copy, tmp_path / "new") as last:
-        assert f"ronna-procedure home {cell.folder}" in str(arm_not_home(last, tmp_path / "new"))
+    with pytest.raises(InstrumentLeftInside, match=says), hold_theatre(copy, tmp_path / "new"):
+        pytest.fail("no other run begins")
+    with hold_theatre(copy, cell.folder) as last:  # its own way out
+        assert find_former_run(last, cell.folder).inside is None
     assert not list(use_diagnostics(simulated_theatre(tmp_path / "fresh.toml", "b" * 32)))
 
 

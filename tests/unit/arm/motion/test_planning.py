@@ -138,3 +138,10 @@ def test_a_motion_to_the_current_position_is_a_standstill() -> None:
     assert plan_joint_move(MODEL, START, START, LIMITS).is_standstill
     assert plan_line(MODEL, START, MODEL.forward(START), LIMITS).is_standstill
     assert not plan_line(MODEL, START, _shifted(MODEL.forward(START), 0, 0, 1e-3), LIMITS).is_standstill
+
+
+@pytest.mark.parametrize("length_mm", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_a_line_of_nanometres_is_not_taken_for_one_near_a_singularity(length_mm: float) -> None:
+    far = plan_line(MODEL, START, _shifted(MODEL.forward(START), 0.0, 0.0, 1.0), LIMITS)
+    plan = plan_line(MODEL, START, _shifted(MODEL.forward(START), 0.0, 0.0, length_mm), LIMITS)
+    assert plan.limits.acceleration * length_mm == pytest.approx(far.limits.acceleration, rel=1e-3)

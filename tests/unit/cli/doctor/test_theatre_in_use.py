@@ -12,13 +12,17 @@ from pathlib import Path
 from subprocess import PIPE, Popen
 
 import pytest
+import typer
 from user_commands import in_this_process
 
+from procedures.cli.arm.command import app as ronna_arm
 from procedures.cli.doctor import theatre_checks
 from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
+from procedures.cli.stereo.command import app as ronna_stereo
 from procedures.journal.journal import Entry, Journal
-from procedures.runs.request_file import RequestFile
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import RequestFile, write_request
 from procedures.runs.theatre_lock import hold_theatre
 from procedures.runs.theatre_note import TheatreNote, note_path
 from ronna_hw.devices.probing import Diagnostic
@@ -139,24 +143,77 @@ def test_resume_home_and_acknowledge_of_another_run_are_refused_while_a_run_uses
     assert read_files(left_run) == before
 
 
-@pytest.mark.hazard(34)
-def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not_to_mount_another_tool(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    theatre, run = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
+def leave_instrument(theatre: Path, run: Path) -> None:
+    """Leave the theatre as a program does that is killed while an instrument is in T1."""
     run.mkdir(parents=True)
+    write_request(RunRequest(procedure=CaseProcedure(case=run), config=theatre), run)
     journal = Journal(run)
     journal.write(Entry.OPENED, 0.0, run=run.name)
     journal.write(Entry.MOTION, 1.0, step="positioning:T1", what="approach")
     journal.write(Entry.INSTRUMENT, 2.0, trajectory="T1", inside=True)
     journal.close()
-    with hold_theatre(theatre, None):  # as a program leaves it that is killed
+    with hold_theatre(theatre, None):
         note = TheatreNote(run=run, moved_before=run)
     note_path(theatre).write_text(note.model_dump_json())
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("ask", [(), ("--ask",)])
+@pytest.mark.parametrize(
+    ("app", "command"),
+    [
+        (ronna_procedure, ("run", "--case", ".")),
+        (ronna_procedure, ("step", "--case", ".")),
+        (ronna_procedure, ("calibrate", "tool-tip")),
+        (ronna_procedure, ("calibrate", "tracker-frame")),
+        (ronna_stereo, ("calibrate",)),
+        (ronna_stereo, ("check", "--baseline", "baseline")),
+        (ronna_stereo, ("measure",)),
+        (ronna_stereo, ("measure", "--find")),
+        (ronna_arm, ("calibrate",)),
+        (ronna_arm, ("check",)),
+    ],
+)
+def test_no_run_begins_while_the_instrument_of_another_may_be_inside(
+    tmp_path: Path, app: typer.Typer, command: tuple[str, ...], ask: tuple[str, ...]
+) -> None:
+    theatre, left = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
+    leave_instrument(theatre, left)
+    done = in_this_process(app, *command, *ask, "--config", theatre, "--out", tmp_path / "other")
+    assert done.returncode == EXIT_REFUSED
+    assert done.stdout == ""
+    assert "PRO-047" in done.stderr
+    assert "an instrument is still in T1" in done.stderr
+    assert f"ronna-procedure home {left}" in done.stderr
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("command", ["resume", "home"])
+def test_no_other_run_is_resumed_while_an_instrument_may_be_inside(tmp_path: Path, command: str) -> None:
+    theatre, left, other = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME, tmp_path / "runs" / "other"
+    leave_instrument(theatre, left)
+    other.mkdir()
+    write_request(RunRequest(procedure=CaseProcedure(case=other), config=theatre), other)
+    done = in_this_process(ronna_procedure, command, other)
+    assert done.returncode == EXIT_REFUSED
+    assert "PRO-047" in done.stderr
+    own = in_this_process(ronna_procedure, "home", left)
+    assert "PRO-047" not in own.stderr
+
+
+@pytest.mark.hazard(34)
+def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not_to_mount_another_tool(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theatre, run = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
+    leave_instrument(theatre, run)
     monkeypatch.setattr(theatre_checks, "resumable_run", lambda _theatre: run)
     first, *_ = examine(theatre).diagnostics
     assert (first.subject, first.well) == ("instrument", False)
-    assert first.seen == f"run {RUN_NAME} is unfinished: an instrument is still in T1"
+    assert first.seen == f"run {RUN_NAME} on this theatre is unfinished: an instrument is still in T1"
     assert f"ronna-procedure home {run}" in first.advice
     tool = Diagnostic("robot.master: mounted tool", False, "PRO-009", "Mount the named tool.")
     message = Diagnostic("robot.master: messages", False, "number 1 is not acknowledged", "Acknowledge it.")
