@@ -25,6 +25,7 @@ import tomllib
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from datetime import date
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -171,6 +172,7 @@ _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-\\]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}
 LONGEST_SHOWN = 80  # characters of a line with a mistake
 _LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$")
+_WRITTEN_AS_DATE = re.compile(r"=\s*(\d{4}-\d{2}-\d{2})")
 _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
 
 
@@ -209,6 +211,11 @@ def _describe_line(error: ValueError, content: bytes) -> str:
     line = lines[int(found[1]) - 1].strip()
     writing_advice = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
     writing_advice = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else writing_advice
+    if (written := _WRITTEN_AS_DATE.search(line)) is not None:
+        try:
+            date.fromisoformat(written[1])
+        except ValueError as wrong:
+            writing_advice = f"; {written[1]} is no date: {wrong}"
     return f": {line[:LONGEST_SHOWN]}{writing_advice}"
 
 

@@ -73,6 +73,12 @@ class RonnaError(Exception):
         super().__init__(self._one_line())
 
     @property
+    def meaning(self) -> str:
+        """Meaning of the code in words, as in the table of codes, to go on in a sentence."""
+        first = (type(self).__doc__ or "").strip().partition("\n")[0].rstrip(".")
+        return first[:1].lower() + first[1:]
+
+    @property
     def summary(self) -> str:
         """Description of the error with its values, such as `no reply; expected OKAY, got ERROR01`.
 

@@ -58,7 +58,7 @@ def list_command(as_json: JsonOption = False) -> None:
         print_json({"running": rows})
         return
     if not running:
-        tell("no simulator is running")
+        tell("no simulator of this user is running")
         return
     print_table(
         "Running simulators",

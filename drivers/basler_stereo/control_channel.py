@@ -16,6 +16,7 @@ from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, ControlTaken, NoReply
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.port_users import LEAVE_A_CASE_ALONE, find_udp_clients
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 
@@ -226,8 +227,20 @@ def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -
         if give_up_s is None:
             give_up_s = _control_end_s(control, deadline_s)
         if time.monotonic() + 2 * RETRY_PAUSE_S >= give_up_s:  # time for one more try, not two
-            raise ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
+            raise _describe_taken(control, camera_name, refusal)
         time.sleep(RETRY_PAUSE_S)
+
+
+def _describe_taken(control: ControlChannel, camera_name: str, refusal: str) -> ControlTaken:
+    """Build the error for a controlled camera; on this computer it names the programs that talk to it."""
+    users = find_udp_clients(control.peer_address, gev.GVCP_PORT)
+    if not users:
+        return ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
+    return ControlTaken(
+        f"{camera_name} is controlled by another application",
+        got=f"{refusal}; in use by {' and '.join(map(str, users))}",
+        action=f"{LEAVE_A_CASE_ALONE} Otherwise end it.",
+    )
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:

@@ -81,7 +81,7 @@ class KukaProbe:
 
     def example(self, search: Search) -> Proposal:
         endpoints = _endpoints(EXAMPLE_CONTROLLER, stream_address(search))
-        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM))
+        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM), _describe_scan(search))
 
 
 probe = KukaProbe()
@@ -140,6 +140,15 @@ def _list_hosts(interface: Interface) -> list[str]:
         return [interface.address]
     network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
     return [str(host) for host in islice(network.hosts(), MOST_ADDRESSES) if str(host) != interface.address]
+
+
+def _describe_scan(search: Search) -> str:
+    """Describe a scan that found no controller; empty if no network was scanned."""
+    hosts = [host for each in search.interfaces for host in _list_hosts(each)]
+    if not hosts:
+        return ""
+    tried = hosts[0] if len(hosts) == 1 else f"{len(hosts)} addresses, {hosts[0]} to {hosts[-1]}"
+    return f"no EKI server of ours at port {PROJECT_PORT} of {tried}"
 
 
 def _is_listening(host: str) -> bool:

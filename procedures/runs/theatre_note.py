@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import shlex
 import stat
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -136,6 +138,17 @@ def _is_ours(found: os.stat_result) -> bool:
     """Whether a file belongs to this user or root, or is writable by one of this user's groups."""
     by_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
     return found.st_uid in (os.geteuid(), 0) or by_group
+
+
+def list_noted_theatres() -> Iterator[Path]:
+    """Yield the theatre file of each arm's run whose program has not written how it left the arm."""
+    for path in sorted(ARMS_FOLDER.glob("*.in-use")):
+        note = read_note(path)
+        if note.pid is None or note.run is None:
+            continue
+        with suppress(RonnaError, OSError):
+            if (config := read_request(note.run).config) is not None:
+                yield config
 
 
 def run_exists(run: Path) -> bool:

@@ -71,7 +71,7 @@ class BallWatcher:
             self._settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), arriving)
 
         if (refused := refusal(settle, self.workcell.arm)) is not None:
-            self.rejected[refused.code] += 1
+            self.rejected[f"{refused.code} ({refused.meaning})"] += 1
             return None
         return self._look_or_none(planned.ball_in_tool_mm)
 

@@ -77,6 +77,7 @@ class OutOfMemory(RonnaError):
     action = "Close other programs, or use a smaller series."
 
 
+LONGEST_FILE_NAME = 255  # bytes, of Linux file systems
 NOT_MAPPED = "failed to map segment"  # the loader's words for a library for which there is no memory
 _BY_ERRNO: dict[int, type[RonnaError]] = {
     errno.ENOSPC: DiskFull,
@@ -106,7 +107,12 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         kind = _BY_ERRNO.get(problem.errno, SystemRefused)
         reason = os.strerror(problem.errno).lower()
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
-        return kind(f"{' and '.join(places)}: {reason}" if places else reason)
+        what = f"{' and '.join(places)}: {reason}" if places else reason
+        if problem.errno == errno.ENAMETOOLONG:
+            return kind(
+                what, limit=f"{LONGEST_FILE_NAME} bytes for each name", action="Choose a shorter name."
+            )
+        return kind(what)
     return InternalFault(f"{type(problem).__name__}: {problem}")
 
 

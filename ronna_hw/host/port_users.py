@@ -85,6 +85,15 @@ def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
     )
 
 
+def find_udp_clients(address: str, port: int) -> tuple[PortUser, ...]:
+    """Find other local processes that exchange datagrams with one UDP port, as far as this user can see."""
+    return tuple(
+        _identify_user(connection.pid)
+        for connection in psutil.net_connections(kind="udp4")
+        if connection.raddr == (address, port) and connection.pid not in (None, os.getpid())
+    )
+
+
 def find_lock_holder(file: int) -> PortUser | None:
     """Find the process holding the `flock` on an open file, with its terminal, or return None if hidden.
 

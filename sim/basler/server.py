@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from ipaddress import IPv4Address
 
+from ronna_hw.host.port_users import find_udp_port_user
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_PORT, PENDING_PAYLOAD, GevStatus, GvcpCommand
 from sim.basler.camera.photographer import Photographer, PhotographerApart
 from sim.basler.control.bootstrap import Identity
@@ -135,7 +136,9 @@ def _bind_one(address: str) -> socket.socket:
         control.bind((address, GVCP_PORT))
     except OSError as error:
         control.close()
-        raise EndpointTaken.from_system(error, f"UDP port {GVCP_PORT} of {address}") from error
+        holder = find_udp_port_user(address, GVCP_PORT)
+        what = f"UDP port {GVCP_PORT} of {address}"
+        raise EndpointTaken.from_system(error, what, holder=holder) from error
     return control
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.case_view import EventFollower
-from procedures.cli.case.operators import WritePrompt, write_prompt
+from procedures.cli.case.display import pause_on_interrupt
+from procedures.cli.case.operators import WritePrompt
 from procedures.cli.case.staff import terminal_observers
 from procedures.engine.events import Event, Progress, StepState
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
@@ -175,7 +176,10 @@ def bar_observers(bar: ProgressBar) -> RunObservers:
     Steps take seconds or an hour, so their number says nothing about the time left.
     """
 
+    opened: list[Engine] = []
+
     def follow(engine: Engine) -> None:
+        opened.append(engine)
         numbers = {str(key): number for number, key in enumerate(engine.order.sequence, 1)}
 
         def advance(events: Sequence[Event]) -> None:
@@ -192,8 +196,12 @@ def bar_observers(bar: ProgressBar) -> RunObservers:
 
     @contextmanager
     def asking() -> Iterator[WritePrompt]:
-        with bar.hidden():  # it would write over the question
-            yield write_prompt
+        # The bar would write over the question. Ctrl-C ends the command at once only between two questions.
+        with bar.hidden(), pause_on_interrupt() as interrupts:
+            for engine in opened:
+                interrupts.attach(engine)
+            with interrupts.asking() as write:
+                yield write
 
     return terminal_observers(asking, follow)
 

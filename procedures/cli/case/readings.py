@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 
-from procedures.cli.case.operators import Alarms, WritePrompt, read_typed, say_line
-from procedures.operator.question import NOBODY, YES, Task, join_answers, misread, pick_answer
+from procedures.cli.case.operators import LEAVING, Alarms, WritePrompt, read_typed, say_line
+from procedures.operator.question import HELP, NOBODY, YES, Task, join_answers, misread, pick_answer
 from ronna_hw.text import parse_typed_number
 
 AGAIN = "again"
@@ -26,6 +26,13 @@ def read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, 
             typed = read_typed(write, join_reads(missing), None, alarms, ahead)
             if not typed or pick_answer(typed, (NOBODY,)) is not None:
                 return ()
+            if pick_answer(typed, (HELP,)) is not None:
+                _explain(task, len(missing))
+                continue
+            if pick_answer(typed, (AGAIN,)) is not None:
+                readings, ahead = [], False
+                say_line("Type all of them again." if len(task.reads) > 1 else "Type it.")
+                continue
             found = _parse_line(typed, len(missing), task.plausible_mm)
             ahead = found is not None
             readings += found or ()
@@ -42,10 +49,20 @@ def _confirm(write: WritePrompt, alarms: Alarms) -> str:
     while typed := read_typed(write, join_answers((YES, AGAIN)), None, alarms):
         if (answer := pick_answer(typed, (YES, AGAIN))) is not None:
             return answer
-        say_line(
-            f"{typed!r} is not an answer: {YES} if these are the readings, {AGAIN} to type them all again."
-        )
+        meaning = f"{YES} if these are the readings, {AGAIN} to type them all again."
+        if pick_answer(typed, (HELP,)) is not None:
+            say_line(f"Type {meaning} {LEAVING}.")
+        else:
+            say_line(f"{typed!r} is not an answer: {meaning}")
     return ""
+
+
+def _explain(task: Task, missing: int) -> None:
+    """Write what can be typed for the readings that are missing."""
+    say_line(f"Type {_hint(missing, task.plausible_mm)}")
+    if len(task.reads) > 1:
+        say_line(f"{AGAIN!r} discards what was typed and begins with {task.reads[0]}.")
+    say_line(f"{LEAVING}.")
 
 
 def _parse_line(typed: str, most: int, plausible_mm: Range) -> list[float] | None:

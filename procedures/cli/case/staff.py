@@ -145,7 +145,9 @@ class WordedRoom:
 
         def put(arguments: Sequence[str]) -> tuple[str, Readings]:
             if (there := pick_answer(" ".join(arguments), STAND_HOLDS)) is None:
-                raise ValueError(f"{STAND} needs {join_answers(STAND_HOLDS)}")
+                typed = printable(" ".join(arguments))
+                put_what = f"{typed!r} does not go on the stand" if typed else "nothing was named"
+                raise ValueError(f"{put_what}: type {' or '.join(f'{STAND} {one}' for one in STAND_HOLDS)}")
             self._staff.prepare_stand(there)
             return f"on the stand: {there}", ()
 

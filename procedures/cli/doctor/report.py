@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -30,6 +31,7 @@ from procedures.cli.doctor.theatre_checks import (
     use_diagnostics,
 )
 from procedures.runs.theatre_lock import require_free_theatre
+from procedures.runs.theatre_note import list_noted_theatres
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
@@ -38,7 +40,7 @@ from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatr
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
-from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
+from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
 from ronna_hw.text import format_count
 
@@ -119,6 +121,14 @@ class Report:
         return [f.document for f in self.devices if f.section == name and f.document is not None]
 
 
+def _names_any(theatre: Path, endpoints: Sequence[Endpoint]) -> bool:
+    """Whether a theatre file names one of the endpoints; not if it cannot be read any more."""
+    with suppress(RonnaError, OSError):
+        devices = read_theatre_file(theatre).devices.values()
+        return any(one in endpoints_of(device) for device in devices for one in endpoints)
+    return False
+
+
 def examine(
     config: Path | None,
     endpoints: Sequence[str] = (),
@@ -145,13 +155,17 @@ def examine(
             *setting_diagnostics(file),
             *history_diagnostics(config),
         )
-        case = (*use_diagnostics(config), *case_diagnostics(file, out))
+        case = (*use_diagnostics(config), *case_diagnostics(file, config, out))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
         if all(one.subject != RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
                 examinations[name] = partial(_probe, name, device, file)
+    if parsed:
+        for theatre in list_noted_theatres():  # a run holds its devices before it has connected them
+            if _names_any(theatre, parsed):
+                require_free_theatre(theatre)
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, examination) in enumerate(examinations.items()):

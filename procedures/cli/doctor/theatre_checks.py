@@ -14,6 +14,7 @@ from procedures.journal.free_space import describe_shortage
 from procedures.runs.reopening import resumable_run
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
 from procedures.runs.theatre_note import find_former_run
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
@@ -33,7 +34,7 @@ LIMITS_FILE = "/etc/security/limits.d/ronna-hw.conf"
 RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
-def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
+def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[Diagnostic]:
     """Check everything that a case in `out` needs apart from its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
     yield run_check("theatre file", kind, lambda: require_one_kind(theatre))
@@ -43,7 +44,7 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
         "devices of a case",
         not missing,
         f"without {', '.join(missing)}" if missing else ", ".join(NEEDED),
-        f"Add {' and '.join(f'[{name}]' for name in missing)} to the theatre file." if missing else "",
+        " ".join(_advise_on_missing_table(config, name) for name in missing),
     )
     allowed = f"at least {CASE_OPEN_FILES} allowed"
     yield run_check("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
@@ -57,6 +58,18 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
         yield Diagnostic(
             "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
         )
+
+
+def _advise_on_missing_table(config: Path, name: str) -> str:
+    """Advise on adding a device's table, or on completing the example that `new-theatre` wrote."""
+    text = read_bounded(config, LARGEST_TOML_BYTES).decode(errors="replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() == f"# [{name}]":
+            return (
+                f"[{name}] stands as an example from line {number} of {config.name}: correct it, then remove "
+                "the first # of each of its lines."
+            )
+    return f"Add [{name}] to the theatre file."
 
 
 def _read_clock(theatre: TheatreFile) -> None:

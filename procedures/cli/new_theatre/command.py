@@ -14,6 +14,7 @@ import typer
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
+from ronna_hw.devices.lifecycle import LONGEST_NAME
 
 if TYPE_CHECKING:
     from procedures.cli.new_theatre.searching import DeviceTable
@@ -92,6 +93,7 @@ def new_theatre(
     finders = tuple(load_finders().values())
     with searching.Mistakes() as mistakes:
         mistakes.collect(require_new, (out,))
+        mistakes.collect(_require_short, () if name is None else (name,))
         cards = mistakes.collect(lambda name: searching.find_interfaces([name]), interface or ())
         lines = mistakes.collect(partial(searching.endpoint_of, "--serial"), searching.lines(serial))
         controllers = mistakes.collect(partial(searching.endpoint_of, "--controller"), controller or ())
@@ -121,6 +123,14 @@ def new_theatre(
     ready = _report_devices(out, found, check=check, as_json=as_json)
     if not ready:
         raise typer.Exit(EXIT_NOT_FOUND)
+
+
+def _require_short(name: str) -> None:
+    """Raise CLI-001 for a name of a theatre that no line of a report has room for."""
+    if len(name) > LONGEST_NAME:
+        raise UsageMistake(
+            f"--name has {len(name)} characters", expected=f"at most {LONGEST_NAME}", action="Shorten it."
+        )
 
 
 def _report_devices(out: Path, found: Sequence[DeviceTable], *, check: bool, as_json: bool) -> bool:

@@ -36,6 +36,12 @@ APART_MM = 0.1
 
 def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
     """Read gauge readings and return their mean and spread as gauge fields. Raises CLI-001."""
+    if path.is_dir():
+        raise UsageMistake(
+            f"--gauge-mm: {path} is a folder",
+            expected="a text file with one line for each approach: the five dials in mm",
+            action="Give that file.",
+        )
     lines = read_bounded(path, LARGEST_BYTES).decode("utf-8-sig", "replace").splitlines()
     lines_read = [
         _numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()
@@ -53,7 +59,7 @@ def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
             if not lowest_mm <= reading_mm <= highest_mm:
                 raise UsageMistake(
                     f"--gauge-mm: {source}: {dial} is {reading_mm:g}",
-                    expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
+                    expected=f"{lowest_mm:.2f} to {highest_mm:.2f} mm: a dial travels {gauge.travel_mm:g} mm",
                     action="Read the dials again; if their travel differs, set `travel_mm` of the gauge.",
                 )
             if abs(reading_mm - usual_mm) > APART_MM:
@@ -182,17 +188,18 @@ def renew_record(
     new["gauge"] = {**former_record["gauge"], **read_gauge(readings, gauge)}
     content["tools"][name] = new
     parse_theatre(content, f"{config.name} with tool {name}")
-    remarks = []
-    if (recorded := theatre.tools[name].tip_in_head) is not None:
-        off_mm, off_rad = recorded.off(theatre.calibration.tip_in_head)
-        off = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
-        remarks.append(f"the tip is {off} from where the former record of {name} has it")
     read_off_mm = math.dist(gauge.reading_mm, new["gauge"]["reading_mm"])
-    remarks.append(
-        f"the mandrel reads {read_off_mm:.3f} mm from where the former record of {name} has it; expected "
-        "as much as the tip, unless the gauge was moved or zeroed: is it this tool, and well seated?"
-    )
-    return new, remarks
+    read_off = f"the mandrel reads {read_off_mm:.3f} mm from where the former record of {name} has it"
+    if (recorded := theatre.tools[name].tip_in_head) is None:
+        return new, [read_off]
+    off_mm, off_rad = recorded.off(theatre.calibration.tip_in_head)
+    off = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
+    if abs(read_off_mm - off_mm) > APART_MM:
+        read_off = (
+            f"warning: {read_off}; expected as much as the tip within {APART_MM:g} mm, unless the gauge was "
+            "moved or zeroed since: is it this tool, and well seated?"
+        )
+    return new, [f"the tip is {off} from where the former record of {name} has it", read_off]
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:

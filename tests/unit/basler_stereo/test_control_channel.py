@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 import threading
@@ -239,6 +240,7 @@ class HeldCamera:
         self, refusals: int, heartbeat_ms: int | None, status: int = GevStatus.ACCESS_DENIED
     ) -> None:
         self.left, self.heartbeat_ms, self.status = refusals, heartbeat_ms, status
+        self.peer_address = "127.99.9.9"
         self.asked = 0
 
     def write_register(self, address: int, value: int, deadline_s: float) -> None:
@@ -278,6 +280,15 @@ def test_a_client_that_outlives_its_heartbeat_keeps_control() -> None:
     with pytest.raises(ControlTaken, match=r"GEV-005.*the left camera"):
         taken(camera, 60.0)  # the test's own time-out is the limit
     assert camera.asked > 1
+
+
+def test_a_program_of_this_computer_that_keeps_control_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera, holder = HeldCamera(1000, 0), os.getpid()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.connect((camera.peer_address, gev.GVCP_PORT))
+        monkeypatch.setattr(os, "getpid", lambda: 1)
+        with pytest.raises(ControlTaken, match=rf"pid {holder}.*leave it alone"):
+            taken(camera, 60.0)
 
 
 @pytest.mark.parametrize("heartbeat_ms", [60_000, None])

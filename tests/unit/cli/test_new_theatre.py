@@ -11,6 +11,7 @@ import pytest
 from pydantic import BaseModel
 from user_commands import in_this_process, one_error
 
+from procedures.cli.doctor.theatre_checks import case_diagnostics
 from procedures.cli.new_theatre import command
 from procedures.cli.procedure import app
 from ronna_hw import registry
@@ -112,6 +113,10 @@ def test_a_device_that_was_not_found_becomes_a_commented_example(cameras: Camera
     assert read_theatre_file(out).stereo is None
     _, _, example = text.partition("NOT FOUND")
     uncommented = "\n".join(line[2:] for line in example.splitlines() if line.startswith("# "))
+    (table,) = (number for number, line in enumerate(text.splitlines(), 1) if line == "# [stereo]")
+    checks = case_diagnostics(read_theatre_file(out), out, out.parent)
+    (missing,) = (one for one in checks if one.subject == "devices of a case")
+    assert f"[stereo] stands as an example from line {table} of {out.name}" in missing.advice
     stereo = uncommented[uncommented.index("[stereo]") : uncommented.index("tracker:")]
     read = parse_theatre(tomllib.loads('theatre = "lab"\n' + stereo))
     assert read.stereo is not None
@@ -233,6 +238,7 @@ def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras,
         (("--option", "stereo.exposure=1"), "no option 'exposure'"),
         (("--option", "stereo.exposure_us=fast"), "exposure_us: expected a valid number"),
         (("--option", "exposure_us=1"), "TABLE.KEY=VALUE"),
+        (("--name", "n" * 600), "--name has 600 characters; expected at most 60"),
         (("--clock", "shm://nothing"), "--clock: 'shm://nothing' needs an absolute path; expected host: or"),
         (("--records", "/nonexist.toml"), "cannot read /nonexist.toml"),
     ],

@@ -232,7 +232,14 @@ def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Pa
     done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", bent)
     text = " ".join(done.stderr.split())
     assert (done.returncode, "the tip is 0.000 mm" in text) == (0, True), text
-    assert "the mandrel reads 5.000 mm from where the former record of guide has it" in text
+    assert "warning: the mandrel reads 5.000 mm from where the former record of guide has it" in text
+    same = written(tmp_path / "same.txt", *[f"{x + 3} {y - 4} {z} 0 0"] * 12)
+    again = " ".join(in_this_process(app, "renew", "guide", *options, "--gauge-mm", same).stderr.split())
+    assert "the mandrel reads 0.000 mm" in again
+    assert "warning" not in again
+    folder = in_this_process(app, "renew", "guide", *options, "--gauge-mm", tmp_path)
+    assert folder.returncode == 2
+    assert "one line for each approach" in folder.stderr
 
 
 @pytest.mark.parametrize("word", ["1_0", "\N{FULLWIDTH DIGIT ONE}"])
@@ -380,8 +387,14 @@ def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code:
     ("lines", "text"),
     [
         ([ONE_READ] * 11, "dials.txt has 11 approaches; expected at least 12, in 3 mountings"),
-        ([*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"], "dials.txt:12: Z is 400; expected -10"),
-        ([*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"], "dials.txt:12: Z is nan; expected -10"),
+        (
+            [*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"],
+            "dials.txt:12: Z is 400; expected -10.01 to 10.01",
+        ),
+        (
+            [*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"],
+            "dials.txt:12: Z is nan; expected -10.01 to 10.01",
+        ),
         ([*[ONE_READ] * 11, "0.01 -0.02 0.3 0.04 -0.05"], "Z is 0.3; expected within 0.1 mm of the others"),
         (
             [ONE_READ.replace(".", ","), *[ONE_READ] * 11],

@@ -25,7 +25,15 @@ from procedures.planning.plan_file import read_plan
 from procedures.planning.proposed_place import read_place
 from procedures.reporting.calibration_figures import RESULT_FILE, load_figures
 from procedures.runs.answers import read_answers
-from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
+from ronna_hw.bounded_input import (
+    InputRefused,
+    inflate,
+    parse_json,
+    parse_toml,
+    parse_toml_bytes,
+    parse_xml,
+    read_bounded,
+)
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
@@ -99,6 +107,11 @@ def test_a_path_that_is_not_a_regular_file_is_refused_without_waiting(
     path = made(tmp_path / "given.toml")
     with pytest.raises(RonnaError, match=f"{path} is not a regular file"):
         read(path)
+
+
+def test_a_date_that_no_calendar_has_is_named() -> None:
+    with pytest.raises(BadTheatreFile, match=r"2026-13-26 is no date: .*month"):
+        parse_toml_bytes(b"expires = 2026-13-26\n", "lab.toml", BadTheatreFile)
 
 
 def test_an_unreadable_file_is_named() -> None:

@@ -14,14 +14,14 @@ from fake_controller import FakeController
 from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.telegrams import read_state
-from drivers.kuka_rsi.probe import stream_port_diagnostic
+from drivers.kuka_rsi.probe import probe, stream_port_diagnostic
 from drivers.kuka_rsi.readings import controller_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.probing import Diagnostic, Search
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.host.network import Interface, own_udp_endpoint
 
 
 @pytest.fixture
@@ -146,3 +146,12 @@ def test_a_controller_that_hangs_up_at_once_is_reported_as_serving_another_clien
     assert "another run or another computer has the arm" in arm.advice
     assert "Or this port is not the controller's: our EKI server listens on 54602" in arm.advice
     assert "Recover" not in arm.advice
+
+
+def test_the_example_for_a_controller_that_was_not_found_says_what_was_searched() -> None:
+    office = Interface("eth7", "192.0.2.9", 24, mtu_bytes=1500)
+    found = probe.example(Search(interfaces=(office,))).absent
+    assert found == "no EKI server of ours at port 54602 of 253 addresses, 192.0.2.1 to 192.0.2.254"
+    loopback = Interface("lo", "127.0.0.1", 8, mtu_bytes=0)
+    assert probe.example(Search(interfaces=(loopback,))).absent.endswith("54602 of 127.0.0.1")
+    assert probe.example(Search()).absent == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -29,7 +30,7 @@ def test_two_simulators_at_once_get_different_addresses() -> None:
 def test_an_address_in_use_is_refused_and_nothing_stays_bound() -> None:
     first = bind_pair(())
     taken = first[1].getsockname()[0]
-    with pytest.raises(EndpointTaken, match=r"SIM-004.*3956"):
+    with pytest.raises(EndpointTaken, match=rf"SIM-004.*3956.*in use by .*pid {os.getpid()}"):
         bind_pair(("127.99.3.7", taken))
     again = bind_pair(("127.99.3.7", "127.99.3.8"))
     close(*first, *again)

@@ -105,6 +105,20 @@ def test_a_depth_stop_read_in_centimetres_is_asked_again_without_costing_an_atte
     assert "such as 168 or 168 mm" in said
 
 
+def test_help_and_again_count_at_every_reading(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "help", "1 2", "again", "4", "5", "help", "6", "help", "yes")
+    assert TerminalRoom(simulated=True).work(THREE_DIALS) == (4.0, 5.0, 6.0)
+    said = capsys.readouterr().err
+    assert "is not a reading" not in said
+    assert "is not an answer" not in said
+    assert "up to 3 numbers in mm" in said
+    assert "'again' discards what was typed and begins with x in mm" in said
+    assert "yes if these are the readings" in said
+    assert said.count("Ctrl-C twice ends the command") == 3
+
+
 def test_several_readings_are_shown_back_and_can_be_typed_again(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -226,5 +240,5 @@ def test_help_lists_what_can_be_said_about_the_work_that_is_due(
     assert told.done == ["divot"]
     said = capsys.readouterr().err
     assert "'stand ball' puts the ball on the stand" in said
-    assert "stand needs nothing, ball or divot" in said
+    assert "'gauge' does not go on the stand: type stand nothing or stand ball or stand divot" in said
     assert "'nobody' leaves it undone" in said

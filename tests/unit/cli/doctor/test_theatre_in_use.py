@@ -21,6 +21,7 @@ from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.stereo.command import app as ronna_stereo
 from procedures.journal.journal import Entry, Journal
+from procedures.runs import theatre_note
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import RequestFile, write_request
 from procedures.runs.theatre_lock import hold_theatre
@@ -93,6 +94,25 @@ def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
             unit.accept()
     assert done.returncode == EXIT_REFUSED
     assert f"PRO-043: {RUN_NAME}" in done.stderr
+
+
+@pytest.mark.hazard(34)
+def test_a_bare_endpoint_of_a_theatre_in_use_is_refused_before_its_run_has_connected_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", tmp_path / "arms")
+    theatre, run = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
+    arm = '[robot.master]\ndriver = "kuka_rsi"\nendpoints = { rsi = "udp://0.0.0.0:1", eki_project = '
+    theatre.write_text(theatre.read_text() + arm + '"tcp://192.0.2.1:54602" }\n')
+    run.mkdir(parents=True)
+    write_request(RunRequest(procedure=CaseProcedure(case=run), config=theatre), run)
+    with hold_theatre(theatre, run):
+        done = in_this_process(ronna_procedure, "doctor", "--endpoint", "tcp://127.0.0.1:1")
+    assert done.returncode == EXIT_REFUSED
+    assert f"PRO-043: {RUN_NAME}" in done.stderr
+    assert in_this_process(ronna_procedure, "doctor", "--endpoint", "tcp://127.0.0.1:1").returncode != (
+        EXIT_REFUSED
+    )
 
 
 @pytest.mark.parametrize(
