@@ -150,7 +150,8 @@ def template(
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     from procedures.cli.planning_inputs import print_markers
-    from procedures.planning.marker_sites import propose_template, read_scene_head, write_template
+    from procedures.planning.marker_sites import propose_template, write_template
+    from procedures.planning.scene_head import read_scene_head
 
     require_one_head(series_dir, scene)
     require_new(out)
