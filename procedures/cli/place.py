@@ -118,7 +118,14 @@ def place(
     theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
     assert theatre is not None
     volume, fiducials_mm, _ = read_ct(series_dir, True)
-    check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
+    check_plan(
+        plan,
+        volume,
+        fiducials_mm=fiducials_mm,
+        bore=theatre.bore,
+        plan_name=str(plan_file),
+        ct_name=str(series_dir),
+    ).require()
     assert fiducials_mm is not None
     marks = tuple(fiducials_mm)
     setting = theatre.with_scene(volume, plan.fiducials, marks)

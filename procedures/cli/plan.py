@@ -108,6 +108,8 @@ def check(
         arm=theatre.with_scene(volume, planned.fiducials, tuple(fiducials_mm or ())) if theatre else None,
         sight=theatre.sight if theatre else None,
         bore=theatre.bore if theatre else None,
+        plan_name=str(plan_file),
+        ct_name=str(series_dir),
     )
     head = fit_head(volume) if result.passed else None
     unjudged = () if theatre else (STOP_NOT_JUDGED,)

@@ -231,8 +231,8 @@ def propose_marker_places(
         if plan.series_instance_uid != volume.series_instance_uid:
             raise WrongSeries(
                 "the plan belongs to another CT series",
-                expected=plan.series_instance_uid,
-                got=volume.series_instance_uid,
+                expected=f"{plan.series_instance_uid} ({plan_file})",
+                got=f"{volume.series_instance_uid} ({series_dir})",
             )
         head = fit_head(volume)
     found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)
