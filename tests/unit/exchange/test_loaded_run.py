@@ -131,7 +131,7 @@ def test_the_assumed_pose_of_the_ct_is_that_of_the_registration(run: Path) -> No
     robot_from_ct = registered_robot().robot_from_ct
     found = Pose.from_kuka(*read_assumed_pose(run, plan))
     assert found.position_mm == pytest.approx(robot_from_ct.translation_mm)
-    expected = Pose.from_quaternion((0.0, 0.0, 0.0), tuple(robot_from_ct.quaternion_wxyz)).rotation
+    expected = Pose.from_quaternion((0.0, 0.0, 0.0), robot_from_ct.quaternion_wxyz).rotation
     assert found.rotation == pytest.approx(expected, abs=1e-9)
 
 
