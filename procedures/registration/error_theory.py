@@ -104,7 +104,7 @@ class FreGate:
             fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
-                limit=f"{limit} mm at {self.confidence:.0%}",
+                limit=f"{limit} mm at {100.0 * self.confidence:g}%",
                 got=f"{fre} mm",
             )
 
