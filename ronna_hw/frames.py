@@ -72,7 +72,9 @@ def _as_floats(given: ArrayLike, what: str) -> Array:
     try:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError) as error:
-        raise WrongArgument(f"{what}: no array of numbers", expected="numbers in mm", got=show(given)) from error
+        raise WrongArgument(
+            f"{what}: no array of numbers", expected="numbers in mm", got=show(given)
+        ) from error
 
 
 def is_rotation(matrix: Array) -> bool:
@@ -139,7 +141,9 @@ class Transform:
             rows = np.flatnonzero(~np.isfinite(values).all(axis=-1)).tolist() if values.ndim == 2 else []
             raise FrameMismatch(
                 f"a transform {target} <- {source} needs a finite 4x4 matrix",
-                got=f"shape {values.shape}" if values.shape != (4, 4) else f"NaN or infinity in row {rows[0] + 1}",
+                got=f"shape {values.shape}"
+                if values.shape != (4, 4)
+                else f"NaN or infinity in row {rows[0] + 1}",
                 action="Give rotation and translation in mm, with 0, 0, 0, 1 in the last row.",
             )
         if not is_rotation(values[:3, :3]):

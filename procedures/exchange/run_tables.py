@@ -121,7 +121,11 @@ EVENTS = (
 def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     """Return one row per planned trajectory. Raises REC-001, REC-003."""
     run = reading.run
-    for model in (CheckedPaths, MeasuredTarget, RegisteredRobot):  # a report leaves out what is unreadable: raise instead
+    for model in (
+        CheckedPaths,
+        MeasuredTarget,
+        RegisteredRobot,
+    ):  # a report leaves out what is unreadable: raise instead
         run.made(model)
     plans, registrations = run.standing(CheckedPlan), reading.registrations
     plan = plans[-1].result if plans else None

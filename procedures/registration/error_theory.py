@@ -99,14 +99,15 @@ class FreGate:
             return math.inf
         return self.fre_mm * math.sqrt(self.chi_square_limit / self.chi_square)
 
-    def require(self) -> None:
-        """Raise REG-010 if the residual is too large."""
+    def require(self, action: str | None = None) -> None:
+        """Raise REG-010 if the residual is too large, with this action or the usual one."""
         if not self.passed:
             fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
                 limit=f"{limit} mm at {100.0 * self.confidence:g}%",
                 got=f"{fre} mm",
+                action=action,
             )
 
 

@@ -125,7 +125,10 @@ class Registration:
         """
         self.require_rotation()
         if Caveat.MISFIT in self.caveats:
-            self.gate(confidence=SOUND_CONFIDENCE).require()
+            self.gate(confidence=SOUND_CONFIDENCE).require(
+                "Check that the rows of both sets are in one order and in mm; leave_one_out_mm shows "
+                "a fiducial that moved."
+            )
 
     def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
         """Judge the residual by chi-square against a known FLE in mm or, by default, the stated covariances.
@@ -186,8 +189,9 @@ def register(
     """Register paired points (n, 3) in mm, n >= 3, by a rigid transform physical <- image.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame; with it the fit is
-    weighted, and `caveats` says if it does not explain the residuals. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than three,
-    collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
+    weighted, and `caveats` says if it does not explain the residuals. Raises REG-001 to REG-006 (all also
+    ValueError): shape, NaN or unequal counts, fewer than three, collinear, duplicates nearer than 2 mm, bad
+    covariance, no convergence.
     """
     image, physical = validate_pairs(image_mm, physical_mm)
     covariance = None if covariance_mm2 is None else validate_covariances(covariance_mm2, len(image))

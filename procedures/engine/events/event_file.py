@@ -29,7 +29,9 @@ EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
 LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
 SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, a tracker and a stereo head
-CHANGED_ACTION = "The file was changed, or its disk is damaged: ronna-procedure verify RUN names what differs."
+CHANGED_ACTION = (
+    "The file was changed, or its disk is damaged: ronna-procedure verify RUN names what differs."
+)
 LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
 LOCK_TRIES, LOCK_AGAIN_S = 20, 0.01  # host time between two tries
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands

@@ -15,7 +15,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import Caveat, register
-from procedures.registration.errors import BadParameter, CollinearPoints, DuplicatePoints, ResidualTooLarge, UnsoundRegistration
+from procedures.registration.errors import (
+    BadParameter,
+    CollinearPoints,
+    DuplicatePoints,
+    ResidualTooLarge,
+    UnsoundRegistration,
+)
 from ronna_hw.frames import Frame
 
 EXACT = 1e-12
