@@ -52,7 +52,16 @@ def resume_command(
     accept: AcceptOption = False,
     answers: AnswersOption = None,
     *,
-    _ask: Annotated[bool, typer.Option("--ask", hidden=True, is_eager=True, callback=_refuse_asking)] = False,
+    _ask: Annotated[
+        bool,
+        typer.Option(
+            "--ask",
+            help="Refused: a run has it from its start.",
+            hidden=True,
+            is_eager=True,
+            callback=_refuse_asking,
+        ),
+    ] = False,
     console: ConsoleOptions,
     as_json: JsonOption = False,
 ) -> None:
