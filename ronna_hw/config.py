@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
+from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.kinematics import ArmPart
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -77,7 +79,8 @@ def require_outside_hand(theatre: TheatreFile) -> None:
     """Raise ValueError if a tool or guide axis is inside the arm's hand, a sign of wrong units."""
     if theatre.calibration is None:
         return
-    hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
+    records = theatre.calibration
+    hand_mm = theatre.cell.arm.measured.of(ArmPart.HAND, find_kinematics(records.arm.arm))
     bore = theatre.tools["guide"].bore if "guide" in theatre.tools else None
     for name, near_mm in (
         ("stereo_head", closest_to_flange_mm(records.stereo_head.flange_from_tool)),

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from monitored_motion import drive_monitored
-from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
@@ -21,11 +20,12 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.frames import Frame
 from ronna_hw.preview import preview
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
-ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())
+ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
 
 
 def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
@@ -43,11 +43,14 @@ def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
 SINGULAR = {
     "kr6_r900_sixx": _kr6_singular(35.0),
     "kr6_r900_2": _kr6_singular(25.0),
-    "ur5": {
-        "wrist": radians6(10, -80, -100, 30, 180, 50),
-        "elbow": radians6(10, -80, 0, 30, 70, 50),
-        "shoulder": radians6(10, -90, 0, 90, 70, 50),
-    },
+    **dict.fromkeys(
+        ("ur5", "ur5e"),
+        {
+            "wrist": radians6(10, -80, -100, 30, 180, 50),
+            "elbow": radians6(10, -80, 0, 30, 70, 50),
+            "shoulder": radians6(10, -90, 0, 90, 70, 50),
+        },
+    ),
 }
 CYCLE_S = 0.004
 TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)
@@ -143,9 +146,15 @@ def test_a_pose_out_of_reach_is_refused_in_every_branch(arm: Kinematics) -> None
             arm.solve_branch(far, branch, arm.home_rad)
 
 
-def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches() -> None:
-    arm = Ur5()
-    assert arm.forward((0.0,) * 6).position_mm == pytest.approx((-817.25, -191.45, -5.49), abs=1e-2)
+@pytest.mark.parametrize(
+    ("model", "outstretched_mm"),
+    [("ur5", (-817.25, -191.45, -5.491)), ("ur5e", (-817.2, -232.9, 62.8))],
+)
+def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches(
+    model: str, outstretched_mm: Vector3
+) -> None:
+    arm = universal_robot(model)
+    assert arm.forward((0.0,) * 6).position_mm == pytest.approx(outstretched_mm, abs=1e-9)
     counts = {
         len({branch for branch, _ in arm.solutions(arm.forward(joints))}) for joints in _postures(arm, 200, 4)
     }
