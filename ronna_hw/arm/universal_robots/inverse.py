@@ -11,7 +11,7 @@ the x axis is (cos psi, sin psi) and the wrist 2 axis (sin psi, -cos psi), psi t
 from __future__ import annotations
 
 from itertools import product
-from math import atan2, cos, degrees, hypot, sin, sqrt, tau
+from math import atan2, copysign, cos, degrees, hypot, sin, sqrt, tau
 
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
@@ -23,6 +23,7 @@ AXIS_NAMES = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 SINGULAR_SINE = 1e-7  # of wrist 2: below this, rounding decides how wrist 1 and wrist 3 share a turn
 SINGULAR_AHEAD_MM = 1e-3  # the wrist 3 axis on the base axis, seen along the parallel axes
 STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow coincide
+NEARLY_COSINE = 5e-7  # the same of 1e-3 rad
 
 # Bits of the branch:
 BEHIND = 1  # the wrist is behind the base axis
@@ -45,8 +46,11 @@ def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     )
 
 
-def closed_form(arm: Dimensions, pose: Pose, branch: Branch) -> JointVector:
-    """Return the joint angles of a branch, up to whole turns. Raises ARM-001 or ARM-002."""
+def closed_form(arm: Dimensions, pose: Pose, branch: Branch, slack: float = 0.0) -> JointVector:
+    """Return the joint angles of a branch, up to whole turns. Raises ARM-001 or ARM-002.
+
+    With `slack`, an elbow whose cosine would exceed 1 by no more is nearly stretched instead, for iterations.
+    """
     (px, py, pz), r, d4 = pose.position_mm, pose.rotation, arm.d4_mm
     x, y = px - arm.d6_mm * r[2], py - arm.d6_mm * r[5]
     square = x * x + y * y - d4 * d4
@@ -81,6 +85,8 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch) -> JointVector:
     wrist_up = pz - arm.d1_mm - d6 * r[8] + d5 * cp
     c3 = (wrist_u * wrist_u + wrist_up * wrist_up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
     excess = abs(c3) - 1.0
+    if -STRETCH_COSINE < excess < slack:
+        c3, excess = copysign(1.0 - NEARLY_COSINE, c3), -NEARLY_COSINE
     if excess > STRETCH_COSINE:
         raise Unreachable(
             "wrist 1 is out of reach of the shoulder",

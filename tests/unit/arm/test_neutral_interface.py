@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from calibrated_ur import CALIBRATED_UR
 from monitored_motion import drive_monitored
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
@@ -57,6 +58,9 @@ TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)
 TIP_MM = (0.0, 0.0, 120.0)
 
 each_arm = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+each_chain = pytest.mark.parametrize(
+    "arm", [*ARMS, CALIBRATED_UR], ids=[*(arm.name for arm in ARMS), "calibrated"]
+)
 
 
 def _postures(arm: Kinematics, count: int, seed: int) -> list[JointVector]:
@@ -96,21 +100,21 @@ def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
     assert seen == set(arm.branches)
 
 
-@each_arm
+@each_chain
 def test_solving_one_branch_returns_the_solution_nearest_to_the_reference(arm: Kinematics) -> None:
     for joints in _postures(arm, 300, 2):
         found = arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
         assert _largest_difference(found, joints) < 1e-6
 
 
-@each_arm
+@each_chain
 def test_the_framed_pose_equals_the_plain_one(arm: Kinematics) -> None:
     pose = arm.flange_pose(arm.home_rad)
     assert (pose.target, pose.source) == (Frame.ROBOT, Frame.FLANGE)
     assert pose.translation_mm == pytest.approx(arm.forward(arm.home_rad).position_mm)
 
 
-@each_arm
+@each_chain
 def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematics) -> None:
     step = 1e-6
     for joints in _postures(arm, 20, 3):
@@ -136,7 +140,7 @@ def test_singular_postures_measure_zero_and_have_no_solution(arm: Kinematics) ->
     assert 0.2 < arm.singular_measure(arm.home_rad).least <= 1.0
 
 
-@each_arm
+@each_chain
 def test_a_pose_out_of_reach_is_refused_in_every_branch(arm: Kinematics) -> None:
     far = Pose((3000.0, 0.0, 500.0))
     with pytest.raises(Unreachable):
@@ -161,7 +165,7 @@ def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches(
     assert counts == {2, 4, 6, 8}
 
 
-@each_arm
+@each_chain
 def test_a_joint_move_and_a_line_pass_the_monitor_and_end_at_their_targets(arm: Kinematics) -> None:
     start = arm.home_rad
     limits = working_limits(arm)
@@ -210,7 +214,7 @@ def test_a_preview_detects_a_collision_of_the_tool_with_an_obstacle(arm: Kinemat
     assert 0.3 < met.refused.fraction < 0.7
 
 
-@each_arm
+@each_chain
 def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
     for joints in _postures(arm, 20, 5):
         place, turn = np.array(arm.chain.base_mm), np.eye(3)
@@ -225,7 +229,7 @@ def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
         assert np.allclose(flange, pose.rotation_matrix, atol=1e-10)
 
 
-@each_arm
+@each_chain
 def test_links_are_ordered_from_the_base_outwards(arm: Kinematics) -> None:
     joints = [link.joint for link in arm.links]
     assert all(inner <= outer for inner, outer in pairwise(joints))
