@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 CONVERGED_MM = 5e-10
 CONVERGED_RAD = 1e-12
-STRETCH_SLACK = 0.02  # of the cosine of the elbow, 4 mm of reach: a first guess may lie beyond it
 STEPS_LIMIT = 40  # three digits a step far from singular poses, fewer near them
 
 
@@ -58,7 +57,7 @@ class CalibratedUniversalRobot(UniversalRobot):
         """
         corrected = pose
         for _ in range(STEPS_LIMIT):
-            joints = inverse.closed_form(self.dimensions, corrected, branch, STRETCH_SLACK)
+            joints = inverse.closed_form(self.dimensions, corrected, branch, guess=True)
             reached = self.forward(joints)
             if reached.distance_mm(pose) < CONVERGED_MM and _turned_rad(reached, pose) < CONVERGED_RAD:
                 return joints

@@ -23,7 +23,8 @@ AXIS_NAMES = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 SINGULAR_SINE = 1e-7  # of wrist 2: below this, rounding decides how wrist 1 and wrist 3 share a turn
 SINGULAR_AHEAD_MM = 1e-3  # the wrist 3 axis on the base axis, seen along the parallel axes
 STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow coincide
-NEARLY_COSINE = 5e-7  # the same of 1e-3 rad
+STRETCH_SLACK, NEARLY_COSINE = 0.02, 5e-7  # of a guess: 4 mm of reach, a bend of 1e-3 rad
+AHEAD_SLACK_MM2, NEARLY_AHEAD_MM2 = 800.0, 1.0  # of a guess: 3 mm beside the axis, 1 mm ahead of it
 
 # Bits of the branch:
 BEHIND = 1  # the wrist is behind the base axis
@@ -46,14 +47,16 @@ def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     )
 
 
-def closed_form(arm: Dimensions, pose: Pose, branch: Branch, slack: float = 0.0) -> JointVector:
+def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False) -> JointVector:
     """Return the joint angles of a branch, up to whole turns. Raises ARM-001 or ARM-002.
 
-    With `slack`, an elbow whose cosine would exceed 1 by no more is nearly stretched instead, for iterations.
+    A `guess`, for iterations, may lie a few mm out of reach: elbow or base are taken nearly at their limit.
     """
     (px, py, pz), r, d4 = pose.position_mm, pose.rotation, arm.d4_mm
     x, y = px - arm.d6_mm * r[2], py - arm.d6_mm * r[5]
     square = x * x + y * y - d4 * d4
+    if guess and -AHEAD_SLACK_MM2 < square < NEARLY_AHEAD_MM2:
+        square = NEARLY_AHEAD_MM2
     if abs(square) < SINGULAR_AHEAD_MM * SINGULAR_AHEAD_MM:
         raise Singular("the wrist is beside the base axis", limit=f"{SINGULAR_AHEAD_MM} mm ahead of it")
     if square < 0.0:
@@ -85,7 +88,7 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch, slack: float = 0.0)
     wrist_up = pz - arm.d1_mm - d6 * r[8] + d5 * cp
     c3 = (wrist_u * wrist_u + wrist_up * wrist_up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
     excess = abs(c3) - 1.0
-    if -STRETCH_COSINE < excess < slack:
+    if guess and -STRETCH_COSINE < excess < STRETCH_SLACK:
         c3, excess = copysign(1.0 - NEARLY_COSINE, c3), -NEARLY_COSINE
     if excess > STRETCH_COSINE:
         raise Unreachable(

@@ -100,7 +100,7 @@ def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
     assert seen == set(arm.branches)
 
 
-@each_chain
+@each_arm
 def test_solving_one_branch_returns_the_solution_nearest_to_the_reference(arm: Kinematics) -> None:
     for joints in _postures(arm, 300, 2):
         found = arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
