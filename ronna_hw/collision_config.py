@@ -92,9 +92,7 @@ class ArmThickness(Strict):
     @property
     def measured(self) -> MeasuredRadii:
         """Radii as plain numbers."""
-        return MeasuredRadii(
-            self.column_mm, self.upper_arm_mm, self.forearm_mm, self.wrist_mm, self.hand_mm
-        )
+        return MeasuredRadii(self.column_mm, self.upper_arm_mm, self.forearm_mm, self.wrist_mm, self.hand_mm)
 
 
 class HeadZone(Strict):

@@ -18,9 +18,8 @@ from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 
 GROUP = "ronna_hw.arms"
-BUILT_IN: dict[str, Kinematics] = {
-    arm.name: arm for arm in (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
-}
+_ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
+BUILT_IN = {arm.name: arm for arm in _ARMS}
 
 
 def find_kinematics(name: str) -> Kinematics:

@@ -9,7 +9,7 @@ every screw S along the same axis, a shift and a turn: Rz(q) = S Rz(q) S^-1. Wit
 
     Rz(q1) C1 Rz(q2) C2 .. Rz(q6) C6  =  Rz(q1) K1 Rz(q2) K2 .. Rz(q6) K6,   K_i = S_i^-1 C_i S_(i+1),
 
-where C_i = Rz(theta) Tz(d) Tx(a) Rx(alpha) is constant, and S_1 and S_7, at base and flange, are the identity.
+where C_i = Rz(theta) Tz(d) Tx(a) Rx(alpha) is constant, and S_1 and S_7, at base and flange, are identities.
 The screws are free. From the base outwards, each is the one that brings the next frame closest to the nominal
 one: its shift is the distance along the axis to the point nearest the nominal origin, its turn aligns x. What
 an arm's axes really deviate by remains in K, fractions of a millimetre and of a degree, and joint angles are
@@ -52,7 +52,7 @@ class FactoryCalibration:
         d_mm: JointVector,
         alpha_rad: JointVector,
     ) -> FactoryCalibration:
-        """Build from the sums of nominal value and difference, as the controller's primary interface sends."""
+        """Build from the sums of nominal value and difference, as the primary interface sends them."""
         nominal_a = (link.position_mm[0] for link in arm.links)
         nominal_d = (link.position_mm[2] for link in arm.links)
         return cls(

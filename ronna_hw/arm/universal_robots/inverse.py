@@ -1,8 +1,8 @@
 """Closed-form inverse kinematics of an arm with three parallel axes and an offset wrist.
 
-The base joint follows from the distance of the wrist 2 axis from the plane of the arm (two sides), wrist 2 and
-wrist 3 from the direction of that plane's normal in the flange (two flips), and the three parallel joints are
-a planar chain of two links with a given end direction (two bends of the elbow).
+The base joint follows from the distance of the wrist 2 axis from the plane of the arm (two sides), wrist 2
+and wrist 3 from the direction of that plane's normal in the flange (two flips), and the three parallel joints
+are a planar chain of two links with a given end direction (two bends of the elbow).
 
 In the plane, u points ahead, up along z, and n = u x up is the direction of the parallel axes. After wrist 1
 the x axis is (cos psi, sin psi) and the wrist 2 axis (sin psi, -cos psi), psi the sum of the three.
@@ -30,7 +30,10 @@ AHEAD_SLACK_MM2, NEARLY_AHEAD_MM2 = 800.0, 1.0  # of a guess: 3 mm beside the ax
 BEHIND = 1  # the wrist is behind the base axis
 BENT_BACK = 2  # sine of the elbow negative
 TURNED = 4  # sine of wrist 2 negative
-BRANCHES = tuple(Branch(BEHIND * a + BENT_BACK * b + TURNED * c) for a, b, c in product((0, 1), (1, 0), (0, 1)))
+BRANCHES = tuple(
+    Branch(BEHIND * behind + BENT_BACK * bent_back + TURNED * turned)
+    for behind, bent_back, turned in product((0, 1), (1, 0), (0, 1))
+)
 
 
 def ahead_mm(arm: Dimensions, joints_rad: JointVector) -> float:
@@ -112,9 +115,7 @@ def solutions(arm: Dimensions, angles: list[Solution]) -> tuple[Solution, ...]:
         for q, low, high in zip(joints, arm.lower_rad, arm.upper_rad, strict=True):
             q -= tau * round(q / tau)
             turns = (q, q - tau, q + tau)
-            choices.append(
-                [one for one in turns if low - RANGE_SLACK_RAD <= one <= high + RANGE_SLACK_RAD]
-            )
+            choices.append([one for one in turns if low - RANGE_SLACK_RAD <= one <= high + RANGE_SLACK_RAD])
         found += [Solution(branch, (a, b, c, d, e, f)) for a, b, c, d, e, f in product(*choices)]
     if not found:
         raise OutOfJointRange("the pose is within reach, but every branch is outside the joint ranges")

@@ -45,7 +45,10 @@ ORIGIN: Vector3 = (0.0, 0.0, 0.0)
 
 
 class UniversalRobot:
-    """Nominal kinematics of one model. Branches: sides of the base axis, bends of the elbow, flips of the wrist."""
+    """Nominal kinematics of one model.
+
+    Branches combine the side of the base axis, the bend of the elbow and the flip of the wrist.
+    """
 
     axis_names = inverse.AXIS_NAMES
     home_rad = HOME_RAD
@@ -133,8 +136,8 @@ class UniversalRobot:
     def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
         """Return the distances from singularity.
 
-        `wrist` and `elbow` are |sin| of wrist 2 and elbow. `shoulder` is the distance of the wrist 3 axis from
-        the base axis in the plane of the arm as a share of the reach.
+        `wrist` and `elbow` are |sin| of wrist 2 and elbow. `shoulder` is the distance of the wrist 3 axis
+        from the base axis in the plane of the arm as a share of the reach.
         """
         shoulder = abs(inverse.ahead_mm(self.dimensions, joints_rad)) / self.dimensions.reach_mm
         return SingularMeasure(abs(sin(joints_rad[4])), abs(sin(joints_rad[2])), shoulder)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from arm_looks import ENDPOINTS
-from recording_cell import RecordingCell
 from packaged_arm import PackagedArm
+from recording_cell import RecordingCell
 
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.arm import catalogue
@@ -23,6 +23,7 @@ from sim.world.process import load_scene
 
 KNOWN = "kr6_r900_2, kr6_r900_sixx, ur5, ur5e"
 FOREIGN = PackagedArm().name
+UNKNOWN = f"there is no arm named '{FOREIGN}'; expected one of {KNOWN}"
 
 
 @pytest.fixture
@@ -51,13 +52,13 @@ def with_record_of(arm: str) -> dict[str, Any]:
 
 
 def test_a_theatre_file_with_the_record_of_an_unknown_arm_is_refused_with_the_known_names() -> None:
-    with pytest.raises(BadTheatreFile, match=rf"arm: there is no arm named '{FOREIGN}'; expected one of {KNOWN}"):
+    with pytest.raises(BadTheatreFile, match=f"arm: {UNKNOWN}"):
         parse_theatre(with_record_of(FOREIGN))
 
 
 def test_a_driver_of_an_unknown_arm_is_refused_before_anything_is_connected(tmp_path: Path) -> None:
     cell = RecordingCell(tmp_path)
     cell.arm.kinematics = PackagedArm()
-    with pytest.raises(UnknownArm, match=rf"ARM-009: there is no arm named '{FOREIGN}'; expected one of {KNOWN}"):
+    with pytest.raises(UnknownArm, match=f"ARM-009: {UNKNOWN}"):
         cell.make_workcell()
     assert cell.arm.state == "disconnected"

@@ -14,7 +14,7 @@ from monitored_motion import drive_monitored
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
-from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
@@ -41,17 +41,16 @@ def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
     }
 
 
+UR_SINGULAR = {
+    "wrist": radians6(10, -80, -100, 30, 180, 50),
+    "elbow": radians6(10, -80, 0, 30, 70, 50),
+    "shoulder": radians6(10, -90, 0, 90, 70, 50),
+}
 SINGULAR = {
     "kr6_r900_sixx": _kr6_singular(35.0),
     "kr6_r900_2": _kr6_singular(25.0),
-    **dict.fromkeys(
-        ("ur5", "ur5e"),
-        {
-            "wrist": radians6(10, -80, -100, 30, 180, 50),
-            "elbow": radians6(10, -80, 0, 30, 70, 50),
-            "shoulder": radians6(10, -90, 0, 90, 70, 50),
-        },
-    ),
+    "ur5": UR_SINGULAR,
+    "ur5e": UR_SINGULAR,
 }
 CYCLE_S = 0.004
 TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)
@@ -81,7 +80,7 @@ def _largest_difference(a: JointVector, b: JointVector) -> float:
 def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
     arm: Kinematics, postures: int
 ) -> None:
-    seen = set()
+    seen: set[Branch] = set()
     for joints in _postures(arm, postures, 1):
         pose = arm.forward(joints)
         found = arm.solutions(pose)

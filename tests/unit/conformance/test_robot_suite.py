@@ -183,7 +183,10 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     "lines between any frames": ("R20", {"drive": anywhere}),
     "moves the flange on the line": ("R21", {"drive": other_motion(without_tool)}),
     "goes on after the block": ("R26", {"deactivate": lets_it_go_on}),
-    "the same limits in every mode": ("R27", {"limits": lambda self, mode=None: working_limits(universal_robot("ur5"))}),
+    "the same limits in every mode": (
+        "R27",
+        {"limits": lambda self, mode=None: working_limits(universal_robot("ur5"))},
+    ),
     "previews beyond its limits": ("R28", {"preview": beyond_the_margin}),
 }
 

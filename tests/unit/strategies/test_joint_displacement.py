@@ -25,8 +25,9 @@ from ronna_hw.calibrated_arm.error_budget import ErrorSizes, displacements
 from ronna_hw.frames import Frame, Transform
 
 JDMS = JointDisplacementMinimization()
+UR5 = universal_robot("ur5")
 OFFSET_WRIST = ArmInBranch(
-    universal_robot("ur5"), ARM.flange_from_guide, ARM.flange_from_stereo, universal_robot("ur5").branch_of(universal_robot("ur5").home_rad), universal_robot("ur5").home_rad
+    UR5, ARM.flange_from_guide, ARM.flange_from_stereo, UR5.branch_of(UR5.home_rad), UR5.home_rad
 )
 
 

@@ -118,7 +118,9 @@ def test_the_capsules_of_a_head_enclose_its_ellipsoid_tightly(axes: Vector3) -> 
     assert overshoot <= 0.4 * (max(axes) - min(axes)) + 1e-9
 
 
-@pytest.mark.parametrize("arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__)
+@pytest.mark.parametrize(
+    "arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__
+)
 def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
     rng = random.Random(5)
     bodies = Bodies(arm, AROUND)
@@ -136,7 +138,9 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
-@pytest.mark.parametrize("arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__)
+@pytest.mark.parametrize(
+    "arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__
+)
 def test_no_body_moves_farther_than_the_joint_levers_allow(arm: Kinematics) -> None:
     rng = random.Random(6)
     bodies = Bodies(arm, AROUND)
