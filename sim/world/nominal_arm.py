@@ -44,11 +44,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Machine data of an arm, with its controller name `variant` and $ROBTRAFO[] content `model`."""
+    """Machine data of an arm, with its controller name `variant` and the `model` its controller states.
 
-    variant: Variant
+    `flange_turn_rad` is the rotation vector of the flange in the frame of the last joint; `upper_arm_mm` and
+    `forearm_mm` are the lengths by which gravity bends shoulder and elbow.
+    """
+
+    variant: str
     model: str
     joints: tuple[Joint, ...]
+    flange_turn_rad: tuple[float, float, float]
+    upper_arm_mm: float
+    forearm_mm: float
 
     @property
     def stretched_A3_deg(self) -> float:
@@ -58,7 +65,7 @@ class RobotDescription:
 
 def description(variant: Variant) -> RobotDescription:
     """Return the machine data of a variant."""
-    return _DESCRIPTIONS[variant]
+    return DESCRIPTIONS[variant]
 
 
 # Planner accelerations in rad/s2, published for the sixx; the -2 has none, so it uses the same.
@@ -80,11 +87,22 @@ def _build_joints(
     )
 
 
-_DESCRIPTIONS: dict[Variant, RobotDescription] = {
-    "kr6_r900_sixx": RobotDescription(
+def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotDescription:
+    return RobotDescription(
+        variant,
+        model,
+        joints,
+        flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
+        upper_arm_mm=joints[2].origin_mm[0],
+        forearm_mm=joints[4].origin_mm[0],
+    )
+
+
+DESCRIPTIONS: dict[Variant, RobotDescription] = {
+    "kr6_r900_sixx": _describe(
         "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _build_joints(35.0, 80.0, (381.0, 388.0, 615.0))
     ),
-    "kr6_r900_2": RobotDescription(
+    "kr6_r900_2": _describe(
         "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _build_joints(25.0, 90.0, (450.0, 450.0, 540.0))
     ),
 }

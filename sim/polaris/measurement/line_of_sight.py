@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.world.nominal_arm import description
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.rigid import Matrix, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState
@@ -166,7 +166,7 @@ class ArmBody:
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
-        joints = description(scene.arm.variant).joints[: WRIST + 1]
+        joints = DESCRIPTIONS[scene.arm.variant].joints[: WRIST + 1]
         self._origins_mm = [np.array(joint.origin_mm, dtype=float) for joint in joints]
         terms = [_rodrigues_terms(joint.axis) for joint in joints]
         self._once, self._twice = np.array([one for one, _ in terms]), np.array([two for _, two in terms])

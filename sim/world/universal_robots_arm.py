@@ -1,0 +1,66 @@
+"""Nominal UR5 and UR5e: machine data as the vendor's robot descriptions give them.
+
+Each joint turns about z of its own frame, which a displacement and three fixed angles place in the previous
+one. Written independently of the kinematics that the drivers use.
+"""
+
+from __future__ import annotations
+
+from math import degrees, pi
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.world.nominal_arm import Joint, RobotDescription
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+RANGE_DEG = 360.0
+ELBOW_RANGE_DEG = 180.0  # as planners of the field limit it (U)
+FULL_SPEED_DEG_S = 180.0
+ACCELERATION_DEG_S2 = degrees(40.0)  # the largest that a program may ask for: what the drives can do (U)
+
+# Place of each joint in the previous one's frame: x y z (m), roll pitch yaw (rad).
+Place = tuple[tuple[float, float, float], tuple[float, float, float]]
+UR5: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.089159), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.425, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.39225, 0.0, 0.10915), (0.0, 0.0, 0.0)),
+    ((0.0, -0.09465, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.0823, 0.0), (pi / 2, pi, pi)),
+)
+UR5E: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.1625), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.425, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.3922, 0.0, 0.1333), (0.0, 0.0, 0.0)),
+    ((0.0, -0.0997, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.0996, 0.0), (pi / 2, pi, pi)),
+)
+
+
+def _describe(variant: str, model: str, places: tuple[Place, ...]) -> RobotDescription:
+    """Express the joints in frames that are parallel to the base with all joints at zero."""
+    turned, joints = Rotation.identity(), []
+    for name, (xyz_m, rpy_rad) in zip(NAMES, places, strict=True):
+        x, y, z = (1000.0 * turned.apply(np.array(xyz_m))).tolist()
+        turned = turned * Rotation.from_euler("xyz", rpy_rad)
+        axis_x, axis_y, axis_z = turned.apply((0.0, 0.0, 1.0)).tolist()
+        end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
+        joints.append(
+            Joint(
+                name, (x, y, z), (axis_x, axis_y, axis_z), -end, end, FULL_SPEED_DEG_S, ACCELERATION_DEG_S2
+            )
+        )
+    to_flange_x, to_flange_y, to_flange_z = turned.as_rotvec().tolist()
+    return RobotDescription(
+        variant,
+        model,
+        tuple(joints),
+        flange_turn_rad=(to_flange_x, to_flange_y, to_flange_z),
+        upper_arm_mm=-1000.0 * places[2][0][0],
+        forearm_mm=-1000.0 * places[3][0][0],
+    )
+
+
+DESCRIPTIONS = {"ur5": _describe("ur5", "UR5", UR5), "ur5e": _describe("ur5e", "UR5e", UR5E)}
