@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, radians, sin
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
-from sim.world.noise import noise
 from sim.world.descriptions import DESCRIPTIONS
+from sim.world.noise import noise
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import ArmResidual, ArmTruth, Mount, Scene
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from sim.world.rigid import rotation_from_vector
 
 Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
 AXES = 6
+ORIGIN = (0.0, 0.0, 0.0)
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
 
 Matrix = NDArray[np.float64]
@@ -42,12 +43,21 @@ class Joint:
     acceleration_deg_s2: float
 
 
+class Corner(NamedTuple):
+    """Corner of the arm's body in the frame of a joint; the tube from it to the next one has a radius."""
+
+    joint: int
+    offset_mm: tuple[float, float, float]
+    radius_mm: float
+
+
 @dataclass(frozen=True)
 class RobotDescription:
     """Machine data of an arm, with its controller name `variant` and the `model` its controller states.
 
     `flange_turn_rad` is the rotation vector of the flange in the frame of the last joint; `upper_arm_mm` and
-    `forearm_mm` are the lengths by which gravity bends shoulder and elbow.
+    `forearm_mm` are the lengths by which gravity bends shoulder and elbow. The last of `corners`, which make
+    the body that hides things from a tracker, is connected to the flange.
     """
 
     variant: str
@@ -56,6 +66,7 @@ class RobotDescription:
     flange_turn_rad: tuple[float, float, float]
     upper_arm_mm: float
     forearm_mm: float
+    corners: tuple[Corner, ...]
 
     @property
     def stretched_A3_deg(self) -> float:
@@ -95,6 +106,7 @@ def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotD
         flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
         upper_arm_mm=joints[2].origin_mm[0],
         forearm_mm=joints[4].origin_mm[0],
+        corners=(Corner(1, ORIGIN, 90.0), Corner(2, ORIGIN, 55.0), Corner(4, ORIGIN, 45.0)),
     )
 
 

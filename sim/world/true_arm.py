@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from sim.world.noise import noise
 from sim.world.descriptions import DESCRIPTIONS
+from sim.world.noise import noise
 from sim.world.nominal_arm import AXES, RobotDescription
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
@@ -88,9 +88,9 @@ class TrueArm:
                 encoders_rad, flanks, self._joints, strict=True
             )
         ]
-        # Weight turns both axes of the stretched arm in their positive direction, whether they point to the
-        # left of it (KUKA) or it extends backwards from them (Universal Robots). The moment about an axis
-        # grows with the horizontal distance of its load: full when stretched out, zero upright, then reversed.
+        # Weight turns both axes of the stretched arm in their positive direction: KUKA's point to its left,
+        # those of Universal Robots to its right, but there it extends along -x. The moment about an axis grows
+        # with the horizontal distance of its load: full when stretched out, zero upright, then reversed.
         fore = cos(encoders_rad[1] + encoders_rad[2])
         upper = cos(encoders_rad[1])
         stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)

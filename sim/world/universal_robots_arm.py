@@ -11,13 +11,15 @@ from math import degrees, pi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim.world.nominal_arm import Joint, RobotDescription
+from sim.world.nominal_arm import ORIGIN, Corner, Joint, RobotDescription
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 RANGE_DEG = 360.0
 ELBOW_RANGE_DEG = 180.0  # as planners of the field limit it (U)
 FULL_SPEED_DEG_S = 180.0
 ACCELERATION_DEG_S2 = degrees(40.0)  # the largest that a program may ask for: what the drives can do (U)
+
+TUBE_RADIUS_MM, WRIST_RADIUS_MM = 55.0, 40.0  # tubes of upper arm and forearm with their joints (U)
 
 # Place of each joint in the previous one's frame: x y z (m), roll pitch yaw (rad).
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -39,7 +41,9 @@ UR5E: tuple[Place, ...] = (
 )
 
 
-def _describe(variant: str, model: str, places: tuple[Place, ...]) -> RobotDescription:
+def _describe(
+    variant: str, model: str, places: tuple[Place, ...], upper_arm_aside_mm: float, forearm_aside_mm: float
+) -> RobotDescription:
     """Express the joints in frames that are parallel to the base with all joints at zero."""
     turned, joints = Rotation.identity(), []
     for name, (xyz_m, rpy_rad) in zip(NAMES, places, strict=True):
@@ -48,9 +52,7 @@ def _describe(variant: str, model: str, places: tuple[Place, ...]) -> RobotDescr
         axis_x, axis_y, axis_z = turned.apply((0.0, 0.0, 1.0)).tolist()
         end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
         joints.append(
-            Joint(
-                name, (x, y, z), (axis_x, axis_y, axis_z), -end, end, FULL_SPEED_DEG_S, ACCELERATION_DEG_S2
-            )
+            Joint(name, (x, y, z), (axis_x, axis_y, axis_z), -end, end, FULL_SPEED_DEG_S, ACCELERATION_DEG_S2)
         )
     to_flange_x, to_flange_y, to_flange_z = turned.as_rotvec().tolist()
     return RobotDescription(
@@ -60,7 +62,18 @@ def _describe(variant: str, model: str, places: tuple[Place, ...]) -> RobotDescr
         flange_turn_rad=(to_flange_x, to_flange_y, to_flange_z),
         upper_arm_mm=-1000.0 * places[2][0][0],
         forearm_mm=-1000.0 * places[3][0][0],
+        corners=(
+            Corner(1, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(2, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(2, (0.0, -forearm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(3, (0.0, -forearm_aside_mm, 0.0), WRIST_RADIUS_MM),
+            Corner(4, ORIGIN, WRIST_RADIUS_MM),
+            Corner(5, ORIGIN, WRIST_RADIUS_MM),
+        ),
     )
 
 
-DESCRIPTIONS = {"ur5": _describe("ur5", "UR5", UR5), "ur5e": _describe("ur5e", "UR5e", UR5E)}
+DESCRIPTIONS = {
+    "ur5": _describe("ur5", "UR5", UR5, 135.85, 16.5),
+    "ur5e": _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
+}

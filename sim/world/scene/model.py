@@ -199,7 +199,9 @@ class ArmTruth(Strict):
     harmonic_1_phase_rad: Numbers6 = Field(description="First harmonic of the encoder error: phase.")
     harmonic_2_rad: Numbers6 = Field(description="Second harmonic of the encoder error: amplitude.")
     harmonic_2_phase_rad: Numbers6 = Field(description="Second harmonic of the encoder error: phase.")
-    sag_rad: tuple[float, float] = Field(description="Sag of the second and third joint, arm stretched out horizontally.")
+    sag_rad: tuple[float, float] = Field(
+        description="Sag of the second and third joint, arm stretched out horizontally."
+    )
     backlash_rad: Numbers6 = Field(description="Backlash, half of it to either side.")
     repeatability_mm: NotNegative = Field(
         description="Repeatability per axis at the tool, one standard deviation."

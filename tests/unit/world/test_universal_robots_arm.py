@@ -9,10 +9,13 @@ import pytest
 
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.vectors import joint_vector
+from sim.polaris.measurement.line_of_sight import ArmBody
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import JointChain, TrueArm
+from sim.world.world import ArmState
 
 NO_ERROR = (0.0,) * 6
 
@@ -51,3 +54,16 @@ def test_an_upright_arm_does_not_sag(model: UrModel) -> None:
     assert cos(joints[1]) == pytest.approx(0.0)
     nominal = JointChain(DESCRIPTIONS[model]).flange(joints).copy()
     assert TrueArm(sagging(model), seed=1).moving(joints, NO_ERROR) == pytest.approx(nominal, abs=1e-9)
+
+
+@pytest.mark.parametrize("model", UrModel)
+def test_the_body_that_hides_things_is_where_the_driver_keeps_clear_of_things(model: UrModel) -> None:
+    scene = draw_scene("mini", seed=3)
+    scene = scene.model_copy(update={"arm": scene.arm.model_copy(update={"variant": model.value})})
+    joints = (0.4, -1.2, -1.4, 0.3, 0.9, -0.6)
+    segments, flange = universal_robot(model).link_segments(joints)
+    pose = np.vstack([np.c_[np.reshape(flange.rotation, (3, 3)), flange.position_mm], [0.0, 0.0, 0.0, 1.0]])
+    capsules = ArmBody(scene).capsules(ArmState(joints, pose, 0, True), 0, np.eye(4))
+    moving = segments[1:]  # the shoulder turns in its place
+    assert capsules.starts_mm == pytest.approx(np.array([start for start, _ in moving]), abs=1e-6)
+    assert capsules.ends_mm == pytest.approx(np.array([end for _, end in moving]), abs=1e-6)
