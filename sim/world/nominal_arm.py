@@ -55,7 +55,7 @@ class Corner(NamedTuple):
 class RobotDescription:
     """Machine data of an arm, with its controller name `variant` and the `model` its controller states.
 
-    `flange_turn_rad` is the rotation vector of the flange in the frame of the last joint; `upper_arm_mm` and
+    `flange_mm` and `flange_turn_rad` place the flange in the frame of the last joint; `upper_arm_mm` and
     `forearm_mm` are the lengths by which gravity bends shoulder and elbow. The last of `corners`, which make
     the body that hides things from a tracker, is connected to the flange.
     """
@@ -63,7 +63,8 @@ class RobotDescription:
     variant: str
     model: str
     joints: tuple[Joint, ...]
-    flange_turn_rad: tuple[float, float, float]
+    flange_mm: tuple[float, float, float]
+    flange_turn_rad: tuple[float, float, float]  # rotation vector
     upper_arm_mm: float
     forearm_mm: float
     corners: tuple[Corner, ...]
@@ -103,6 +104,7 @@ def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotD
         variant,
         model,
         joints,
+        flange_mm=ORIGIN,
         flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
         upper_arm_mm=joints[2].origin_mm[0],
         forearm_mm=joints[4].origin_mm[0],

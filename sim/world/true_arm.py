@@ -89,8 +89,8 @@ class TrueArm:
             )
         ]
         # Weight turns both axes of the stretched arm in their positive direction: KUKA's point to its left,
-        # those of Universal Robots to its right, but there it extends along -x. The moment about an axis grows
-        # with the horizontal distance of its load: full when stretched out, zero upright, then reversed.
+        # those of Universal Robots to its right, but there it extends along -x. The moment about an axis
+        # grows with the horizontal distance of its load: full stretched out, zero upright, then reversed.
         fore = cos(encoders_rad[1] + encoders_rad[2])
         upper = cos(encoders_rad[1])
         stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)
@@ -152,7 +152,7 @@ def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> 
             place = place * _placement_error(links[number - 1])
         axis = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
         parent = model.addJoint(parent, axis, place, joint.name)
-    end = pin.SE3(rotation_from_vector(arm.flange_turn_rad), np.zeros(3))
+    end = pin.SE3(rotation_from_vector(arm.flange_turn_rad), np.array(arm.flange_mm))
     if links is not None:
         end = end * _placement_error(links[AXES - 1])
     return model, model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))

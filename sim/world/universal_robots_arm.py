@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim.world.nominal_arm import ORIGIN, Corner, Joint, RobotDescription
+from sim.world.rigid import as_point
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 RANGE_DEG = 360.0
@@ -44,22 +45,35 @@ UR5E: tuple[Place, ...] = (
 def _describe(
     variant: str, model: str, places: tuple[Place, ...], upper_arm_aside_mm: float, forearm_aside_mm: float
 ) -> RobotDescription:
-    """Express the joints in frames that are parallel to the base with all joints at zero."""
-    turned, joints = Rotation.identity(), []
+    """Express the joints in frames that are parallel to the base with all joints at zero.
+
+    Where on its axis a joint lies is free. The errors of a true arm are those of its tubes, so the wrist's
+    joints are drawn back along their axes to where the tube before meets them, and the flange follows.
+    """
+    turned, joints, ahead_mm = Rotation.identity(), [], np.zeros(3)
     for name, (xyz_m, rpy_rad) in zip(NAMES, places, strict=True):
-        x, y, z = (1000.0 * turned.apply(np.array(xyz_m))).tolist()
+        step_mm = ahead_mm + 1000.0 * turned.apply(np.array(xyz_m))
         turned = turned * Rotation.from_euler("xyz", rpy_rad)
-        axis_x, axis_y, axis_z = turned.apply((0.0, 0.0, 1.0)).tolist()
+        axis = turned.apply((0.0, 0.0, 1.0))
+        ahead_mm = (step_mm @ axis) * axis if name.startswith("wrist") else np.zeros(3)
         end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
         joints.append(
-            Joint(name, (x, y, z), (axis_x, axis_y, axis_z), -end, end, FULL_SPEED_DEG_S, ACCELERATION_DEG_S2)
+            Joint(
+                name,
+                as_point(step_mm - ahead_mm),
+                as_point(axis),
+                -end,
+                end,
+                FULL_SPEED_DEG_S,
+                ACCELERATION_DEG_S2,
+            )
         )
-    to_flange_x, to_flange_y, to_flange_z = turned.as_rotvec().tolist()
     return RobotDescription(
         variant,
         model,
         tuple(joints),
-        flange_turn_rad=(to_flange_x, to_flange_y, to_flange_z),
+        flange_mm=as_point(ahead_mm),
+        flange_turn_rad=as_point(turned.as_rotvec()),
         upper_arm_mm=-1000.0 * places[2][0][0],
         forearm_mm=-1000.0 * places[3][0][0],
         corners=(
