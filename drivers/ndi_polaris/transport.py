@@ -23,7 +23,7 @@ WRITE_LIMIT_S = 1.0  # a line that does not accept data for this long is dead
 BREAK_MS = 500  # as long as other clients use
 READ_BYTES = 65536
 CLOSED = -1  # no file has this descriptor
-_LISTED = "`ronna-procedure doctor` lists the ports of this computer."
+_LISTED = "`ronna-procedure doctor --all` lists the ports of this computer."
 _AT_THE_ADDRESS = "check address and port, and that the unit is on and in the same network."
 _ADVICE = {
     errno.ENOENT: f"Check the name of the port; {_LISTED}",

@@ -124,6 +124,8 @@ def _verdict(
     actual = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
     configured = _configured(side, device, head)
+    if given_twice := _given_twice(replied, device, recorded):
+        return given_twice
     others = {serial: at for at, serial in replied.items() if serial is not None and at != endpoint}
     found = ", ".join(dict.fromkeys([*filter(None, [actual]), *others])) or "none"
     not_found = f"was not found (serial numbers found: {found})"
@@ -150,6 +152,28 @@ def _verdict(
     return (
         f"The {side} camera was exchanged: {actual} replied, the calibration record is of {recorded[side]}, "
         f"which {location}. Mount {recorded[side]} again, or calibrate the head with {actual}{serial_advice}."
+    )
+
+
+def _given_twice(replied: Mapping[str, str | None], device: DeviceConfig, recorded: Mapping[str, str]) -> str:
+    """Describe an endpoint or serial number that the theatre file gives to both cameras, or return ""."""
+    left, right = SIDES
+    endpoint = camera_endpoint(device, left)
+    if endpoint == camera_endpoint(device, right):
+        side = right if replied[endpoint] == recorded[left] else left
+        place = next((at for at, serial in replied.items() if serial == recorded[side]), None)
+        place_text = "the address of" if place is None else f'"{place}",'
+        return (
+            f"{STEREO}.endpoints.left and right are both {endpoint}: two cameras need two addresses. Set "
+            f"{STEREO}.endpoints.{side} to {place_text} camera {recorded[side]}."
+        )
+    serial = device.options.get(f"{left}_serial")
+    if serial is None or serial != device.options.get(f"{right}_serial"):
+        return ""
+    remedy = " and ".join(f'{side}_serial = "{recorded[side]}"' for side in SIDES if recorded[side] != serial)
+    return (
+        f'left_serial and right_serial are both "{serial}": two cameras have two serial numbers. '
+        f"Set {remedy}, as in the calibration record."
     )
 
 

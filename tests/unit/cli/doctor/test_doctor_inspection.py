@@ -149,6 +149,29 @@ def test_a_camera_that_replied_elsewhere_is_told_once_with_the_endpoint_to_corre
     assert (camera.explained, refused.explained) == (False, True)
 
 
+def test_a_serial_number_given_to_both_cameras_is_named_and_not_called_swapped() -> None:
+    right = Diagnostic(f"camera {RIGHT}", False, "4412", DRIVERS, serials={RIGHT: "4412"})
+    left = Diagnostic(f"camera {LEFT}", True, "4411", serials={LEFT: "4411"})
+    file = cameras("4411")
+    file = file.model_copy(update={"options": {"left_serial": "4411", "right_serial": "4411"}})
+    _, camera = advise_on_serials((left, right), file, HEAD)
+    assert camera.advice == (
+        'left_serial and right_serial are both "4411": two cameras have two serial numbers. '
+        'Set right_serial = "4412", as in the calibration record.'
+    )
+
+
+def test_an_address_given_to_both_cameras_is_named_and_not_called_swapped() -> None:
+    network = Diagnostic("cameras on eth0", True, "", serials={LEFT: "4411", RIGHT: "4412"})
+    both = Diagnostic(f"camera {LEFT}", False, "4411", DRIVERS, serials={LEFT: "4411"})
+    file = cameras("4411").model_copy(update={"endpoints": {"left": LEFT, "right": LEFT}})
+    _, camera = advise_on_serials((network, both), file, HEAD)
+    assert camera.advice == (
+        f"stereo.endpoints.left and right are both {LEFT}: two cameras need two addresses. "
+        f'Set stereo.endpoints.right to "{RIGHT}", camera 4412.'
+    )
+
+
 def test_with_another_cell_on_the_network_no_endpoint_is_called_wrong() -> None:
     replied = {ELSEWHERE: "4411", "gev://127.0.0.8": "4412", RIGHT: "4412"}
     network = Diagnostic("cameras on eth0", True, "", serials=replied)
