@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.errors import BadScene
 from sim.world.rigid import rotation_from_vector
 
 Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
@@ -75,8 +76,10 @@ class RobotDescription:
         return degrees(atan2(self.joints[3].origin_mm[2], self.joints[4].origin_mm[0]))
 
 
-def description(variant: Variant) -> RobotDescription:
-    """Return the machine data of a variant."""
+def description(variant: str) -> RobotDescription:
+    """Return the machine data of a variant. Raises BadScene for an arm that KUKA does not make."""
+    if variant not in DESCRIPTIONS:
+        raise BadScene(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
     return DESCRIPTIONS[variant]
 
 
@@ -112,7 +115,7 @@ def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotD
     )
 
 
-DESCRIPTIONS: dict[Variant, RobotDescription] = {
+DESCRIPTIONS: dict[str, RobotDescription] = {
     "kr6_r900_sixx": _describe(
         "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _build_joints(35.0, 80.0, (381.0, 388.0, 615.0))
     ),

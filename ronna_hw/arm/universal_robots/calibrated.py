@@ -3,7 +3,7 @@
 Forward kinematics multiply out the individual chain. The inverse has no closed form, as wrist and parallel
 axes are not quite what it assumes. It iterates that of the nearest arm with axes exactly parallel and square:
 the pose asked for is corrected by what that arm and this one differ at the joints found so far. The error
-shrinks by the angles between the axes with every step, about a thousandfold, and the branch is kept.
+shrinks a hundredfold or more with every step, less near singular postures, and the branch is kept.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 CONVERGED_MM = 5e-10
 CONVERGED_RAD = 1e-12
-STEPS_LIMIT = 40  # three digits a step far from singular poses, fewer near them
+STEPS_LIMIT = 40  # two digits a step, or fewer near singular postures
 
 
 class CalibratedUniversalRobot(UniversalRobot):
