@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.errors import DataError
 
 Array = NDArray[np.float64]
@@ -67,6 +68,15 @@ def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     return RigidTransform(matrix, normalize=False, copy=False)
 
 
+def _as_floats(given: ArrayLike, what: str) -> Array:
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise WrongArgument(
+            f"{what}: no array of numbers", expected="numbers in mm", got=show(given)
+        ) from error
+
+
 def is_rotation(matrix: Array) -> bool:
     """Return whether a finite matrix (3, 3) is a proper rotation up to rounding."""
     residual = matrix @ matrix.T - np.eye(3)
@@ -107,7 +117,7 @@ class Transform:
     ) -> Self:
         """Build from a translation (3, mm) and a scalar-first quaternion (4), which is normalised.
 
-        Raises FRM-001, FRM-002.
+        Raises ARG-001, FRM-001, FRM-002.
         """
         try:
             rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
@@ -118,16 +128,31 @@ class Transform:
                 got=f"{quaternion_wxyz!r}",
                 action="Give a quaternion whose scalar part comes first.",
             ) from error
-        return cls(target, source, build_rigid(np.asarray(translation_mm, dtype=float), rotation))
+        translation = _as_floats(translation_mm, "the translation")
+        if translation.size != 3:
+            raise FrameMismatch(f"the translation has shape {translation.shape}", expected="(3,), mm")
+        return cls(target, source, build_rigid(translation, rotation))
 
     @classmethod
     def from_matrix(cls, target: Frame, source: Frame, matrix: ArrayLike) -> Self:
         """Build from a (4, 4) homogeneous matrix in mm; the rotation block must be a proper rotation."""
-        values = np.asarray(matrix, dtype=float)
+        values = _as_floats(matrix, "the matrix")
         if values.shape != (4, 4) or not np.all(np.isfinite(values)):
-            raise FrameMismatch(f"a transform {target} <- {source} needs a finite 4x4 matrix")
+            rows = np.flatnonzero(~np.isfinite(values).all(axis=-1)).tolist() if values.ndim == 2 else []
+            raise FrameMismatch(
+                f"a transform {target} <- {source} needs a finite 4x4 matrix",
+                got=f"shape {values.shape}"
+                if values.shape != (4, 4)
+                else f"NaN or infinity in row {rows[0] + 1}",
+                action="Give rotation and translation in mm, with 0, 0, 0, 1 in the last row.",
+            )
         if not is_rotation(values[:3, :3]):
-            raise FrameMismatch(f"the matrix {target} <- {source} is not a proper rotation")
+            raise FrameMismatch(
+                f"the matrix {target} <- {source} is not a proper rotation",
+                expected="orthogonal axes of length 1, determinant 1",
+                got=f"determinant {np.linalg.det(values[:3, :3]):.6g}",
+                action="Give a rotation without scale or mirroring.",
+            )
         return cls(target, source, RigidTransform.from_matrix(values))
 
     @property
@@ -150,8 +175,8 @@ class Transform:
         return np.asarray(self.rigid.as_matrix(), dtype=float)
 
     def apply(self, points_mm: ArrayLike) -> Array:
-        """Map points (3,) or (n, 3) in mm from source to target. Raises FRM-001."""
-        points = np.asarray(points_mm, dtype=float)
+        """Map points (3,) or (n, 3) in mm from source to target. Raises ARG-001, FRM-001."""
+        points = _as_floats(points_mm, "the points")
         if points.shape[-1:] != (3,) or points.ndim > 2:
             raise FrameMismatch(
                 f"the points in {self.source} have shape {points.shape}",

@@ -112,6 +112,9 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("in_doubt", "1 if the error may exceed the prediction: the report says why", "int"),
         *_in_mm("depth_mm", "planned, from entry to target"),
         *_in_mm("margin_mm", "largest error at the target that the plan accepts"),
+        Column(
+            "strategy", "of localization, used for this target; empty if its paths were not checked", "string"
+        ),
         *_PREDICTED,
         *_in_mm(
             "nominal_error_mm nominal_lateral_mm nominal_axial_mm",

@@ -25,7 +25,12 @@ from procedures.postoperative.comparison import FoundTrajectory
 from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import load_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.run_reading import RunReading, UsedRegistration, find_used_registrations
+from procedures.reporting.run_reading import (
+    RunReading,
+    UsedRegistration,
+    find_used_registrations,
+    find_used_strategies,
+)
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -115,6 +120,7 @@ class CaseResults:
         if self.plan is None:
             return format_table("errors.csv", ())
         doubts, left_out = targets_in_doubt(self.run.journal), self._left_out()
+        strategies = find_used_strategies(self.run.made(CheckedPaths))
         predictions = {one.target: one for used in self.registrations for one in used.predictions}
         stereo_mm = {one.record.trajectory: one.result.error_mm for one in self.run.standing(MeasuredTarget)}
         rows = []
@@ -128,6 +134,7 @@ class CaseResults:
                     "in_doubt": int(one.id in doubts),
                     "depth_mm": one.depth_mm,
                     "margin_mm": one.margin_mm,
+                    "strategy": strategies.get(one.id),
                     **_predicted(predictions.get(one.id)),
                     **_columns("nominal", UNKNOWN if line is None else deviation(line, one)),
                     "stereo_error_mm": stereo_mm.get(one.id),

@@ -19,6 +19,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedReading, iterate_readings
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.journal.journal import JOURNAL_FILE
+from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import Line, read_chain_until_break
@@ -60,8 +61,8 @@ class RawReading:
 
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
-    """Yield the readings in a run folder, in order, up to the first damaged one. Raises PRO-024."""
-    for step, one in iterate_steps(Path(run)):
+    """Yield the readings in a run folder, in order, up to the first damaged one. Raises ARG-001, PRO-024."""
+    for step, one in iterate_steps(require_path(run, "the folder of the run")):
         value = one.load()
         if isinstance(value, StereoReading | TrackerFrame | ArmReading):
             yield RawReading(step, one.device, one.call, one.theatre_time_s, value)
@@ -83,12 +84,13 @@ def iterate_steps(run: Path) -> Iterator[tuple[str, RecordedReading]]:
         yield steps.get(one.section, ""), one
 
 
-def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
+def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
     """Write the readings as PNG and CSV into the new folder `out`, and record their extent.
 
     Returns the folder and whether it is complete: about `most_bytes` are written at most. Raises EXC-002,
-    EXC-003, PRO-024, and then leaves nothing behind.
+    EXC-003, PRO-024, and then leaves nothing behind; ARG-001 for what is no path.
     """
+    run, out = require_path(run, "the folder of the run"), require_path(out, "the new folder")
     if out.exists():
         raise NotWritable(f"{out} already exists", action="Give a new folder.")
     partial_folder = out.with_name(f".{out.name}{PARTIAL}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import describe_torn_end
 from procedures.exchange.errors import NoSuchLook
 from procedures.exchange.raw_readings import iterate_steps
+from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import identify_strays
@@ -52,9 +54,23 @@ class RecordedPictures(Sequence[StereoPictures]):
     @overload
     def __getitem__(self, index: slice) -> RecordedPictures: ...
     def __getitem__(self, index: int | slice) -> StereoPictures | RecordedPictures:
-        """Return the pictures of one look, or of several. Raises EXC-006, and PRO-024 for damaged pixels."""
+        """Return the pictures of one look, or of several.
+
+        Raises ARG-001 for what is no number, EXC-006, and PRO-024 for damaged pixels.
+        """
         if isinstance(index, slice):
             return RecordedPictures(self._loaders[index])
+        try:
+            index = operator.index(index)
+        except TypeError as error:
+            raise WrongArgument(
+                "the look is no number", got=show(index), action="run.pictures[0].left is the first left one."
+            ) from error
+        if not self._loaders:
+            raise NoSuchLook(
+                "there are no pictures: no readings of the stereo head",
+                action="run.notes says which readings of the run are missing.",
+            )
         if not -len(self) <= index < len(self):
             raise NoSuchLook(f"there is no look {index}", expected=f"0 to {len(self) - 1}")
         pair = self._loaders[index]()

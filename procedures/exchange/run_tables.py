@@ -22,6 +22,7 @@ from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.reporting.tables import target_rows
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.target_measurement import MeasuredTarget
@@ -36,6 +37,7 @@ TARGETS = (
     Column("name", str, "of the trajectory in the plan"),
     Column("depth_mm", float, "from entry to target"),
     Column("margin_mm", float, "largest error that the plan accepts"),
+    Column("strategy", str, "used; another than the run's if the operator agreed to it, and with `best`"),
     Column(
         "predicted_mm", float, "predicted error at the target, root mean square; NaN without a registration"
     ),
@@ -119,13 +121,17 @@ EVENTS = (
 def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     """Return one row per planned trajectory. Raises REC-001, REC-003."""
     run = reading.run
-    for model in (MeasuredTarget, RegisteredRobot):  # a report leaves out what is unreadable: raise instead
+    for model in (
+        CheckedPaths,
+        MeasuredTarget,
+        RegisteredRobot,
+    ):  # a report leaves out what is unreadable: raise instead
         run.made(model)
     plans, registrations = run.standing(CheckedPlan), reading.registrations
     plan = plans[-1].result if plans else None
     trajectories = () if plan is None else plan.plan.trajectories
     known = {row.target: row for row in target_rows(reading, truth)}
-    used = {name: one for one in registrations for name in one.targets}
+    used, strategies = {name: one for one in registrations for name in one.targets}, reading.strategies
     lines = reached_lines(run, plan, registrations, {one.id: one.id for one in trajectories})
     rows = []
     for planned in trajectories:
@@ -138,7 +144,7 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
         predicted = None if row is None else row.predicted
         rows.append(
             (
-                *(planned.id, planned.depth_mm, planned.margin_mm),
+                *(planned.id, planned.depth_mm, planned.margin_mm, strategies.get(planned.id, "")),
                 *(_number(getattr(predicted, name, None)) for name in ("rms_mm", "limit_mm", "confidence")),
                 *(
                     _number(getattr(row, name, None))

@@ -48,6 +48,7 @@ MAX_PEAKS = 200
 Progress = Callable[[float], None]
 
 DIAMETER_MM = 11.5  # the usual passive sphere
+LEAST_DIAMETER_MM = 1.0  # no marker is smaller, and none as large as 1 m: below it a diameter is in metres
 DETECTION_SHARE = 0.7  # of the work
 CLEAR, UNCLEAR = 0.9, 0.8  # odds that separate an expected number of markers from the rest
 NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
@@ -257,6 +258,13 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
             got=show(diameter_mm),
             action="Give the diameter of the spheres in mm.",
         )
+    if size_mm < LEAST_DIAMETER_MM:
+        raise LocalizationMisused(
+            "diameter_mm is no size of a marker",
+            limit=f"at least {LEAST_DIAMETER_MM:g} mm",
+            got=f"{size_mm:g} mm",
+            action="Are these metres? Give millimetres.",
+        )
     if diameter_mm < MIN_VOXELS_ACROSS * coarsest_mm:
         finer_mm = diameter_mm / MIN_VOXELS_ACROSS
         raise LocalizationMisused(
@@ -266,8 +274,8 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
         )
     if diameter_mm > float((geometry.spacing_mm * geometry.shape).min()):
         raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")
-    if expected is not None and expected < 0:
-        raise LocalizationMisused(f"{expected} is not a possible number of markers")
+    if expected is not None and not (isinstance(expected, int | np.integer) and expected >= 0):
+        raise LocalizationMisused(f"{show(expected)} is not a possible number of markers")
 
 
 def _is_same_object(one: Candidate, other: Candidate) -> bool:

@@ -29,6 +29,7 @@ from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
 from procedures.imaging.scan_faults import check_motion
 from procedures.imaging.volume import Volume
+from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import InputRefused
 
 if TYPE_CHECKING:
@@ -54,9 +55,9 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
 
     Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called with the
     fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;
-    nothing is guessed.
+    nothing is guessed. Raises ARG-001 for what is no path.
     """
-    directory = Path(directory)
+    directory = require_path(directory, "the folder of the series")
     headers = read_headers(directory, _scale_progress(progress, 0.0, HEADER_SHARE))
     slices, geometry = stack_slices(headers)
     voxels = np.empty(geometry.shape, dtype=np.int16)

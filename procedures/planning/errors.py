@@ -33,7 +33,10 @@ class WrongSeries(PlanError):
     """The plan belongs to a different CT series."""
 
     code = "PLAN-003"
-    action = "Load the series that the plan was made on, or re-plan on this one."
+    action = (
+        "Load the series that the plan was made on (with --sim: give --scene and --seed of the run that it "
+        "came from), or re-plan on this one."
+    )
 
 
 class BadTrajectoryGeometry(PlanError):

@@ -18,6 +18,7 @@ from scipy.special import chdtri, fdtri
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import pose_jacobian
+from ronna_hw.arguments import show
 from ronna_hw.text import format_distinct
 
 Array = NDArray[np.float64]
@@ -98,14 +99,15 @@ class FreGate:
             return math.inf
         return self.fre_mm * math.sqrt(self.chi_square_limit / self.chi_square)
 
-    def require(self) -> None:
-        """Raise REG-010 if the residual is too large."""
+    def require(self, action: str | None = None) -> None:
+        """Raise REG-010 if the residual is too large, with this action or the usual one."""
         if not self.passed:
             fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
-                limit=f"{limit} mm at {self.confidence:.0%}",
+                limit=f"{limit} mm at {100.0 * self.confidence:g}%",
                 got=f"{fre} mm",
+                action=action,
             )
 
 
@@ -119,7 +121,11 @@ def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAU
 
 def require_size(name: str, size_mm: float) -> None:
     """Raise REG-007 if an error size is negative or not finite."""
-    if not (math.isfinite(size_mm) and size_mm >= 0.0):
+    try:
+        is_size = math.isfinite(size_mm) and size_mm >= 0.0
+    except TypeError as error:
+        raise BadParameter(f"{name} is no number", expected="a length in mm", got=show(size_mm)) from error
+    if not is_size:
         raise BadParameter(f"{name} must be finite and not negative", got=f"{size_mm} mm")
 
 

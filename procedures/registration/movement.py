@@ -63,7 +63,7 @@ def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: Ar
     REG-009 for a mirrored set.
     """
     fit = register(before_mm, after_mm, covariance_mm2=covariance_mm2)
-    fit.require_sound()
+    fit.require_rotation()  # the residuals are the caller's to judge, by `gate`
     return RigidMove(fit)
 
 

@@ -38,16 +38,18 @@ Array = NDArray[np.float64]
 
 COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
 COLLINEAR_WARNED = 0.05
+SOUND_CONFIDENCE = 0.999  # of the gate in `caveats`: one false alarm in a thousand sound fits
 THICKNESS_COUNTED = 1e-3  # third over first singular value: below it a set counts as planar
 ILL_POSED_MARGIN = 0.05  # third over second singular value; this near 1, a mirrored set has no clear rotation
 
 
 class Caveat(StrEnum):
-    """Defect of a registration that its FRE does not reveal."""
+    """Defect of a registration that neither its transform nor its predicted error reveals."""
 
     NEARLY_COLLINEAR = "nearly collinear"
     MIRRORED = "a mirror image fits better than any rotation"
     ILL_POSED = "mirrored, and two principal axes are equal: the rotation is arbitrary"
+    MISFIT = "the residuals are larger than the stated covariances explain"
 
 
 @dataclass(frozen=True)
@@ -110,11 +112,23 @@ class Registration:
         """
         return Transform(target, source, self.transform)
 
-    def require_sound(self) -> None:
-        """Raise REG-009 if the fit is mirrored or ill-posed, in which case it must not be used."""
-        bad = [caveat for caveat in self.caveats if caveat is not Caveat.NEARLY_COLLINEAR]
+    def require_rotation(self) -> None:
+        """Raise REG-009 if the fit is mirrored or ill-posed, whatever its residuals."""
+        bad = [one for one in self.caveats if one in (Caveat.MIRRORED, Caveat.ILL_POSED)]
         if bad:
             raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
+
+    def require_sound(self) -> None:
+        """Raise REG-009 if the fit is mirrored or ill-posed, REG-010 if its covariances do not explain it.
+
+        Without covariances nothing says how large a residual may be: judge it by `gate` with a known FLE.
+        """
+        self.require_rotation()
+        if Caveat.MISFIT in self.caveats:
+            self.gate(confidence=SOUND_CONFIDENCE).require(
+                "Check that the rows of both sets are in one order and in mm; leave_one_out_mm shows "
+                "a fiducial that moved."
+            )
 
     def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
         """Judge the residual by chi-square against a known FLE in mm or, by default, the stated covariances.
@@ -175,14 +189,21 @@ def register(
     """Register paired points (n, 3) in mm, n >= 3, by a rigid transform physical <- image.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame; with it the fit is
-    weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than three,
-    collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
+    weighted, and `caveats` says if it does not explain the residuals. Raises REG-001 to REG-006 (all also
+    ValueError): shape, NaN or unequal counts, fewer than three, collinear, duplicates nearer than 2 mm, bad
+    covariance, no convergence.
     """
     image, physical = validate_pairs(image_mm, physical_mm)
     covariance = None if covariance_mm2 is None else validate_covariances(covariance_mm2, len(image))
     rotation, translation, caveats = _fit(image, physical, covariance)
     transform = RigidTransform.from_components(translation, Rotation.from_matrix(rotation))
     residual_vectors_mm = physical - np.asarray(transform.apply(image), dtype=float)
+    chi_square = None
+    if covariance is not None:
+        weights = np.linalg.inv(covariance)
+        chi_square = float(np.einsum("ni,nij,nj->", residual_vectors_mm, weights, residual_vectors_mm))
+        if chi_square > chi_square_limit(degrees_of_freedom(len(image)), SOUND_CONFIDENCE):
+            caveats += (Caveat.MISFIT,)
     return Registration(
         transform=transform,
         fre_mm=math.sqrt(float(np.square(residual_vectors_mm).sum(axis=1).mean())),
@@ -190,11 +211,7 @@ def register(
         image_mm=image,
         physical_mm=physical,
         covariance_mm2=covariance,
-        chi_square=None
-        if covariance is None
-        else float(
-            np.einsum("ni,nij,nj->", residual_vectors_mm, np.linalg.inv(covariance), residual_vectors_mm)
-        ),
+        chi_square=chi_square,
         caveats=caveats,
     )
 

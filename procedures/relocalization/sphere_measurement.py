@@ -34,7 +34,14 @@ from procedures.relocalization.errors import (
     WrongSize,
 )
 from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
-from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, Camera, StereoPoint, triangulate
+from procedures.relocalization.triangulation import (
+    SPHERE_DIAMETER_MM,
+    Camera,
+    StereoPoint,
+    require_calibration,
+    triangulate,
+)
+from ronna_hw.arguments import show
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.errors import DataError
 
@@ -105,6 +112,13 @@ def _iterate_spheres(
     grey = _validate_image(image)
     if enhance_contrast:
         grey = equalize_contrast(grey)
+    if radius_range_px is not None and np.shape(radius_range_px) != (2,):
+        raise BadMeasurement(
+            "the range of radii is no pair",
+            expected="smallest and largest, px",
+            got=show(radius_range_px),
+            action="Give two radii, such as (18.0, 22.0).",
+        )
     if radius_range_px is not None and not 0.0 < radius_range_px[0] <= radius_range_px[1]:
         raise BadMeasurement(
             "the range of radii is empty",
@@ -197,9 +211,10 @@ def locate_sphere(
 ) -> Sighting:
     """Locate the sphere seen by both cameras. There is no point if a camera sees too little of it.
 
-    Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no two round
-    shapes match.
+    Raises the errors of `measure_sphere` with the camera's name, STE-005 or STE-006 when no two round shapes
+    match, and ARG-001 for what is no calibration.
     """
+    require_calibration(calibration)
     images = (left, right)
     ranges = tuple(
         radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)

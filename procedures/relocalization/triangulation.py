@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.relocalization.errors import BadMeasurement, HeadTurned, RaysDoNotMeet, WrongCamera, WrongSize
 from procedures.relocalization.outline import SphereImage
+from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
@@ -156,8 +157,10 @@ def triangulate(
 
     Removes distortion and perspective bias, then finds the point with the least weighted distance to both
     pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006 when the
-    outlines do not fit a sphere of this diameter, STE-004 for numbers that are not finite.
+    outlines do not fit a sphere of this diameter, STE-004 for numbers that are not finite, ARG-001 for what
+    is no outline or no calibration.
     """
+    require_calibration(calibration)
     cameras = (
         Camera(calibration.left, Frame.CAMERA_LEFT),
         Camera(calibration.right, Frame.CAMERA_RIGHT),
@@ -205,8 +208,22 @@ def check_serial(calibration: CameraCalibration, serial: str) -> None:
         )
 
 
+def require_calibration(given: object) -> None:
+    """Raise ARG-001 for anything else than the calibration of a stereo head."""
+    if not isinstance(given, StereoHeadCalibration):
+        raise WrongArgument(
+            "the calibration is none of a stereo head",
+            expected="a StereoHeadCalibration",
+            got=show(given),
+        )
+
+
 def _check_outlines(outlines: tuple[SphereImage, SphereImage]) -> None:
     for outline in outlines:
+        if not isinstance(outline, SphereImage):
+            raise WrongArgument(
+                "an outline is none", expected="what measure_sphere returns", got=show(outline)
+            )
         numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
         if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
             raise BadMeasurement("an outline has invalid numbers", got=str(numbers))

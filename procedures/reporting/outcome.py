@@ -51,6 +51,9 @@ class TargetOutcome(Values):
 
     id: str
     depth_mm: float
+    strategy: str | None = Field(
+        default=None, description="Used: another than the run's if the operator agreed, and with `best`."
+    )
     predicted_tre_mm: float = Field(description="Root mean square.")
     application_error_mm: float | None
     measured_error_mm: float | None = Field(

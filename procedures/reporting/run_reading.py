@@ -18,6 +18,7 @@ from procedures.journal.results import StepResult
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
@@ -32,6 +33,7 @@ from ronna_hw.evidence.lost_end import (
 from ronna_hw.evidence.manifest import KEPT_TRUTH, find_valid_seal
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
+from ronna_hw.text import format_names
 
 MOST_CHANGES = 1000  # that a report lists
 MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file with nothing else is skipped
@@ -79,6 +81,11 @@ class RunReading:
         """Readable registrations that were or will be used to reach the targets."""
         made = self._readable(RegisteredRobot, self.run.records)
         return find_used_registrations(made, self.run.records, self.run.superseded)
+
+    @property
+    def strategies(self) -> dict[str, str]:
+        """Readable strategies by target; see `find_used_strategies`."""
+        return find_used_strategies(self._readable(CheckedPaths, self.run.records))
 
     def _readable(self, model: type[R], records: Sequence[Record]) -> tuple[Stored[R], ...]:
         found = []
@@ -192,6 +199,30 @@ def find_used_registrations(
         for one in registrations
     )
     return tuple(one for one in found if one.targets)
+
+
+def find_used_strategies(checks: Sequence[Stored[CheckedPaths]]) -> dict[str, str]:
+    """Find the strategy that each target was last planned with; none for one that was left out.
+
+    A check plans only what is not finished yet, so a finished target keeps the strategy that it was reached
+    with. It differs from that of the run where the operator agreed to another, and with `best`.
+    """
+    used: dict[str, str] = {}
+    for one in checks:
+        used |= {name: one.result.strategy_of(name) for name in one.result.targets}
+        for name in one.result.left_out:
+            used.pop(name, None)
+    return used
+
+
+def describe_strategies(strategy: str, used: Mapping[str, str | None]) -> str:
+    """Describe the strategy of a run with the targets that used another, such as `ocs (T1 by nos)`."""
+    by_other: dict[str, list[str]] = {}
+    for target, other in used.items():
+        if other not in (None, strategy):
+            by_other.setdefault(str(other), []).append(target)
+    others = "; ".join(f"{format_names(names)} by {other}" for other, names in by_other.items())
+    return f"{strategy} ({others})" if others else strategy
 
 
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:

@@ -30,6 +30,7 @@ class TargetRow:
     axial_mm: float | None
     measured_mm: float | None = None  # by the stereo head in place of the guide, on a phantom
     margin_mm: float | None = None  # accepted by the plan
+    strategy: str | None = None  # used, which may be another than the run's
 
     @property
     def known_mm(self) -> float | None:
@@ -63,7 +64,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     margin_mm = {} if plan is None else {one.id: one.margin_mm for one in plan.plan.trajectories}
-    truths = {one.id: one for one in truth.targets}
+    truths, strategies = {one.id: one for one in truth.targets}, reading.strategies
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
     return tuple(
         TargetRow(
@@ -75,6 +76,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
             None if true is None else true.axial_mm,
             measured_mm.get(one.target),
             margin_mm.get(one.target),
+            strategies.get(one.target),
         )
         for used in reading.registrations
         for one in used.predictions
@@ -126,6 +128,7 @@ def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
     checked, paths = reading.find(CheckedPlan), reading.find(CheckedPaths)
     if checked is None:
         return ()
+    strategies = reading.strategies
     return tuple(
         PlanRow(
             name=one.id,
@@ -135,7 +138,7 @@ def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
             margin_mm=one.margin_mm,
             planned_angle_deg=one.free_angle_deg,
             turn_deg=_turn_deg(paths, one.id),
-            strategy=None if paths is None or one.id in paths.left_out else paths.strategy_of(one.id),
+            strategy=strategies.get(one.id),
             motions=() if paths is None else _motion_rows(paths.motions, one.id),
         )
         for one in checked.plan.trajectories

@@ -177,6 +177,7 @@ def build_finished_outcome(
             TargetOutcome(
                 id=name,
                 depth_mm=plan.trajectory(name).depth_mm,
+                strategy=rows[name].strategy,
                 predicted_tre_mm=rows[name].predicted.rms_mm,
                 application_error_mm=rows[name].error_mm,
                 measured_error_mm=rows[name].measured_mm,

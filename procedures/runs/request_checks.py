@@ -101,6 +101,10 @@ def check_case(request: RunRequest, out: Path) -> None:
         around = case.resolve().parent
         if case.resolve() == around / "ct" and (around / "plan.toml").exists():
             raise PathProblem(f"{case} is the ct folder of a case", action=f"Give the case folder, {around}.")
+        if case.is_file():
+            raise PathProblem(
+                f"{case} is a file", expected="a case folder with ct/ and plan.toml", action=f"Give {around}."
+            )
         for part in ("ct", "plan.toml"):
             path = case / part
             if not path.exists():

@@ -113,9 +113,11 @@ def new_frames(
 ) -> Iterator[TrackerFrame]:
     """Yield `count` new measurements, or endlessly if None, skipping STALE repeats.
 
-    `timeout_s` is host time for each. Raises ARG-001 for a count that is none, DEV-009 when the tracker
+    `timeout_s` is host time for each. Raises ARG-001 for no tracker or no count, DEV-009 when the tracker
     delivers no new measurement in time, and the errors of `read_frame`.
     """
+    if not hasattr(tracker, "read_frame"):
+        raise WrongArgument("the tracker is none", expected="an OpticalTracker", got=show(tracker))
     try:
         wanted = None if count is None else index(count)
     except TypeError:

@@ -46,6 +46,14 @@ def test_every_number_of_the_table_is_complete_without_a_terminal(capsys: pytest
     assert rows == [[f"T{k}", "123456.7", shown, shown] for k, shown in enumerate(SHOWN)]
 
 
+@pytest.mark.hazard(6)
+def test_a_target_by_another_strategy_is_named_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
+    first, *others = OUTCOME.targets
+    by_nos = first.model_copy(update={"strategy": "nos"})
+    show_outcome(OUTCOME.model_copy(update={"targets": (by_nos, *others)}), as_json=False)
+    assert "strategy ocs (T0 by nos)" in capsys.readouterr().out
+
+
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("as_json", [False, True])
 def test_a_needle_farther_from_its_target_than_the_plan_accepts_is_no_success(

@@ -195,6 +195,8 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
 
 
 def _show_table(outcome: FinishedRun) -> None:
+    from procedures.reporting.run_reading import describe_strategies
+
     mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
     known = mean_mm is not None
     print_table(
@@ -211,6 +213,9 @@ def _show_table(outcome: FinishedRun) -> None:
             for target in outcome.targets
         ],
     )
+    strategies = describe_strategies(outcome.strategy, {one.id: one.strategy for one in outcome.targets})
+    if strategies != outcome.strategy:
+        say(f"strategy {strategies}")
     for name, reason in outcome.left_out.items():
         say(f"without {name}: {reason}")
     for reason in dict.fromkeys(one for reasons in outcome.in_doubt.values() for one in reasons):

@@ -15,7 +15,7 @@ from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.ending import await_ending, ending_of, resumes
 from procedures.reporting.outcome import Truth
-from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.reporting.run_reading import RunReading, describe_strategies, read_for_report
 from procedures.reporting.tables import target_rows
 from procedures.runs.folders import find_folders_of_runs, find_runs
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
@@ -44,7 +44,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
             (
                 printable(row["run"]),
                 str(row["began"] or "")[:16],
-                row["strategy"] or "",
+                _describe_strategy(row) or "",
                 row["ended"],
                 str(len(row["done"])),
                 _largest_error(row),
@@ -68,7 +68,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"NOT AS THE RUN LEFT IT: {change}")
     theatre = str(row["theatre"] or "no theatre")
     seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
-    say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
+    say(f"{row['run']}: {theatre}{seed}, strategy {_describe_strategy(row) or '-'}")
     if row["methods"]:
         say(row["methods"])
     say(f"began {row['began'] or '-'}; {row['sentence']}")
@@ -110,6 +110,10 @@ def _summarize_run(folder: Path) -> dict[str, Any]:
     return _summary(reading) | {"problems": [*reading.changes, *reading.problems]}
 
 
+def _describe_strategy(row: dict[str, Any]) -> str:
+    return describe_strategies(row["strategy"] or "", {one["id"]: one["strategy"] for one in row["targets"]})
+
+
 def _largest_error(row: dict[str, Any]) -> str:
     error_mm = row["max_application_error_mm"]
     mark = "?" if row["problems"] else ""
@@ -139,6 +143,7 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         "targets": [
             {
                 "id": one.target,
+                "strategy": one.strategy,
                 "predicted_tre_mm": one.predicted.rms_mm,
                 "limit_mm": one.predicted.limit_mm,
                 "application_error_mm": one.error_mm,

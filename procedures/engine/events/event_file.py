@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event_types import VERSION, Event, JournalLine, SignalsLost
 from procedures.engine.events.stream import CurrentState, EventStream
@@ -27,6 +29,9 @@ EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
 LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
 SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, a tracker and a stereo head
+CHANGED_ACTION = (
+    "The file was changed, or its disk is damaged: ronna-procedure verify RUN names what differs."
+)
 LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
 LOCK_TRIES, LOCK_AGAIN_S = 20, 0.01  # host time between two tries
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
@@ -226,7 +231,11 @@ class FollowedRun:
         try:
             event = Event.model_validate_json(check_json(line))
         except ValueError as error:  # also a line out of bounds
-            raise EventsUnreadable(f"line {self._lines} of {self._path} is not an event") from error
+            is_json = not isinstance(error, ValidationError) or error.errors()[0]["type"] != "json_invalid"
+            raise EventsUnreadable(
+                f"line {self._lines} of {self._path} is not {'an event' if is_json else 'JSON'}",
+                action=None if is_json else CHANGED_ACTION,
+            ) from error
         if event.version != VERSION:
             raise EventsUnreadable(
                 f"line {self._lines} of {self._path} was written by another version",

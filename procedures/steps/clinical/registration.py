@@ -131,7 +131,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         pairs.physical_mm,
         covariance_mm2=pairs.measured_mm2 + arm_covariance_mm2(arm_mm),
     )
-    fit.require_sound()
+    fit.require_rotation()  # the residuals were judged before, with the errors that points share
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
     if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.tool_record import TipInHead
@@ -20,11 +21,26 @@ def test_composing_across_mismatched_frames_is_refused() -> None:
         robot_from_tool @ Transform.of(Frame.CT, Frame.ROBOT)
 
 
-@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 1.0, 1.0, 1.0]), np.eye(3)])
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "determinant -1"),
+        (np.diag([2.0, 1.0, 1.0, 1.0]), "determinant 2"),
+        (np.eye(3), r"shape \(3, 3\)"),
+        (np.diag([1.0, np.nan, 1.0, 1.0]), "row 2"),
+    ],
+)
 @pytest.mark.hazard(7)
-def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray) -> None:
-    with pytest.raises(FrameMismatch):
+def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray, shown: str) -> None:
+    with pytest.raises(FrameMismatch, match=shown):
         Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
+
+
+def test_what_is_no_array_of_numbers_is_refused() -> None:
+    with pytest.raises(WrongArgument, match=r"the points.*'x'"):
+        Transform.of(Frame.ROBOT, Frame.CT).apply("x")  # type: ignore[arg-type]
+    with pytest.raises(WrongArgument, match=r"the translation.*'abc'"):
+        Transform.of(Frame.ROBOT, Frame.CT, translation_mm="abc")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,8 @@ def test_a_count_of_frames_that_is_none_is_refused_at_once() -> None:
     for count in (-1, 2.5, "3"):
         with pytest.raises(WrongArgument, match="ARG-001: the count of new frames"):
             new_frames(tracker(Validity.OK), count)  # type: ignore[arg-type]
+    with pytest.raises(WrongArgument, match="ARG-001: the tracker"):
+        new_frames(None, 60)  # type: ignore[arg-type]
 
 
 def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:

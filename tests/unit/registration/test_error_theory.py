@@ -126,6 +126,7 @@ def test_two_points_have_no_residual_freedom():
         lambda: fre_gate(float("nan"), 0.3, 4),
         lambda: fle_from_fre_mm(float("nan"), 4),
         lambda: fle_from_fre_mm(-0.1, 4),
+        lambda: fle_from_fre_mm("0.1", 4),
         lambda: fle_of_one_space_mm([], 4),
         lambda: fle_of_one_space_mm([0.1, float("nan")], 4),
         lambda: fle_of_one_space_mm([0.1, -0.1], 4),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import Caveat, register
-from procedures.registration.errors import BadParameter, CollinearPoints, DuplicatePoints, UnsoundRegistration
+from procedures.registration.errors import (
+    BadParameter,
+    CollinearPoints,
+    DuplicatePoints,
+    ResidualTooLarge,
+    UnsoundRegistration,
+)
 from ronna_hw.frames import Frame
 
 EXACT = 1e-12
@@ -172,6 +179,19 @@ def test_a_mirrored_set_with_equal_axes_is_ill_posed():
 def test_a_sound_registration_passes(random, fiducials):
     points = fiducials(5, random)
     register(points, points + random.normal(size=points.shape) * 0.3).require_sound()
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.parametrize("spoil", [lambda mm: mm[[1, 0, 2, 3, 4]], lambda mm: mm / 10.0])  # rows swapped; cm
+def test_residuals_beyond_the_stated_covariances_are_not_sound(random, fiducials, spoil):
+    points, covariance = fiducials(5, random), np.tile(np.eye(3) * 0.05**2, (5, 1, 1))
+    sound = register(points, points + random.normal(size=points.shape) * 0.05, covariance_mm2=covariance)
+    assert sound.caveats == ()
+    sound.require_sound()
+    found = register(points, spoil(points), covariance_mm2=covariance)
+    assert Caveat.MISFIT in found.caveats
+    with pytest.raises(ResidualTooLarge, match=r"REG-010.* at 99\.9%"):
+        replace(found, caveats=(Caveat.MISFIT,)).require_sound()  # a swap of two may also look mirrored
 
 
 def test_nearly_collinear_points_are_reported():

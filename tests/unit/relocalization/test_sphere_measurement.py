@@ -18,6 +18,7 @@ from procedures.relocalization.errors import (
     Saturated,
 )
 from procedures.relocalization.sphere_measurement import radius_range_px
+from ronna_hw.arguments import WrongArgument
 
 FOCAL_PX = 62.5e3 / 5.5
 RADIUS_MM = 5.75
@@ -357,6 +358,10 @@ def test_a_fault_in_either_image_is_reported_with_its_camera(renderer, head, loo
 def test_a_range_of_radii_given_the_wrong_way_round_is_refused(renderer, look):
     with pytest.raises(BadMeasurement, match="80 to 20 px"):
         measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=(80.0, 20.0))
+    with pytest.raises(BadMeasurement, match=r"no pair.*got 20"):
+        measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=20)
+    with pytest.raises(WrongArgument, match="ARG-001: the calibration"):
+        locate_sphere(*[None] * 3)
 
 
 def test_a_sphere_outside_the_given_range_is_reported_with_the_range(renderer, look):

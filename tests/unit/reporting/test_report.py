@@ -7,26 +7,30 @@ import json
 import math
 import os
 import re
+from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
+from clinical_case import FIRST, LAST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import (
     checked_paths,
     imported_ct,
     localized_fiducials,
     registered_robot,
+    relocalization,
     up_to_correspondence,
 )
 from report_text import report_text
 
+from procedures.cli.runs.showing import show_run
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.methods import CaseMethods, Localizer
 from procedures.engine.order import Scope
+from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
@@ -35,16 +39,18 @@ from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResul
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
-from procedures.reporting.run_reading import read_for_report
+from procedures.reporting.run_reading import find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
 from procedures.runs.finishing import seal_run
+from procedures.steps.clinical import registration
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
+from ronna_hw import load_run
 
 ROOT = Path(__file__).resolve().parents[3]
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
@@ -396,11 +402,28 @@ def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCe
     assert len(lines) == 1 + 2
 
 
-def test_the_head_of_the_page_names_the_strategies_that_were_used(cell: ClinicalCell) -> None:
+def test_a_target_keeps_the_strategy_it_was_last_planned_with(
+    cell: ClinicalCell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cell.carrying(MountedTool.STEREO_HEAD)
     paths = checked_paths(cell).model_copy(update={"replaced": {FIRST: "nos"}})
-    cell.begin(*up_to_correspondence(cell), paths).run_to()
+    engine = cell.begin(*up_to_correspondence(cell), paths, relocalization(), registration.STEP)
+    engine.run_to()
+    engine.close("done")
     assert "strategy ocs asked for, nos and ocs used" in write_report(cell.folder).read_text()
+    seal_run(cell.folder)
+    assert dict(load_run(cell.folder).targets[["name", "strategy"]].tolist()) == {FIRST: "nos", LAST: "ocs"}
+    export_run(cell.folder, tmp_path / "out")
+    rows = csv.DictReader((tmp_path / "out" / "errors.csv").read_text().splitlines())
+    assert [row["strategy"] for row in rows] == ["nos", "ocs"]
+    show_run(cell.folder, as_json=False)
+    assert f"strategy ocs ({FIRST} by nos)" in capsys.readouterr().out
+    (made,) = read_for_report(cell.folder).standing(CheckedPaths)
+    later = made.result.model_copy(update={"replaced": {}, "targets": {LAST: made.result.targets[LAST]}})
+    again = replace(made, result=later)  # after a move, when the first is finished
+    assert find_used_strategies((made, again)) == {FIRST: "nos", LAST: "ocs"}
+    left_out = replace(made, result=later.model_copy(update={"targets": {}, "left_out": {LAST: "no path"}}))
+    assert find_used_strategies((made, left_out)) == {FIRST: "nos"}
 
 
 def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
