@@ -115,6 +115,9 @@ def describe_mistake(item: ErrorDetails) -> str:
             return f"{context['actual_length']} values, expected {expected}"
         case "string_pattern_mismatch" if context.get("pattern") == NAME_PATTERN:
             return "expected letters, digits, _ . or -, a letter or a digit first"
+        case "datetime_type" | "datetime_parsing" | "datetime_from_date_parsing":
+            quoted = ", without quotes in TOML" if isinstance(item["input"], str) else ""
+            return f"expected day, time and time zone, as 2026-12-21T12:00:00Z{quoted}"
     message_text = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)

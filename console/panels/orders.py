@@ -22,6 +22,7 @@ from console.panels.html import tag, text
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
+from procedures.operator.checkpoint import ABORT
 from procedures.runs.orders import (
     PAUSED,
     RULE_OF,
@@ -34,7 +35,6 @@ from procedures.runs.orders import (
     RunTo,
     activity_of,
 )
-from ronna_hw.devices.lifecycle import LONGEST_NAME
 from ronna_hw.text import parse_typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
@@ -56,11 +56,8 @@ class SeatPanel:
         self._may_operate = may_operate
         with ui.element("div").classes("seatbox"):
             self._line = ui.html("", sanitize=False)
-            self._name = (
-                ui.input("Your name")
-                .props(f"dense outlined maxlength={LONGEST_NAME} autocomplete=off")
-                .classes("name")
-            )
+            # not cut to the longest name: a name that is too long is refused like any other
+            self._name = ui.input("Your name").props("dense outlined autocomplete=off").classes("name")
             self._name.on("keydown.enter", self._claim_seat)
             self._claim = _button("Take the seat", self._claim_seat, "claim")
             self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
@@ -270,8 +267,8 @@ class QuestionPanel:
                     return
             self._say(await self._give(order))
 
-        # The last answer, also given by silence, changes nothing.
-        if question.deliberate and answer != question.answers[-1]:
+        # The last answer, also given by silence, changes nothing, unless it ends the case.
+        if question.deliberate and (answer == ABORT or answer != question.answers[-1]):
             button = HeldButton(f"{answer} (hold)", act, self._say).button
         else:
             button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")

@@ -29,7 +29,6 @@ from console.planning.views import NAMES, Size, View, arrange
 from console.web.library import bind_page, page_head, use_library
 from procedures.imaging import PatientIdentity
 from procedures.planning.errors import AcPcUnfit, PlanMistakes
-from procedures.planning.plan_model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 
@@ -137,7 +136,7 @@ class PlannerPage:
         self._undo = self._button("Undo", self._editor.undo, "undo")
         self._redo = self._button("Redo", self._editor.redo, "redo")
         self._author = ui.input("Your name").classes("name")
-        self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
+        self._author.props("dense outlined autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
         self._add_help()
         for item in (self._undo, self._redo, self._author, self._save):

@@ -27,10 +27,13 @@ from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, InputRefused, read_bounded
+from ronna_hw.devices.errors import PersonNotNamed
+from ronna_hw.devices.lifecycle import require_person
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
 REFUSED = "refused"
+NAME_NEEDED = "Enter your name next to Save."
 KEEPING_S = 0.3  # host time between writes of unsaved changes
 AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
@@ -189,7 +192,11 @@ class PlanEditor(ChangeNotifier):
             raise self.read_only
         name = " ".join(author.split())
         if not name:
-            raise PlanMistakes("the plan needs an author", action="Enter your name next to Save.")
+            raise PlanMistakes("the plan needs an author", action=NAME_NEEDED)
+        try:
+            require_person(name)
+        except PersonNotNamed as problem:
+            raise PlanMistakes(problem.summary, action=NAME_NEEDED) from problem
         draft = self.draft
         missing = [item.identifier for item in draft.ways if item.ends is None]
         if missing:

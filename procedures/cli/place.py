@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from procedures.cli.planning_inputs import (
+    KUKA_ORDER,
     HomeOption,
     PlanArgument,
     PlannedSeriesOption,
     SixNumbers,
     load_theatre_arm,
+    read_assumed_pose,
     read_ct,
 )
 from ronna_hw.command_line import terminal
@@ -37,12 +39,20 @@ def place(
         Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and surroundings.")
     ],
     robot_from_ct: Annotated[
-        SixNumbers,
+        SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C",
-            help="Pose of the CT frame in $ROBROOT with the cart where it is assumed, mm and deg.",
+            help=f"Pose of the CT frame in $ROBROOT with the cart where it is assumed: {KUKA_ORDER}.",
         ),
-    ],
+    ] = None,
+    robot_from_ct_of: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN|FILE",
+            help="Take that pose from a run's registration or a scene file, such as theatre/scene.json of a "
+            "simulated run.",
+        ),
+    ] = None,
     robot_from_tracker: Annotated[
         SixNumbers | None,
         typer.Option(
@@ -90,8 +100,10 @@ def place(
             f"--strategy {strategy} chooses by the errors at one known cart position",
             action="Map with --strategy ocs: where that works, best can choose it.",
         )
-    theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
-    assert theatre is not None
+    if (robot_from_ct is None) == (robot_from_ct_of is None):
+        raise UsageMistake(
+            "the assumed pose comes from --robot-from-ct or --robot-from-ct-of: give one of them"
+        )
     from procedures.planning.cart_map import map_places, open_judge, propose_place
     from procedures.planning.cart_place import CartCase
     from procedures.planning.guide import place_guides
@@ -100,8 +112,20 @@ def place(
 
     plan = read_plan(plan_file)
     require_spheres(plan)
+    if robot_from_ct_of is not None:
+        robot_from_ct = read_assumed_pose(robot_from_ct_of, plan)
+    assert robot_from_ct is not None
+    theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
+    assert theatre is not None
     volume, fiducials_mm, _ = read_ct(series_dir, True)
-    check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
+    check_plan(
+        plan,
+        volume,
+        fiducials_mm=fiducials_mm,
+        bore=theatre.bore,
+        plan_name=str(plan_file),
+        ct_name=str(series_dir),
+    ).require()
     assert fiducials_mm is not None
     marks = tuple(fiducials_mm)
     setting = theatre.with_scene(volume, plan.fiducials, marks)

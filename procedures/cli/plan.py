@@ -108,6 +108,8 @@ def check(
         arm=theatre.with_scene(volume, planned.fiducials, tuple(fiducials_mm or ())) if theatre else None,
         sight=theatre.sight if theatre else None,
         bore=theatre.bore if theatre else None,
+        plan_name=str(plan_file),
+        ct_name=str(series_dir),
     )
     head = fit_head(volume) if result.passed else None
     unjudged = () if theatre else (STOP_NOT_JUDGED,)
@@ -150,7 +152,8 @@ def template(
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     from procedures.cli.planning_inputs import print_markers
-    from procedures.planning.marker_sites import propose_template, read_scene_head, write_template
+    from procedures.planning.marker_sites import propose_template, write_template
+    from procedures.planning.scene_head import read_scene_head
 
     require_one_head(series_dir, scene)
     require_new(out)

@@ -18,6 +18,8 @@ from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
+    from procedures.journal.results import FramedPose
+    from procedures.planning.plan_model import Plan
     from procedures.planning.theatre_arm import TheatreArm
     from ronna_hw.marker_template import TemplateMarker
 
@@ -30,6 +32,7 @@ STRATEGY_HELP = (
     "targets; thesis-ocs: ocs as published, for comparisons."
 )
 NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
+KUKA_ORDER = "X Y Z in mm, then A B C in deg about z, y and x, as KUKA's"
 SixNumbers = tuple[float, float, float, float, float, float]
 
 PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")]
@@ -45,7 +48,9 @@ StrategyOption = Annotated[
 ]
 HeadOption = Annotated[
     SixNumbers | None,
-    typer.Option(metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."),
+    typer.Option(
+        metavar="X Y Z A B C", help=f"Pose of the CT frame in $ROBROOT, {KUKA_ORDER}; with --config."
+    ),
 ]
 HomeOption = Annotated[
     SixNumbers | None,
@@ -118,6 +123,43 @@ def require_theatre_options(
         )
 
 
+def read_assumed_pose(source: Path, plan: Plan) -> SixNumbers:
+    """Return the pose of the CT in $ROBROOT from a run's registration or a scene file, in mm and deg.
+
+    A registration with another CT is mentioned: its origin may lie elsewhere in the head. Raises PLAN-003,
+    PLAN-016, EXC-005, and errors of reading the run.
+    """
+    from procedures.planning.scene_head import read_scene_pose
+    from ronna_hw.arm.pose import Pose
+
+    found = _read_registration(source, plan) if source.is_dir() else read_scene_pose(source, plan)
+    return Pose.from_quaternion(found.translation_mm, found.quaternion_wxyz).to_kuka()
+
+
+def _read_registration(folder: Path, plan: Plan) -> FramedPose:
+    """Return a run's latest valid registration, fine or else coarse."""
+    from procedures.exchange.errors import NoRegistration
+    from procedures.reporting.run_reading import RunReading
+    from procedures.runs.folders import require_run
+    from procedures.steps.clinical.correspondence import Correspondence
+    from procedures.steps.clinical.plan_check import CheckedPlan
+    from procedures.steps.clinical.results import RegisteredRobot
+    from ronna_hw.evidence.inspection import inspect_run
+
+    require_run(folder)
+    reading = RunReading.of(inspect_run(folder).require_unchanged())
+    found = reading.find(RegisteredRobot) or reading.find(Correspondence)
+    if found is None:
+        raise NoRegistration(
+            f"{folder.name} has no valid registration",
+            action="Give a run that got past correspondence, or the scene file of a simulated theatre.",
+        )
+    checked = reading.find(CheckedPlan)
+    if checked is not None and checked.plan.series_instance_uid != plan.series_instance_uid:
+        terminal.tell(f"{folder.name} registered another CT: its origin may lie elsewhere in the head")
+    return found.robot_from_ct
+
+
 def require_one_head(series_dir: Path | None, scene: Path | None) -> None:
     """Raise CLI-001 unless the head comes from exactly one source."""
     if (series_dir is None) == (scene is None):
@@ -170,8 +212,9 @@ def propose_marker_places(
     import tomli_w
 
     from procedures.planning.head_in_ct import fit_head
-    from procedures.planning.marker_sites import propose_markers, read_scene_head
+    from procedures.planning.marker_sites import propose_markers
     from procedures.planning.plan_file import read_plan
+    from procedures.planning.scene_head import read_scene_head
     from procedures.reporting.pictures import marker_picture
 
     picture = out.with_suffix(".png")
@@ -188,8 +231,8 @@ def propose_marker_places(
         if plan.series_instance_uid != volume.series_instance_uid:
             raise WrongSeries(
                 "the plan belongs to another CT series",
-                expected=plan.series_instance_uid,
-                got=volume.series_instance_uid,
+                expected=f"{plan.series_instance_uid} ({plan_file})",
+                got=f"{volume.series_instance_uid} ({series_dir})",
             )
         head = fit_head(volume)
     found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)

@@ -22,6 +22,7 @@ LEAST_OFF_LINE_MM = 10.0  # a click 0.5 mm to the side then turns the frame by 3
 LARGEST_TURN_DEG = 45.0
 ANTERIOR, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # LPS
 Array = NDArray[np.float64]
+BEGIN_ANEW = "AC stays set; if it is wrong, remove the points and click AC first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +89,7 @@ def _find_direction(ac: Array, pc: Array) -> tuple[Array, float]:
             "AC and PC are not as far apart as in any brain",
             expected=f"{LEAST_AC_PC_MM:g} to {MOST_AC_PC_MM:g} mm",
             got=f"{length_mm:.1f} mm",
+            action=f"Click PC again; {BEGIN_ANEW}.",
         )
     direction = (ac - pc) / length_mm
     if direction @ ANTERIOR <= 0.0:
@@ -95,6 +97,6 @@ def _find_direction(ac: Array, pc: Array) -> tuple[Array, float]:
             "AC is behind PC",
             expected="AC nearer to the face",
             got=f"{-float(direction @ ANTERIOR) * length_mm:.1f} mm farther back",
-            action="Click the anterior commissure first, then the posterior.",
+            action=f"Click PC again, behind AC; {BEGIN_ANEW}.",
         )
     return direction, length_mm

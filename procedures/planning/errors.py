@@ -123,7 +123,7 @@ class HeadUnreadable(ConfigurationError):
     """The file does not describe a head."""
 
     code = "PLAN-016"
-    action = "Give the output of `ronna-sim scene`, or a CT series with --ct."
+    action = "Give the output of `ronna-sim scene`, or theatre/scene.json of a simulated run."
 
 
 class NotTheTemplate(PlanError):

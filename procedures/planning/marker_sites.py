@@ -8,7 +8,6 @@ whose distances all differ by a margin.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -17,17 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate, WrongSeries
+from procedures.planning.errors import NoMarkerSites, NoTemplate
 from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
-from procedures.planning.plan_model import Plan
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
-from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
@@ -45,8 +41,6 @@ SKIN_MM = (25.0, -40.0)  # range searched for skin: outside the ellipsoid, insid
 AROUND, RING_MM = 8, 14.0  # points around a site: a sphere, post or bolt covers few of them
 FREE_SKIN_MM = 4.0  # a site is no higher and no lower than these
 SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
-Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds
-Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
 FEWEST, MOST = 3, 8
 CLEAR_OF_PATH_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
 DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
@@ -308,45 +302,6 @@ def _first_solid_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
     solid = np.convolve(hu > AIR_BELOW_HU, np.ones(round(SKIN_THICK_MM / SKIN_STEP_MM)), "valid")
     first = np.flatnonzero(solid == round(SKIN_THICK_MM / SKIN_STEP_MM))
     return float(steps_mm[first[0]]) if len(first) else float("nan")
-
-
-class _Target(Strict):
-    model_config = ConfigDict(extra="ignore")
-
-    target_ct_mm: tuple[Place, Place, Place]
-
-
-class _Head(Strict):
-    """`[head]` table of a simulator scene file. Other keys are ignored."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    centre_ct_mm: tuple[Place, Place, Place]
-    semi_axes_mm: tuple[Axis, Axis, Axis]
-    targets: tuple[_Target, ...] = ()
-
-
-def read_scene_head(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
-    """Read the head ellipsoid from a scene file. Raises PLAN-016, or PLAN-003 if it has no planned target."""
-    try:
-        head = read_toml(path, HeadUnreadable).get("head")
-    except OSError as error:
-        raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
-    try:
-        found = _Head.model_validate_json(json.dumps(head, default=str))
-    except ValidationError as error:
-        raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
-    scene_targets = {one.target_ct_mm for one in found.targets}
-    if (
-        plan is not None
-        and scene_targets
-        and scene_targets.isdisjoint(one.target_mm for one in plan.trajectories)
-    ):
-        raise WrongSeries(
-            f"{path.name} has none of the plan's targets: it is the scene of another head",
-            action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",
-        )
-    return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
 
 
 def write_template(path: Path, template: MarkerTemplate) -> None:

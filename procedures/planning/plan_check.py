@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,12 +145,14 @@ def check_plan(
     arm: ArmSetting | None = None,
     sight: StereoSight | None = None,
     bore: GuideBore | None = None,
+    plan_name: str = "plan",
+    ct_name: str = "CT",
 ) -> PlanCheck:
     """Check a plan against its CT series and, if given, fiducials (n, 3) in LPS mm, arm and guide.
 
     Without `to_fiducials` they are counted, but the arm's motions to them are omitted. With `sight` the arm
     may turn trajectories about their axes, as the procedure does, so that the stereo head sees the fiducials
-    and all motions are clear.
+    and all motions are clear. The names are those of file and folder, for messages.
 
     Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
@@ -172,7 +174,7 @@ def check_plan(
         )
     distances = measure_distances(plan)
     for found, warned in (
-        _check_series(plan, volume),
+        _check_series(plan, volume, plan_name, ct_name),
         _check_patient(plan, volume),
         check_structures(plan, distances, volume),
     ):
@@ -192,13 +194,13 @@ def check_plan(
     return replace(check, findings=tuple(findings), warnings=tuple(warnings))
 
 
-def _check_series(plan: Plan, volume: Volume) -> CheckResult:
+def _check_series(plan: Plan, volume: Volume, plan_name: str, ct_name: str) -> CheckResult:
     """Check that the plan belongs to this series and that every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             f"the plan belongs to another CT series{_first_difference(plan, volume)}",
-            expected=plan.series_instance_uid,
-            got=volume.series_instance_uid,
+            expected=f"{plan.series_instance_uid} ({plan_name})",
+            got=f"{volume.series_instance_uid} ({ct_name})",
         )
         return [wrong], []
     altered = check_voxels(plan, volume)
@@ -367,9 +369,22 @@ def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
             if np.any(index < -0.5) or np.any(index > last):
                 coordinates = ", ".join(f"{value:.1f}" for value in point)
                 found.append(
-                    OutsideField(f"the {name} of trajectory {one.id} at ({coordinates}) mm is outside the CT")
+                    OutsideField(
+                        f"the {name} of trajectory {one.id} at ({coordinates}) mm is outside the CT",
+                        expected=_describe_extent(volume),
+                    )
                 )
     return found
+
+
+def _describe_extent(volume: Volume) -> str:
+    """Describe the CT's extent in LPS; that of a tilted one is of the box around it."""
+    ends = [(-0.5, size - 0.5) for size in volume.geometry.shape]
+    corners = volume.geometry.to_patient_mm(list(product(*ends)))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return (
+        "; ".join(f"{axis} {a:.1f} to {b:.1f}" for axis, a, b in zip("LPS", low, high, strict=True)) + " mm"
+    )
 
 
 def least_side_difference_mm(triangle_mm: ArrayLike) -> float:

@@ -96,8 +96,12 @@ class PlannedTrajectory(Strict):
         if self.depth_mm > MOST_DEPTH_MM:
             raise PydanticCustomError(
                 "trajectory_geometry",
-                "the target is {depth} mm deep, limit {limit} mm",
-                {"depth": f"{self.depth_mm:.1f}", "limit": f"{MOST_DEPTH_MM:g}"},
+                "the target at ({target}) mm is {depth} mm deep, limit {limit} mm",
+                {
+                    "target": ", ".join(f"{value:.1f}" for value in self.target_mm),
+                    "depth": f"{self.depth_mm:.1f}",
+                    "limit": f"{MOST_DEPTH_MM:g}",
+                },
             )
         return self
 

@@ -24,6 +24,15 @@ def _run_folder(folder: Path) -> Path:
     return folder
 
 
+def _refuse_asking(given: bool) -> None:
+    """Raise CLI-001 for an option that a resumed run has from its start."""
+    if given:
+        raise UsageMistake(
+            "--ask is chosen when a run is begun",
+            action="Omit it: a run begun with --ask asks again, any other is answered by its script.",
+        )
+
+
 RunArgument = Annotated[
     Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
 ]
@@ -43,6 +52,7 @@ def resume_command(
     accept: AcceptOption = False,
     answers: AnswersOption = None,
     *,
+    _ask: Annotated[bool, typer.Option("--ask", hidden=True, is_eager=True, callback=_refuse_asking)] = False,
     console: ConsoleOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -50,8 +60,8 @@ def resume_command(
 
     Nothing moves until devices, tool, calibrations, CT, plan, patient and robot base have been re-read,
     compared with the record and accepted. With --console, the operator in the seat accepts; --accept
-    continues without one. A resumed run keeps the strategy, the localizer and the matcher of its start. Exit
-    codes: 0 finished, 8 not resumed.
+    continues without one. A resumed run keeps the strategy, the localizer and the matcher of its start; one
+    begun with --ask asks again. Exit codes: 0 finished, 8 not resumed.
     """
     from procedures.cli.runs.resume import resume
 

@@ -84,7 +84,9 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for placing in range(1, PLACINGS + 1):
         context.perform_task(Task(CART_PLACE, "wheel the arm's cart into position"))
         context.perform_task(Task(CART_LOCK, "lock the brakes of the cart"))
-        _confirm(context, "the cart is locked", "the brakes of all wheels are locked; nobody is pushing it")
+        _confirm(
+            context, "the cart is locked", "the brakes of all wheels are locked and nobody is pushing it"
+        )
         robot_from_tracker, first = _take_first_look(context)
         drift = (
             None if proposal is None else _offset_from_proposal(context, proposal, robot_from_tracker, first)
@@ -92,7 +94,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         if proposal is None or drift is None or _accept_position(context, proposal, drift, placing):
             break
     context.perform_task(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
-    _confirm(context, "someone leaned on the cart", "from each side; everyone stands clear")
+    _confirm(context, "someone leaned on the cart", "from each side, and everyone stands clear")
     frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
@@ -184,7 +186,7 @@ def _accept_position(
 
 def _confirm(context: StepContext, subject: str, value: str) -> None:
     """Ask for confirmation before the tracker measures, so that nobody is rushed. Raises PRO-041."""
-    if context.choose(Question(Topic.CART_LOCKED, subject, value)) != YES:
+    if context.choose(Question(Topic.CART_LOCKED, subject, f"{value}: is that so?")) != YES:
         raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
 

@@ -44,7 +44,9 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
         )
     )
     subject = "the head is clamped, and the clamp locked to the table"
-    value = f"patient position {table_orientation}; {checked.implanted} spheres are on the screws"
+    value = (
+        f"patient position {table_orientation}; {checked.implanted} spheres are on the screws: is that so?"
+    )
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
     require_in_view(context.workcell, frames)

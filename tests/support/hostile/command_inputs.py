@@ -26,7 +26,8 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.structure_panel import import_structure
 from procedures.calibration.pose_set import plan_calibration_looks
 from procedures.cli.calibrating.calibration import compute_calibration
-from procedures.planning.marker_sites import propose_template, read_scene_head
+from procedures.planning.marker_sites import propose_template
+from procedures.planning.scene_head import read_scene_head
 from procedures.runs.calibrations import KINDS
 from procedures.runs.orders import read_order
 from procedures.runs.request import CalibrationProcedure, RunRequest

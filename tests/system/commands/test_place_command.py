@@ -47,14 +47,16 @@ def test_the_proposed_position_is_drawn_and_passes_the_path_check(commands: Comm
     scene = json.loads((run / "theatre/scene.json").read_text())
     true = scene["head"]["robot_from_ct"]
     assumed = Pose.from_quaternion(tuple(true["translation_mm"]), tuple(true["quaternion_wxyz"]))
+    pose = ("--robot-from-ct-of", str(run / "theatre/scene.json"))
     plan = (str(run / "case/plan.toml"), "--ct", str(run / "case/ct"))
     case = (*plan, "--config", str(run / "theatre/theatre.toml"))
     out = tmp_path / "place"
-    words = (*case, "--robot-from-ct", *_pose_words(assumed), "--within", "60", "--out", str(out), "--json")
+    words = (*case, *pose, "--within", "60", "--out", str(out), "--json")
     done = commands.run("ronna-plan", "place", *words)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["assumed_place_serves"] is True
+    assert found["assumed_robot_from_ct"] == pytest.approx(list(assumed.to_kuka()), abs=1e-6)
     assert found["sight"] == "not judged"
     assert "sight not judged" in done.stderr
     assert "<svg" in (out / "place.svg").read_text()

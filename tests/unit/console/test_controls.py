@@ -80,16 +80,25 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
     assert (len(done), len(said)) == (acted, 1 - acted)
 
 
-def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_means() -> None:
+@pytest.mark.parametrize(
+    ("topic", "answers", "shown"),
+    [
+        ("head_unseen", ("wait", "continue", "leave"), ["wait (hold)", "continue (hold)", "leave"]),
+        ("pause", ("continue", "abort"), ["continue (hold)", "abort (hold)"]),
+    ],
+)
+def test_of_a_deliberate_question_all_but_a_harmless_last_answer_are_held(
+    topic: str, answers: tuple[str, ...], shown: list[str]
+) -> None:
     async def give(_order: dict[str, Any]) -> str:
         return ""
 
     asked = Questioned(
         question=1,
-        topic="head_unseen",
+        topic=topic,
         subject="",
         value="",
-        answers=("wait", "continue", "leave"),
+        answers=answers,
         timeout_s=None,
         deliberate=True,
     )
@@ -101,7 +110,7 @@ def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_
             )
             return [one.text for one in client.elements.values() if isinstance(one, ui.button)]
 
-    assert asyncio.run(labels()) == ["wait (hold)", "continue (hold)", "leave"]
+    assert asyncio.run(labels()) == shown
 
 
 @pytest.mark.parametrize(

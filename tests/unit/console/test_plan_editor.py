@@ -38,10 +38,15 @@ def test_a_saved_plan_is_reopened_unchanged(editor: PlanEditor, file: Path) -> N
     assert seal.author == "Dr Test"
 
 
-@pytest.mark.parametrize("author", ["", "   "])
-def test_a_plan_without_an_author_is_not_saved(editor: PlanEditor, file: Path, author: str) -> None:
+@pytest.mark.parametrize(
+    ("author", "said"),
+    [("", "needs an author"), ("   ", "needs an author"), ("A" * 300, "limit 60 char"), ("007", "letters")],
+)
+def test_a_plan_without_the_name_of_an_author_is_not_saved(
+    editor: PlanEditor, file: Path, author: str, said: str
+) -> None:
     draw(editor)
-    with pytest.raises(PlanMistakes, match=r"PLAN-002: the plan needs an author"):
+    with pytest.raises(PlanMistakes, match=f"PLAN-002.*{said}"):
         save(editor, author)
     assert not file.exists()
 

@@ -86,6 +86,7 @@ NOT_A_TABLE = {"driver": "kuka_rsi", "endpoint": {"rsi": "udp://127.0.0.1:1"}}
         (_tip({"quaternion_wxyz": [0.0, 90.0, 0.0, 0.0]}), "not 1: give a rotation, not angles"),
         (_tip(expires=datetime.fromisoformat("2026-12-01")), "expected day, time and time zone, as 2026"),
         (_tip(expires=date(2026, 12, 21)), "time zone, as 2026-12-21T12:00:00Z (found 2026-12-21)"),
+        (_tip(created="26.11.2026"), "time zone, as 2026-12-21T12:00:00Z, without quotes in TOML"),
         ({"procedure": {"stand_mm": [0.56, 0.1, 0.3]}}, "stand_mm: has length 0.643: give millimetres"),
         (
             {"robot": {"master": NOT_A_TABLE}},

@@ -17,6 +17,7 @@ import procedures.imaging
 import procedures.registration
 import procedures.relocalization
 import ronna_hw
+from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.engine.case import Case, StepKey
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event_file import EVENTS_FILE
@@ -29,6 +30,7 @@ from procedures.runs.loaded_run import MOST_SHOWN
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw import RunTable, RunWarning, load_run, track_strays
 from ronna_hw.arguments import WrongArgument
+from ronna_hw.arm.pose import Pose
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
@@ -122,6 +124,15 @@ def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     assert loaded.registrations.standing.tolist() == [True]
     # Prepared without relocalization as its parent: nothing says what it was weighted with.
     assert np.isnan(loaded.localized.total_covariance_robot_mm2).all()
+
+
+def test_the_assumed_pose_of_the_ct_is_that_of_the_registration(run: Path) -> None:
+    plan = checked_plan().plan
+    robot_from_ct = registered_robot().robot_from_ct
+    found = Pose.from_kuka(*read_assumed_pose(run, plan))
+    assert found.position_mm == pytest.approx(robot_from_ct.translation_mm)
+    expected = Pose.from_quaternion((0.0, 0.0, 0.0), robot_from_ct.quaternion_wxyz).rotation
+    assert found.rotation == pytest.approx(expected, abs=1e-9)
 
 
 def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> None:

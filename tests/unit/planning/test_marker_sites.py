@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from prepared_results import checked_plan
 
+from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate
+from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate, WrongSeries
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.marker_sites import (
     APART_MM,
@@ -18,13 +21,14 @@ from procedures.planning.marker_sites import (
     propose_further,
     propose_markers,
     propose_template,
-    read_scene_head,
     write_template,
 )
+from procedures.planning.scene_head import read_scene_head
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.reporting.pictures import marker_picture
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.pose import Pose
 from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
@@ -190,6 +194,23 @@ def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str)
     path.write_text(text)
     with pytest.raises(HeadUnreadable, match=said):
         read_scene_head(path)
+
+
+def test_a_scene_file_tells_where_the_robot_has_the_ct(tmp_path: Path) -> None:
+    path, head = tmp_path / "scene.json", {"centre_ct_mm": [0.0] * 3, "semi_axes_mm": [80.0] * 3}
+    plan, pose = (
+        checked_plan().plan,
+        {"translation_mm": [900.0, 0.0, 20.0], "quaternion_wxyz": [0, 0, 0, 1]},
+    )
+    path.write_text(json.dumps({"head": {**head, "robot_from_ct": pose}}))
+    assert Pose.from_kuka(*read_assumed_pose(path, plan)).position_mm == (900.0, 0.0, 20.0)
+    assert read_assumed_pose(path, plan)[3:] == pytest.approx((180.0, 0.0, 0.0))
+    path.write_text(json.dumps({"head": head}))
+    with pytest.raises(HeadUnreadable, match=r"no head\.robot_from_ct"):
+        read_assumed_pose(path, plan)
+    path.write_text(json.dumps({"head": {**head, "targets": [{"target_ct_mm": [0.0, 0.0, 1.0]}]}}))
+    with pytest.raises(WrongSeries, match=r"PLAN-003: scene\.json"):
+        read_assumed_pose(path, plan)
 
 
 def test_the_distances_of_a_template_are_listed_in_ascending_order() -> None:

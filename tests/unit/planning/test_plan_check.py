@@ -66,6 +66,13 @@ def test_another_series_is_refused_with_both_uids(plan, make_volume):
     assert "1.2.3.4" in str(caught.value)
     assert "mistyped" not in str(caught.value)
     other = ("2" if plan.series_instance_uid[0] == "1" else "1") + plan.series_instance_uid[1:]
+    with pytest.raises(WrongSeries, match=r"\(case/plan\.toml\), got 1\.2\.3\.4 \(scans/Monday\)"):
+        check_plan(
+            plan,
+            make_volume(series_instance_uid="1.2.3.4"),
+            plan_name="case/plan.toml",
+            ct_name="scans/Monday",
+        ).require()
     with pytest.raises(WrongSeries, match="UID differs in character 1 only: mistyped"):
         check_plan(plan, make_volume(series_instance_uid=other)).require()
 
@@ -134,7 +141,11 @@ ENTRY, TARGET = "entry_mm = [10.0, -50.0, 60.0]", "target_mm = [5.0, -20.0, 20.0
 EXCHANGED = {ENTRY: ENTRY.replace("entry", "target"), TARGET: TARGET.replace("target", "entry")}
 IN_AIR = {ENTRY: "entry_mm = [10, -85, 90]", TARGET: "target_mm = [5, -80, 75]"}
 REFUSED = {
-    "outside": ({ENTRY: "entry_mm = [10, -20, 100.5]"}, OutsideField, "PLAN-006.*entry of trajectory T1"),
+    "outside": (
+        {ENTRY: "entry_mm = [10, -20, 100.5]"},
+        OutsideField,
+        r"PLAN-006.*entry of trajectory T1.*expected L -.* to .*; S .* mm",
+    ),
     "exchanged": (EXCHANGED, NotIntoHead, "PLAN-011.*T1.*probably swapped"),
     "two points in air": (IN_AIR, NotIntoHead, "PLAN-011.*T1.*in air(?!.*probably)"),
     "entry deep inside": (

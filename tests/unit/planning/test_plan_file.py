@@ -106,7 +106,12 @@ FIRST_TARGET = "target_mm = [5.0, -20.0, 20.0]"
     ("old", "new", "error", "said"),
     [
         (FIRST_TARGET, "target_mm = [10, -50, 60.2]", BadTrajectoryGeometry, "PLAN-004.*T1.*0.2 mm apart"),
-        (FIRST_TARGET, "target_mm = [5, 140, 20]", BadTrajectoryGeometry, "PLAN-004.*deep"),
+        (
+            FIRST_TARGET,
+            "target_mm = [5, 140, 20]",
+            BadTrajectoryGeometry,
+            r"PLAN-004.*the target at \(5\.0, 140\.0, 20\.0\) mm is .* deep",
+        ),
         ('"T2"', '"T1"', DuplicateTrajectory, "PLAN-005.*'T1'"),
         ("standoff_mm = 30.0", "standoff_mm = 0.03", PlanMistakes, "0.03 mm is closer .* not metres"),
         ("implanted = 4", "implanted = 4,0", PlanUnreadable, "4,0; decimals have a point, not a comma"),

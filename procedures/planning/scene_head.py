@@ -1,0 +1,85 @@
+"""Head and its pose from a simulator scene file: what `ronna-sim scene` or a simulated theatre wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import ConfigDict, Field, ValidationError
+
+from procedures.planning.errors import HeadUnreadable, WrongSeries
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import Plan
+from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
+from ronna_hw.calibration import PoseRecord, Strict
+from ronna_hw.mistakes import describe_mistakes
+
+Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: within a plan's bounds
+Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
+
+
+class _Target(Strict):
+    model_config = ConfigDict(extra="ignore")
+
+    target_ct_mm: tuple[Place, Place, Place]
+
+
+class _Head(Strict):
+    """`[head]` table of a scene file. Other keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    centre_ct_mm: tuple[Place, Place, Place]
+    semi_axes_mm: tuple[Axis, Axis, Axis]
+    robot_from_ct: PoseRecord | None = None
+    targets: tuple[_Target, ...] = ()
+
+
+def read_scene_head(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
+    """Read the head ellipsoid from a scene file. Raises PLAN-016, or PLAN-003 if it has no planned target."""
+    found = _read_head(path, plan)
+    return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
+
+
+def read_scene_pose(path: Path, plan: Plan) -> PoseRecord:
+    """Read the pose robot <- CT from a scene file. Raises PLAN-016, PLAN-003 like `read_scene_head`."""
+    found = _read_head(path, plan).robot_from_ct
+    if found is None:
+        raise HeadUnreadable(f"{path.name} has no head.robot_from_ct")
+    return found
+
+
+def _read_head(path: Path, plan: Plan | None) -> _Head:
+    try:
+        found = _Head.model_validate_json(json.dumps(_read_table(path).get("head"), default=str))
+    except OSError as error:
+        raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
+    except ValidationError as error:
+        raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
+    scene_targets = {one.target_ct_mm for one in found.targets}
+    if (
+        plan is not None
+        and scene_targets
+        and scene_targets.isdisjoint(one.target_mm for one in plan.trajectories)
+    ):
+        raise WrongSeries(
+            f"{path.name} has none of the plan's targets: it is the scene of another head",
+            action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",
+        )
+    return found
+
+
+def _read_table(path: Path) -> dict[str, object]:
+    """Return the content of a TOML or JSON scene file. Raises PLAN-016, OSError."""
+    if path.suffix != ".json":
+        return read_toml(path, HeadUnreadable)
+    try:
+        content = json.loads(read_json_bytes(path))
+    except InputRefused as error:
+        raise HeadUnreadable(f"{path.name} is refused: {error.summary}") from error
+    except ValueError as error:
+        raise HeadUnreadable(f"{path.name} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise HeadUnreadable(f"{path.name} is not a table")
+    return content
