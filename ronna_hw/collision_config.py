@@ -16,9 +16,9 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from ronna_hw.arm.clearance.bodies import (
-    ArmRadii,
     Capsule,
     Corridor,
+    MeasuredRadii,
     Obstacle,
     Part,
     SpeedZone,
@@ -79,13 +79,20 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Conservative capsule radii of the arm's bodies."""
+    """Conservative capsule radii of the arm's bodies; those left out are the arm's own."""
 
-    column_mm: Millimetres = Field(default=150.0, description="Radius from the base to A2.")
-    upper_arm_mm: Millimetres = Field(default=85.0, description="Radius from A2 to A3.")
-    forearm_mm: Millimetres = Field(default=70.0, description="Radius from A3 to A5.")
-    wrist_mm: Millimetres = Field(default=45.0, description="Radius about A5.")
-    hand_mm: Millimetres = Field(default=45.0, description="Radius from A5 to the flange.")
+    column_mm: Millimetres | None = Field(
+        default=None, description="Radius from the base to the second joint."
+    )
+    upper_arm_mm: Millimetres | None = Field(default=None, description="Radius from shoulder to elbow.")
+    forearm_mm: Millimetres | None = Field(default=None, description="Radius from the elbow to the wrist.")
+    wrist_mm: Millimetres | None = Field(default=None, description="Radius of the wrist.")
+    hand_mm: Millimetres | None = Field(default=None, description="Radius from the wrist to the flange.")
+
+    @property
+    def measured(self) -> MeasuredRadii:
+        """Radii as plain numbers."""
+        return MeasuredRadii(self.column_mm, self.upper_arm_mm, self.forearm_mm, self.wrist_mm, self.hand_mm)
 
 
 class HeadZone(Strict):
@@ -201,14 +208,14 @@ class CollisionConfig(Strict):
             obstacles.append(
                 Obstacle(f"{FIDUCIAL} {number}", _build_post(centre, robot_from_head.position_mm))
             )
-        zone, arm = self.zone, self.arm
+        zone = self.zone
         return Surroundings(
             tool=tuple(
                 Part(tool_body.name, tool_body.capsule.moved(flange_from_tool), tool_body.enters_head)
                 for tool_body in tool
             ),
             obstacles=tuple(obstacles),
-            radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
+            radii=self.arm.measured,
             margin_mm=self.margin_mm,
             live_margin_mm=self.live_margin_mm,
             zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
+from ronna_hw.arm.catalogue import BUILT_IN
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -77,7 +78,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
     """Raise ValueError if a tool or guide axis is inside the arm's hand, a sign of wrong units."""
     if theatre.calibration is None:
         return
-    hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
+    hand_mm, records = theatre.cell.arm.hand_mm or SLIMMEST_HAND_MM, theatre.calibration
     bore = theatre.tools["guide"].bore if "guide" in theatre.tools else None
     for name, near_mm in (
         ("stereo_head", closest_to_flange_mm(records.stereo_head.flange_from_tool)),
@@ -102,6 +103,7 @@ def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = 
     return math.dist(tip_mm, [up_mm * along for along in axis])
 
 
+SLIMMEST_HAND_MM = min(arm.radii.hand_mm for arm in BUILT_IN.values())
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide

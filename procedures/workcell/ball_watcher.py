@@ -17,7 +17,7 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.centring import refusal, search_poses
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
-from ronna_hw.arm.clearance.bodies import ArmRadii, Capsule, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
@@ -179,11 +179,11 @@ def build_free_surroundings(
     flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
     standing = (body for body in surroundings.bodies if body.frame is BodyFrame.ROBOT)
     room = [Obstacle(body.name, body.capsule) for body in standing]
-    arm, zone = surroundings.arm, surroundings.zone
+    zone = surroundings.zone
     return Surroundings(
         tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in tool),
         obstacles=(*obstacles, *room),
-        radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
+        radii=surroundings.arm.measured,
         margin_mm=surroundings.margin_mm,
         live_margin_mm=surroundings.live_margin_mm,
         zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),

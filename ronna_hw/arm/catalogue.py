@@ -3,7 +3,7 @@
 A driver package with an arm of its own declares, for example::
 
     [project.entry-points."ronna_hw.arms"]
-    ur5 = "my_package.ur5:Ur5"
+    tx2 = "my_package.tx2:Tx2"
 
 The class is called without arguments; the result is the arm's `Kinematics`.
 """
@@ -15,17 +15,20 @@ from importlib.metadata import entry_points
 from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
 
 GROUP = "ronna_hw.arms"
+_ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
+BUILT_IN = {arm.name: arm for arm in _ARMS}
 
 
 def find_kinematics(name: str) -> Kinematics:
     """Look up an arm by its `Kinematics.name`. Raises ARM-009 listing the known names."""
-    if name in (own := [str(variant) for variant in ArmVariant]):
-        return kr6_r900(name)
+    if name in BUILT_IN:
+        return BUILT_IN[name]
     others = {point.name: point for point in entry_points(group=GROUP)}
     if name not in others:
-        known = ", ".join(sorted([*own, *others]))
+        known = ", ".join(sorted([*BUILT_IN, *others]))
         raise UnknownArm(f"there is no arm named {name!r}", expected=f"one of {known}")
     arm: Kinematics = others[name].load()()
     return arm

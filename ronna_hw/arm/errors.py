@@ -62,3 +62,10 @@ class UnknownArm(ConfigurationError):
 
     code = "ARM-009"
     action = "Correct the name, or install the package that brings the arm."
+
+
+class CalibrationOfAnotherArm(ConfigurationError):
+    """An arm's factory calibration does not fit its model."""
+
+    code = "ARM-010"
+    action = "Check the arm's model in the theatre file, and that the controller belongs to this arm."

@@ -31,6 +31,23 @@ class ArmPart(StrEnum):
     HAND = "hand"
 
 
+class ArmRadii(NamedTuple):
+    """Capsule radii of an arm's bodies, by part."""
+
+    column_mm: float
+    upper_arm_mm: float
+    forearm_mm: float
+    wrist_mm: float
+    hand_mm: float
+
+    def of(self, part: ArmPart) -> float:
+        """Return the radius of a part, mm."""
+        return self[PARTS.index(part)]
+
+
+PARTS = (ArmPart.COLUMN, ArmPart.UPPER_ARM, ArmPart.FOREARM, ArmPart.WRIST, ArmPart.HAND)
+
+
 class Joint(NamedTuple):
     """Joint of a kinematic chain. With all joints at zero, every frame is parallel to the base.
 
@@ -81,6 +98,11 @@ class ArmBodies(Protocol):
     @property
     def links(self) -> tuple[Link, ...]:
         """Moving bodies, from the base outwards."""
+        ...
+
+    @property
+    def radii(self) -> ArmRadii:
+        """Radii of the bodies, unless the theatre file gives its own."""
         ...
 
     @property

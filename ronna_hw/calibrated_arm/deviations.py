@@ -219,13 +219,16 @@ def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
         axes.append(turned @ np.array(joint.axis))
         turned = turned @ rotations(joints_rad[:, number, None] * np.array(joint.axis))
         place = place + turned @ np.array(joint.to_next_mm)
-    lengths_mm = [float(np.linalg.norm(joint.to_next_mm)) for joint in chain.joints]
     wrist = len(chain.joints) - 2
     levers = np.zeros_like(joints_rad)
     for number in range(wrist):
         x_mm, y_mm, _ = (places[wrist] - places[number]).T
         axis_x, axis_y, _ = axes[number].T
-        levers[:, number] = (x_mm * axis_y - y_mm * axis_x) / sum(lengths_mm[number:wrist])
+        # Stretched, all links are across the axis; what lies along it has no lever.
+        across = [np.cross(chain.joints[number].axis, one.to_next_mm) for one in chain.joints[number:wrist]]
+        stretched_mm = sum(float(np.linalg.norm(link)) for link in across)
+        if stretched_mm > 0.0:
+            levers[:, number] = (x_mm * axis_y - y_mm * axis_x) / stretched_mm
     return levers
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, radians, sin
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
-from sim.world.nominal_arm import FLANGE_PITCH_DEG
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import ArmResidual, ArmTruth, Mount, Scene
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
@@ -39,7 +39,7 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
         return exact + generator.normal(0.0, sigma, exact.shape)
 
     # The scene expresses the error of the last link in the flange frame, the record in the one before.
-    flange = rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0))
+    flange = rotation_from_vector(DESCRIPTIONS[truth.variant].flange_turn_rad)
     translations = np.array([link.translation_mm for link in truth.links])
     rotations = np.array([link.rotation_rad for link in truth.links])
     translations[-1], rotations[-1] = flange @ translations[-1], flange @ rotations[-1]

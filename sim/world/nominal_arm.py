@@ -10,15 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.errors import BadScene
 from sim.world.rigid import rotation_from_vector
 
 Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
 AXES = 6
+ORIGIN = (0.0, 0.0, 0.0)
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
 
 Matrix = NDArray[np.float64]
@@ -42,13 +44,31 @@ class Joint:
     acceleration_deg_s2: float
 
 
+class Corner(NamedTuple):
+    """Corner of the arm's body in the frame of a joint; the tube from it to the next one has a radius."""
+
+    joint: int
+    offset_mm: tuple[float, float, float]
+    radius_mm: float
+
+
 @dataclass(frozen=True)
 class RobotDescription:
-    """Machine data of an arm, with its controller name `variant` and $ROBTRAFO[] content `model`."""
+    """Machine data of an arm, with its controller name `variant` and the `model` its controller states.
 
-    variant: Variant
+    `flange_mm` and `flange_turn_rad` place the flange in the frame of the last joint; `upper_arm_mm` and
+    `forearm_mm` are the lengths by which gravity bends shoulder and elbow. The last of `corners`, which make
+    the body that hides things from a tracker, is connected to the flange.
+    """
+
+    variant: str
     model: str
     joints: tuple[Joint, ...]
+    flange_mm: tuple[float, float, float]
+    flange_turn_rad: tuple[float, float, float]  # rotation vector
+    upper_arm_mm: float
+    forearm_mm: float
+    corners: tuple[Corner, ...]
 
     @property
     def stretched_A3_deg(self) -> float:
@@ -56,9 +76,11 @@ class RobotDescription:
         return degrees(atan2(self.joints[3].origin_mm[2], self.joints[4].origin_mm[0]))
 
 
-def description(variant: Variant) -> RobotDescription:
-    """Return the machine data of a variant."""
-    return _DESCRIPTIONS[variant]
+def description(variant: str) -> RobotDescription:
+    """Return the machine data of a variant. Raises BadScene for an arm that KUKA does not make."""
+    if variant not in DESCRIPTIONS:
+        raise BadScene(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
+    return DESCRIPTIONS[variant]
 
 
 # Planner accelerations in rad/s2, published for the sixx; the -2 has none, so it uses the same.
@@ -80,11 +102,24 @@ def _build_joints(
     )
 
 
-_DESCRIPTIONS: dict[Variant, RobotDescription] = {
-    "kr6_r900_sixx": RobotDescription(
+def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotDescription:
+    return RobotDescription(
+        variant,
+        model,
+        joints,
+        flange_mm=ORIGIN,
+        flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
+        upper_arm_mm=joints[2].origin_mm[0],
+        forearm_mm=joints[4].origin_mm[0],
+        corners=(Corner(1, ORIGIN, 90.0), Corner(2, ORIGIN, 55.0), Corner(4, ORIGIN, 45.0)),
+    )
+
+
+DESCRIPTIONS: dict[str, RobotDescription] = {
+    "kr6_r900_sixx": _describe(
         "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _build_joints(35.0, 80.0, (381.0, 388.0, 615.0))
     ),
-    "kr6_r900_2": RobotDescription(
+    "kr6_r900_2": _describe(
         "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _build_joints(25.0, 90.0, (450.0, 450.0, 540.0))
     ),
 }

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import cos, exp, radians, sin
+from math import cos, exp, sin
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
-from sim.world.nominal_arm import AXES, FLANGE_PITCH_DEG, RobotDescription, description
+from sim.world.nominal_arm import AXES, RobotDescription
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
 
@@ -38,7 +39,7 @@ class TrueArm:
     """True flange pose as a function of encoder angles, gear flanks and motion number."""
 
     def __init__(self, truth: ArmTruth, seed: int) -> None:
-        arm = description(truth.variant)
+        arm = DESCRIPTIONS[truth.variant]
         self._chain = JointChain(arm, truth.links)
         self._seed = seed
         self._repeatability_mm = truth.repeatability_mm
@@ -47,8 +48,8 @@ class TrueArm:
         self._drifts = truth.thermal_drift_mm > 0.0
         self._thermal_time_s = truth.thermal_time_s
         self._sag_rad = truth.sag_rad
-        self._upper_mm = arm.joints[2].origin_mm[0]
-        self._fore_mm = arm.joints[4].origin_mm[0]
+        self._upper_mm = arm.upper_arm_mm
+        self._fore_mm = arm.forearm_mm
         self._joints = tuple(
             zip(
                 truth.joint_offset_rad,
@@ -87,8 +88,9 @@ class TrueArm:
                 encoders_rad, flanks, self._joints, strict=True
             )
         ]
-        # Positive angles of both axes lower the arm. The moment about an axis grows with the horizontal
-        # distance of its load: full when stretched out, zero upright, reversed behind the axis.
+        # Weight turns both axes of the stretched arm in their positive direction: KUKA's point to its left,
+        # those of Universal Robots to its right, but there it extends along -x. The moment about an axis
+        # grows with the horizontal distance of its load: full stretched out, zero upright, then reversed.
         fore = cos(encoders_rad[1] + encoders_rad[2])
         upper = cos(encoders_rad[1])
         stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)
@@ -150,7 +152,7 @@ def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> 
             place = place * _placement_error(links[number - 1])
         axis = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
         parent = model.addJoint(parent, axis, place, joint.name)
-    end = pin.SE3(rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0)), np.zeros(3))
+    end = pin.SE3(rotation_from_vector(arm.flange_turn_rad), np.array(arm.flange_mm))
     if links is not None:
         end = end * _placement_error(links[AXES - 1])
     return model, model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))

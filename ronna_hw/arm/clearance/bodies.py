@@ -15,7 +15,7 @@ from functools import cached_property
 from math import dist, hypot, inf, sqrt
 from typing import Any, NamedTuple
 
-from ronna_hw.arm.kinematics import COLUMN_NAME, ArmBodies, ArmPart
+from ronna_hw.arm.kinematics import COLUMN_NAME, PARTS, ArmBodies, ArmPart
 from ronna_hw.arm.pose import Pose
 from ronna_hw.vectors import Vector3
 
@@ -144,23 +144,22 @@ class SpeedZone(NamedTuple):
         return self.near_speed_mm_s + share * (self.far_speed_mm_s - self.near_speed_mm_s)
 
 
-class ArmRadii(NamedTuple):
-    """Capsule radii of the arm's bodies; our own conservative estimates (U)."""
+class MeasuredRadii(NamedTuple):
+    """Capsule radii of the arm's bodies as the theatre file gives them; None is the arm's own."""
 
-    column_mm: float = 150.0
-    upper_arm_mm: float = 85.0
-    forearm_mm: float = 70.0
-    wrist_mm: float = 45.0
-    hand_mm: float = 45.0
+    column_mm: float | None = None
+    upper_arm_mm: float | None = None
+    forearm_mm: float | None = None
+    wrist_mm: float | None = None
+    hand_mm: float | None = None
 
-    def of(self, part: ArmPart) -> float:
+    def of(self, part: ArmPart, arm: ArmBodies) -> float:
         """Return the radius of a part, mm."""
-        return self[_PARTS.index(part)]
+        measured = self[PARTS.index(part)]
+        return arm.radii.of(part) if measured is None else measured
 
 
-_PARTS = (ArmPart.COLUMN, ArmPart.UPPER_ARM, ArmPart.FOREARM, ArmPart.WRIST, ArmPart.HAND)
-
-DEFAULT_RADII = ArmRadii()
+ARMS_OWN_RADII = MeasuredRadii()
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ class Surroundings:
 
     tool: tuple[Part, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
-    radii: ArmRadii = DEFAULT_RADII
+    radii: MeasuredRadii = ARMS_OWN_RADII
     margin_mm: float = 10.0
     live_margin_mm: float = 5.0
     zone: SpeedZone | None = None
@@ -203,7 +202,7 @@ class Surroundings:
         return cls(
             tool=tuple(Part(name, _capsule(body), enters) for name, body, enters in values["tool"]),
             obstacles=tuple(Obstacle(name, _capsule(body), head) for name, body, head in values["obstacles"]),
-            radii=ArmRadii(*values["radii"]),
+            radii=MeasuredRadii(*values["radii"]),
             margin_mm=values["margin_mm"],
             live_margin_mm=values["live_margin_mm"],
             zone=None if zone is None else SpeedZone(*zone),
@@ -265,7 +264,7 @@ class Bodies:
         """Radii of the moving bodies."""
         radii = self.surroundings.radii
         return (
-            *(radii.of(link.part) for link in self.arm.links),
+            *(radii.of(link.part, self.arm) for link in self.arm.links),
             *(part.capsule.radius_mm for part in self.surroundings.tool),
         )
 
@@ -275,7 +274,7 @@ class Bodies:
 
         The column ends slightly below the first moving body.
         """
-        radius_mm = self.surroundings.radii.of(ArmPart.COLUMN)
+        radius_mm = self.surroundings.radii.of(ArmPart.COLUMN, self.arm)
         top_mm = max(self.arm.column_height_mm - radius_mm, 0.0)
         column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top_mm), radius_mm)
         return (column, *(obstacle.capsule for obstacle in self.surroundings.obstacles))

@@ -6,13 +6,10 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING
 
+from ronna_hw.arm.kinematics import ArmRadii
 from ronna_hw.arm.pose import radians6
 from ronna_hw.vectors import JointVector
-
-if TYPE_CHECKING:
-    pass
 
 
 class ArmVariant(StrEnum):
@@ -70,6 +67,9 @@ class Dimensions:
 _LOWER = radians6(-170, -190, -120, -185, -120, -350)
 _UPPER = radians6(170, 45, 156, 185, 120, 350)
 _ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
+
+# Our own conservative estimates (U).
+RADII = ArmRadii(column_mm=150.0, upper_arm_mm=85.0, forearm_mm=70.0, wrist_mm=45.0, hand_mm=45.0)
 
 DIMENSIONS = {
     ArmVariant.SIXX: Dimensions(

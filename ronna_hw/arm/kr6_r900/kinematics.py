@@ -21,7 +21,7 @@ from ronna_hw.arm.kinematics import (
     Solution,
 )
 from ronna_hw.arm.kr6_r900 import inverse
-from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, ArmVariant, Dimensions
+from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, ArmVariant, Dimensions
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -46,6 +46,7 @@ class Kr6R900:
     axis_names = AXIS_NAMES
     home_rad = HOME_RAD
     branches = inverse.BRANCHES
+    radii = RADII
 
     def __init__(self, dimensions: Dimensions) -> None:
         self.dimensions = dimensions

@@ -1,7 +1,7 @@
 """Occlusion by the head (an ellipsoid) and the arm (capsules) between markers and sensors.
 
 Tracker frame, mm. A marker inside a body's hull is mounted on that body and protrudes from it, so that body
-never hides it. The capsules are roughly the hull of a KR 6 R900 and its tools. Their joints are those of the
+never hides it. The capsules are roughly the hull of the arm and its tools. Their joints are those of the
 nominal arm, millimetres off the true one. Head and guide share one mount, which keeps clear of the patient:
 a plate on the flange, a riser at its end, away from the patient, and a bridge from its top to the tool's
 axis.
@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.world.nominal_arm import description
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.rigid import Matrix, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState
@@ -32,16 +32,12 @@ Flags = NDArray[np.bool_]
 Vector = NDArray[np.float64]
 Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius
 
-UPPER_ARM_RADIUS_MM = 90.0
-FOREARM_RADIUS_MM = 55.0
-WRIST_RADIUS_MM = 45.0
 MOUNT_RADIUS_MM = 12.0
 RISER_MM = 130.0  # distance from the tool's axis, towards the flange
 RISER_TOP_MM = 170.0  # above the tool centre point
 CAMERA_RADIUS_MM = 22.0  # housing of 29 mm, measured across its corners
 GUIDE_RADIUS_MM = 8.0
 CAMERA_LENGTH_MM = 80.0  # housing and lens, from the lens' centre backwards
-SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints at the ends of upper arm and forearm
 
 
 def visible(
@@ -166,15 +162,17 @@ class ArmBody:
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
-        joints = description(scene.arm.variant).joints[: WRIST + 1]
+        self._corners = DESCRIPTIONS[scene.arm.variant].corners
+        joints = DESCRIPTIONS[scene.arm.variant].joints[: self._corners[-1].joint + 1]
+        radii_mm = [corner.radius_mm for corner in self._corners]
         self._origins_mm = [np.array(joint.origin_mm, dtype=float) for joint in joints]
         terms = [_rodrigues_terms(joint.axis) for joint in joints]
         self._once, self._twice = np.array([one for one, _ in terms]), np.array([two for _, two in terms])
         self._flange_from_tool = matrix_of(mount.flange_from_tool_true)
         mount_limbs, top = _mount(inverse(self._flange_from_tool)[:3, 3])
-        self._bare = _LimbsOnTool([], [])
+        self._bare = _LimbsOnTool(radii_mm, [], [])
         self._carried = {
-            number: _LimbsOnTool([*mount_limbs, *bars], carried)
+            number: _LimbsOnTool(radii_mm, [*mount_limbs, *bars], carried)
             for number, (bars, carried) in (
                 (mount.tool_number_guide, _guide(mount, top)),
                 (mount.tool_number_stereo, _stereo_head(scene, top)),
@@ -184,7 +182,7 @@ class ArmBody:
     def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix) -> Capsules:
         """Return the arm's capsules in the tracker frame."""
         flange = arm.robot_from_flange
-        joints = apply(tracker_from_robot, np.array([*self._joints_mm(arm), flange[:3, 3]]))
+        joints = apply(tracker_from_robot, np.array([*self._corners_mm(arm), flange[:3, 3]]))
         limbs = self._carried.get(mounted_tool, self._bare)
         on_tool = apply(tracker_from_robot @ flange @ self._flange_from_tool, limbs.ends_mm)
         return Capsules(
@@ -194,18 +192,22 @@ class ArmBody:
             limbs.of_mount,
         )
 
-    def _joints_mm(self, arm: ArmState) -> tuple[Vector, Vector, Vector]:
-        """Return the shoulder, elbow and wrist positions in the robot frame, mm."""
-        sines = np.array([math.sin(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
-        versines = np.array([1.0 - math.cos(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
+    def _corners_mm(self, arm: ArmState) -> list[Vector]:
+        """Return the positions of the corners in the robot frame, mm."""
+        angles = arm.joints_rad[: len(self._origins_mm)]
+        sines = np.array([math.sin(angle) for angle in angles])[:, None, None]
+        versines = np.array([1.0 - math.cos(angle) for angle in angles])[:, None, None]
         turns = np.eye(3) + sines * self._once + versines * self._twice
         rotation, place = np.eye(3), np.zeros(3)
-        places = []
+        frames = []
         for origin, turn in zip(self._origins_mm, turns, strict=True):
             place = place + rotation @ origin
             rotation = rotation @ turn
-            places.append(place)
-        return places[SHOULDER], places[ELBOW], places[WRIST]
+            frames.append((place, rotation))
+        return [
+            frames[corner.joint][0] + frames[corner.joint][1] @ np.array(corner.offset_mm)
+            for corner in self._corners
+        ]
 
 
 class _LimbsOnTool:
@@ -214,9 +216,8 @@ class _LimbsOnTool:
     Radii and flags are those of the whole arm, whose own limbs come first.
     """
 
-    def __init__(self, mount: list[Limb], carried: list[Limb]) -> None:
+    def __init__(self, arm_radii_mm: list[float], mount: list[Limb], carried: list[Limb]) -> None:
         limbs = [*mount, *carried]
-        arm_radii_mm = (UPPER_ARM_RADIUS_MM, FOREARM_RADIUS_MM, WRIST_RADIUS_MM)
         self.ends_mm: Vectors = np.array([end for one in limbs for end in one[:2]], dtype=float).reshape(
             -1, 3
         )

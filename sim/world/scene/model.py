@@ -181,23 +181,27 @@ class LinkError(Strict):
 
 
 class ArmTruth(Strict):
-    """True arm: nominal geometry plus errors in order A1..A6.
+    """True arm: nominal geometry plus errors from the base outwards.
 
     The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and backlash with
     the sign of the last motion; at rest a repeatability error is added.
     """
 
-    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(default="kr6_r900_sixx", description="Arm model.")
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2", "ur5", "ur5e"] = Field(
+        default="kr6_r900_sixx", description="Arm model."
+    )
     home_deg: Numbers6 = Field(description="Joint angles at the start.")
     links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError] = Field(
-        description="Geometric errors of the links, A1 to A6."
+        description="Geometric errors of the links, from the base outwards."
     )
     joint_offset_rad: Numbers6 = Field(description="Constant error of each encoder.")
     harmonic_1_rad: Numbers6 = Field(description="First harmonic of the encoder error: amplitude.")
     harmonic_1_phase_rad: Numbers6 = Field(description="First harmonic of the encoder error: phase.")
     harmonic_2_rad: Numbers6 = Field(description="Second harmonic of the encoder error: amplitude.")
     harmonic_2_phase_rad: Numbers6 = Field(description="Second harmonic of the encoder error: phase.")
-    sag_rad: tuple[float, float] = Field(description="Sag of A2 and A3, arm stretched out horizontally.")
+    sag_rad: tuple[float, float] = Field(
+        description="Sag of the second and third joint, arm stretched out horizontally."
+    )
     backlash_rad: Numbers6 = Field(description="Backlash, half of it to either side.")
     repeatability_mm: NotNegative = Field(
         description="Repeatability per axis at the tool, one standard deviation."

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ideal_device import IdealDevice
-from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted
@@ -46,7 +46,7 @@ class Stopped(MotionInterrupted):
 class Controller:
     """What the controller knows whoever talks to it."""
 
-    joints_rad: JointVector = Ur5.home_rad
+    joints_rad: JointVector = universal_robot("ur5").home_rad
     cycles: int = 0
 
 
@@ -54,7 +54,7 @@ class IdealArm(IdealDevice):
     """Does what the interface says, in a few steps, at `host:`. A subclass holds the controller."""
 
     controller: ClassVar[Controller]
-    kinematics = Ur5()
+    kinematics = universal_robot("ur5")
     operating_mode = OperatingMode.AUTOMATIC
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:

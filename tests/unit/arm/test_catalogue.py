@@ -8,38 +8,41 @@ from typing import Any
 
 import pytest
 from arm_looks import ENDPOINTS
+from packaged_arm import PackagedArm
 from recording_cell import RecordingCell
-from ur5 import Ur5
 
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.arm import catalogue
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
 
-KNOWN = "kr6_r900_2, kr6_r900_sixx"
+KNOWN = "kr6_r900_2, kr6_r900_sixx, ur5, ur5e"
+FOREIGN = PackagedArm().name
+UNKNOWN = f"there is no arm named '{FOREIGN}'; expected one of {KNOWN}"
 
 
 @pytest.fixture
-def ur5_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("ur5", "ur5:Ur5", catalogue.GROUP)
+def arm_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint(FOREIGN, "packaged_arm:PackagedArm", catalogue.GROUP)
     monkeypatch.setattr(catalogue, "entry_points", lambda *, group: [point] * (group == catalogue.GROUP))
 
 
-@pytest.mark.parametrize("variant", ArmVariant)
-def test_an_arm_is_found_by_its_name(variant: ArmVariant) -> None:
-    assert find_kinematics(variant.value).name == variant.value
+@pytest.mark.parametrize("name", [*ArmVariant, *UrModel])
+def test_an_arm_is_found_by_its_name(name: str) -> None:
+    assert find_kinematics(str(name)).name == name
 
 
-@pytest.mark.usefixtures("ur5_installed")
-def test_a_package_brings_a_second_arm_and_a_theatre_file_may_calibrate_it() -> None:
-    assert isinstance(find_kinematics("ur5"), Ur5)
-    calibrations = parse_theatre(with_record_of("ur5")).calibration
+@pytest.mark.usefixtures("arm_installed")
+def test_a_package_brings_an_arm_of_its_own_and_a_theatre_file_may_calibrate_it() -> None:
+    assert isinstance(find_kinematics(FOREIGN), PackagedArm)
+    calibrations = parse_theatre(with_record_of(FOREIGN)).calibration
     assert calibrations is not None
-    assert calibrated_arm(Ur5(), calibrations.arm).nominal.name == "ur5"
+    assert calibrated_arm(PackagedArm(), calibrations.arm).nominal.name == FOREIGN
 
 
 def with_record_of(arm: str) -> dict[str, Any]:
@@ -49,13 +52,13 @@ def with_record_of(arm: str) -> dict[str, Any]:
 
 
 def test_a_theatre_file_with_the_record_of_an_unknown_arm_is_refused_with_the_known_names() -> None:
-    with pytest.raises(BadTheatreFile, match=rf"arm: there is no arm named 'ur5'; expected one of {KNOWN}"):
-        parse_theatre(with_record_of("ur5"))
+    with pytest.raises(BadTheatreFile, match=f"arm: {UNKNOWN}"):
+        parse_theatre(with_record_of(FOREIGN))
 
 
 def test_a_driver_of_an_unknown_arm_is_refused_before_anything_is_connected(tmp_path: Path) -> None:
     cell = RecordingCell(tmp_path)
-    cell.arm.kinematics = Ur5()
-    with pytest.raises(UnknownArm, match=f"ARM-009: there is no arm named 'ur5'; expected one of {KNOWN}"):
+    cell.arm.kinematics = PackagedArm()
+    with pytest.raises(UnknownArm, match=f"ARM-009: {UNKNOWN}"):
         cell.make_workcell()
     assert cell.arm.state == "disconnected"

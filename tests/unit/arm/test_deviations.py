@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -14,7 +15,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm, flange_poses
 from sim.theatre.records import arm_values
 from sim.world.scene.as_built import draw_arm
-from sim.world.scene.model import ArmResidual
+from sim.world.scene.model import ArmResidual, ArmTruth
 from sim.world.true_arm import TrueArm
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
@@ -22,10 +23,10 @@ EXACT = ArmResidual(link_mm=0.0, angle_rad=0.0, tool_mm=0.0)
 SAG_MISMATCH_MM = 0.06  # the lever of the wrist has the elbow's offset in it; the simulator's leaves it out
 
 
-def _truth(seed: int = 5) -> tuple[TrueArm, ArmDeviations]:
-    truth = draw_arm(np.random.default_rng(seed))
+def _truth(variant: str = "kr6_r900_sixx", seed: int = 5) -> tuple[ArmTruth, ArmDeviations]:
+    truth = draw_arm(np.random.default_rng(seed)).model_copy(update={"variant": variant})
     values = arm_values(truth, EXACT, np.random.default_rng(0))
-    return TrueArm(truth, seed), ArmDeviations(**{name: np.array(one) for name, one in values.items()})
+    return truth, ArmDeviations(**{name: np.array(one) for name, one in values.items()})
 
 
 def _postures(count: int) -> np.ndarray:
@@ -38,15 +39,17 @@ def test_without_deviations_the_chain_is_the_nominal_arm() -> None:
         np.testing.assert_allclose(pose, KINEMATICS.flange_pose(tuple(joints)).as_matrix(), atol=1e-9)
 
 
-def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm() -> None:
-    true, deviations = _truth()
+@pytest.mark.parametrize("variant", ["kr6_r900_sixx", "ur5e"])
+def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm(variant: str) -> None:
+    truth, deviations = _truth(variant)
+    chain, true = find_kinematics(variant).chain, TrueArm(truth, 5)
     flanks = np.sign(np.random.default_rng(2).normal(size=(50, 6)))
-    ours = flange_poses(KINEMATICS.chain, deviations, _postures(50), flanks)
+    ours = flange_poses(chain, deviations, _postures(50), flanks)
     theirs = [true.moving(joints, side) for joints, side in zip(_postures(50), flanks, strict=True)]
     assert np.abs(ours[:, :3, 3] - np.array(theirs)[:, :3, 3]).max() < SAG_MISMATCH_MM
     weightless = ArmDeviations(**{**vars(deviations), "sag_rad": np.zeros(6)})
-    truth = draw_arm(np.random.default_rng(5)).model_copy(update={"sag_rad": (0.0, 0.0)})
-    ours = flange_poses(KINEMATICS.chain, weightless, _postures(50), flanks)
+    truth = truth.model_copy(update={"sag_rad": (0.0, 0.0)})
+    ours = flange_poses(chain, weightless, _postures(50), flanks)
     theirs = [
         TrueArm(truth, 5).moving(joints, side) for joints, side in zip(_postures(50), flanks, strict=True)
     ]

@@ -8,24 +8,25 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from calibrated_ur import CALIBRATED_UR
 from monitored_motion import drive_monitored
-from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
-from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.frames import Frame
 from ronna_hw.preview import preview
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
-ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())
+ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
 
 
 def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
@@ -40,20 +41,25 @@ def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
     }
 
 
+UR_SINGULAR = {
+    "wrist": radians6(10, -80, -100, 30, 180, 50),
+    "elbow": radians6(10, -80, 0, 30, 70, 50),
+    "shoulder": radians6(10, -90, 0, 90, 70, 50),
+}
 SINGULAR = {
     "kr6_r900_sixx": _kr6_singular(35.0),
     "kr6_r900_2": _kr6_singular(25.0),
-    "ur5": {
-        "wrist": radians6(10, -80, -100, 30, 180, 50),
-        "elbow": radians6(10, -80, 0, 30, 70, 50),
-        "shoulder": radians6(10, -90, 0, 90, 70, 50),
-    },
+    "ur5": UR_SINGULAR,
+    "ur5e": UR_SINGULAR,
 }
 CYCLE_S = 0.004
 TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)
 TIP_MM = (0.0, 0.0, 120.0)
 
 each_arm = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+each_chain = pytest.mark.parametrize(
+    "arm", [*ARMS, CALIBRATED_UR], ids=[*(arm.name for arm in ARMS), "calibrated"]
+)
 
 
 def _postures(arm: Kinematics, count: int, seed: int) -> list[JointVector]:
@@ -74,7 +80,7 @@ def _largest_difference(a: JointVector, b: JointVector) -> float:
 def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
     arm: Kinematics, postures: int
 ) -> None:
-    seen = set()
+    seen: set[Branch] = set()
     for joints in _postures(arm, postures, 1):
         pose = arm.forward(joints)
         found = arm.solutions(pose)
@@ -100,14 +106,14 @@ def test_solving_one_branch_returns_the_solution_nearest_to_the_reference(arm: K
         assert _largest_difference(found, joints) < 1e-6
 
 
-@each_arm
+@each_chain
 def test_the_framed_pose_equals_the_plain_one(arm: Kinematics) -> None:
     pose = arm.flange_pose(arm.home_rad)
     assert (pose.target, pose.source) == (Frame.ROBOT, Frame.FLANGE)
     assert pose.translation_mm == pytest.approx(arm.forward(arm.home_rad).position_mm)
 
 
-@each_arm
+@each_chain
 def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematics) -> None:
     step = 1e-6
     for joints in _postures(arm, 20, 3):
@@ -133,7 +139,7 @@ def test_singular_postures_measure_zero_and_have_no_solution(arm: Kinematics) ->
     assert 0.2 < arm.singular_measure(arm.home_rad).least <= 1.0
 
 
-@each_arm
+@each_chain
 def test_a_pose_out_of_reach_is_refused_in_every_branch(arm: Kinematics) -> None:
     far = Pose((3000.0, 0.0, 500.0))
     with pytest.raises(Unreachable):
@@ -143,16 +149,22 @@ def test_a_pose_out_of_reach_is_refused_in_every_branch(arm: Kinematics) -> None
             arm.solve_branch(far, branch, arm.home_rad)
 
 
-def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches() -> None:
-    arm = Ur5()
-    assert arm.forward((0.0,) * 6).position_mm == pytest.approx((-817.25, -191.45, -5.49), abs=1e-2)
+@pytest.mark.parametrize(
+    ("model", "outstretched_mm"),
+    [("ur5", (-817.25, -191.45, -5.491)), ("ur5e", (-817.2, -232.9, 62.8))],
+)
+def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches(
+    model: str, outstretched_mm: Vector3
+) -> None:
+    arm = universal_robot(model)
+    assert arm.forward((0.0,) * 6).position_mm == pytest.approx(outstretched_mm, abs=1e-9)
     counts = {
         len({branch for branch, _ in arm.solutions(arm.forward(joints))}) for joints in _postures(arm, 200, 4)
     }
     assert counts == {2, 4, 6, 8}
 
 
-@each_arm
+@each_chain
 def test_a_joint_move_and_a_line_pass_the_monitor_and_end_at_their_targets(arm: Kinematics) -> None:
     start = arm.home_rad
     limits = working_limits(arm)
@@ -201,7 +213,7 @@ def test_a_preview_detects_a_collision_of_the_tool_with_an_obstacle(arm: Kinemat
     assert 0.3 < met.refused.fraction < 0.7
 
 
-@each_arm
+@each_chain
 def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
     for joints in _postures(arm, 20, 5):
         place, turn = np.array(arm.chain.base_mm), np.eye(3)
@@ -216,7 +228,7 @@ def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
         assert np.allclose(flange, pose.rotation_matrix, atol=1e-10)
 
 
-@each_arm
+@each_chain
 def test_links_are_ordered_from_the_base_outwards(arm: Kinematics) -> None:
     joints = [link.joint for link in arm.links]
     assert all(inner <= outer for inner, outer in pairwise(joints))

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from ideal_arm import Controller, IdealArm
-from ur5 import Ur5
 
 from conformance import robot
 from conformance.case import MOTION, Outcome
@@ -16,6 +15,7 @@ from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -183,7 +183,10 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     "lines between any frames": ("R20", {"drive": anywhere}),
     "moves the flange on the line": ("R21", {"drive": other_motion(without_tool)}),
     "goes on after the block": ("R26", {"deactivate": lets_it_go_on}),
-    "the same limits in every mode": ("R27", {"limits": lambda self, mode=None: working_limits(Ur5())}),
+    "the same limits in every mode": (
+        "R27",
+        {"limits": lambda self, mode=None: working_limits(universal_robot("ur5"))},
+    ),
     "previews beyond its limits": ("R28", {"preview": beyond_the_margin}),
 }
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from ur5 import Ur5
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import WristState
@@ -15,6 +14,7 @@ from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 FIDUCIALS = [[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]]
@@ -86,7 +86,7 @@ def test_the_joints_reach_the_poses(checked, make_arm):
 
 
 def test_an_arm_with_an_offset_wrist_reaches_the_whole_procedure(make_arm):
-    arm = Ur5()
+    arm = universal_robot("ur5")
     setting = make_arm(kinematics=arm, start_rad=arm.home_rad)
     result = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     result.require()

@@ -10,6 +10,7 @@ import pytest
 from kr6_golden_poses import GOLDEN
 from shared_controller import Make
 
+from sim.errors import BadScene
 from sim.world.nominal_arm import Variant, description, frame_of, pose_of_frame, status_and_turn
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
@@ -255,3 +256,8 @@ def test_the_pose_believed_by_the_controller_stays_nominal(make_bench: Make, tru
     really = bench.published[-1].robot_from_flange[:3, 3]
     assert believed == pytest.approx([445.0, 0.0, 810.0])
     assert 0.1 < float(np.linalg.norm(believed - really)) < 6.0
+
+
+def test_the_arm_of_another_make_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(BadScene, match="kr6_r900_sixx or kr6_r900_2, not the scene's arm ur5e"):
+        description("ur5e")

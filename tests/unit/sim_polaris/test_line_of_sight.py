@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.arm.clearance.bodies import Capsule
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
 from sim.polaris.measurement.optics import EYES_MM
@@ -157,7 +158,7 @@ def test_the_planners_bodies_cover_every_body_of_the_simulated_mount(tool: str) 
     number = {"stereo": mount.tool_number_stereo, "guide": mount.tool_number_guide}[tool]
     wrist, flange = ((-220.0, 0.0, z_mm) for z_mm in (-140.0, -60.0))
     known = [one.capsule for one in {"stereo": cell.stereo_head, "guide": cell.guide}[tool]]
-    known.append(Capsule(wrist, flange, cell.arm.hand_mm))
+    known.append(Capsule(wrist, flange, kr6_r900().radii.hand_mm))
     outside_mm = [beyond_mm(inside_mm(*body), known) for body in zip(*carried(scene, number), strict=True)]
     assert max(outside_mm) <= AS_FINE_AS_MM, outside_mm
 

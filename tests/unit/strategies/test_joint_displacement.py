@@ -10,7 +10,6 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import RigidTransform, Rotation
 from strategy_arms import ARM, FIDUCIALS, KR6, LEANING, ROOM
-from ur5 import Ur5
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.target_prediction import predict_target_error
@@ -21,12 +20,14 @@ from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
 from procedures.strategies.trajectory import Trajectory, target_pose
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, displacements
 from ronna_hw.frames import Frame, Transform
 
 JDMS = JointDisplacementMinimization()
+UR5 = universal_robot("ur5")
 OFFSET_WRIST = ArmInBranch(
-    Ur5(), ARM.flange_from_guide, ARM.flange_from_stereo, Ur5().branch_of(Ur5().home_rad), Ur5().home_rad
+    UR5, ARM.flange_from_guide, ARM.flange_from_stereo, UR5.branch_of(UR5.home_rad), UR5.home_rad
 )
 
 

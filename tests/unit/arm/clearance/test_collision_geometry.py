@@ -7,7 +7,7 @@ from dataclasses import replace
 import coal
 import numpy as np
 import pytest
-from ur5 import Ur5
+from calibrated_ur import CALIBRATED_UR
 
 from ronna_hw.arm.clearance.bodies import (
     Bodies,
@@ -22,6 +22,7 @@ from ronna_hw.arm.clearance.sweep import segment_distances, sweep
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -117,7 +118,9 @@ def test_the_capsules_of_a_head_enclose_its_ellipsoid_tightly(axes: Vector3) -> 
     assert overshoot <= 0.4 * (max(axes) - min(axes)) + 1e-9
 
 
-@pytest.mark.parametrize("arm", [MODEL, Ur5()], ids=lambda arm: arm.name)
+@pytest.mark.parametrize(
+    "arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__
+)
 def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
     rng = random.Random(5)
     bodies = Bodies(arm, AROUND)
@@ -135,7 +138,9 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
-@pytest.mark.parametrize("arm", [MODEL, Ur5()], ids=lambda arm: arm.name)
+@pytest.mark.parametrize(
+    "arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__
+)
 def test_no_body_moves_farther_than_the_joint_levers_allow(arm: Kinematics) -> None:
     rng = random.Random(6)
     bodies = Bodies(arm, AROUND)

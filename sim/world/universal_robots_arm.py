@@ -1,0 +1,93 @@
+"""Nominal UR5 and UR5e: machine data as the vendor's robot descriptions give them.
+
+Each joint turns about z of its own frame, which a displacement and three fixed angles place in the previous
+one. Written independently of the kinematics that the drivers use.
+"""
+
+from __future__ import annotations
+
+from math import degrees, pi
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.world.nominal_arm import ORIGIN, Corner, Joint, RobotDescription
+from sim.world.rigid import as_point
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+RANGE_DEG = 360.0
+ELBOW_RANGE_DEG = 180.0  # as planners of the field limit it (U)
+FULL_SPEED_DEG_S = 180.0
+ACCELERATION_DEG_S2 = degrees(40.0)  # the largest that a program may ask for: what the drives can do (U)
+
+TUBE_RADIUS_MM, WRIST_RADIUS_MM = 55.0, 40.0  # tubes of upper arm and forearm with their joints (U)
+
+# Place of each joint in the previous one's frame: x y z (m), roll pitch yaw (rad).
+Place = tuple[tuple[float, float, float], tuple[float, float, float]]
+UR5: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.089159), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.425, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.39225, 0.0, 0.10915), (0.0, 0.0, 0.0)),
+    ((0.0, -0.09465, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.0823, 0.0), (pi / 2, pi, pi)),
+)
+UR5E: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.1625), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.425, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.3922, 0.0, 0.1333), (0.0, 0.0, 0.0)),
+    ((0.0, -0.0997, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.0996, 0.0), (pi / 2, pi, pi)),
+)
+
+
+def _describe(
+    variant: str, model: str, places: tuple[Place, ...], upper_arm_aside_mm: float, forearm_aside_mm: float
+) -> RobotDescription:
+    """Express the joints in frames that are parallel to the base with all joints at zero.
+
+    Where on its axis a joint lies is free. The errors of a true arm are those of its tubes, so the wrist's
+    joints are drawn back along their axes to where the tube before meets them, and the flange follows.
+    """
+    turned, joints, ahead_mm = Rotation.identity(), [], np.zeros(3)
+    for name, (xyz_m, rpy_rad) in zip(NAMES, places, strict=True):
+        step_mm = ahead_mm + 1000.0 * turned.apply(np.array(xyz_m))
+        turned = turned * Rotation.from_euler("xyz", rpy_rad)
+        axis = turned.apply((0.0, 0.0, 1.0))
+        ahead_mm = (step_mm @ axis) * axis if name.startswith("wrist") else np.zeros(3)
+        end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
+        joints.append(
+            Joint(
+                name,
+                as_point(step_mm - ahead_mm),
+                as_point(axis),
+                -end,
+                end,
+                FULL_SPEED_DEG_S,
+                ACCELERATION_DEG_S2,
+            )
+        )
+    return RobotDescription(
+        variant,
+        model,
+        tuple(joints),
+        flange_mm=as_point(ahead_mm),
+        flange_turn_rad=as_point(turned.as_rotvec()),
+        upper_arm_mm=-1000.0 * places[2][0][0],
+        forearm_mm=-1000.0 * places[3][0][0],
+        corners=(
+            Corner(1, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(2, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(2, (0.0, -forearm_aside_mm, 0.0), TUBE_RADIUS_MM),
+            Corner(3, (0.0, -forearm_aside_mm, 0.0), WRIST_RADIUS_MM),
+            Corner(4, ORIGIN, WRIST_RADIUS_MM),
+            Corner(5, ORIGIN, WRIST_RADIUS_MM),
+        ),
+    )
+
+
+DESCRIPTIONS = {
+    "ur5": _describe("ur5", "UR5", UR5, 135.85, 16.5),
+    "ur5e": _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
+}

@@ -1,0 +1,136 @@
+"""The factory's calibration: the individual arm behind the neutral interface, whatever describes it."""
+
+from __future__ import annotations
+
+import random
+from math import pi
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ronna_hw.arm.errors import CalibrationOfAnotherArm, Singular, Unreachable
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
+from ronna_hw.arm.universal_robots.factory_calibration import ZEROS, FactoryCalibration
+from ronna_hw.arm.universal_robots.geometry import ALPHA_RAD, DIMENSIONS, UrModel
+from ronna_hw.arm.universal_robots.kinematics import universal_robot
+from ronna_hw.vectors import JointVector, joint_vector
+from sim.world.denavit_hartenberg import rows_of_axes
+
+each_model = pytest.mark.parametrize("model", UrModel)
+
+
+def random_calibration(rng: random.Random) -> FactoryCalibration:
+    def six(size: float) -> JointVector:
+        return joint_vector(rng.uniform(-size, size) for _ in range(6))
+
+    return FactoryCalibration(six(2e-3), six(1.0), six(1.0), six(1e-3))
+
+
+def random_joints(rng: random.Random) -> JointVector:
+    return joint_vector(rng.uniform(-pi, pi) for _ in range(6))
+
+
+@each_model
+def test_no_difference_is_the_nominal_arm(model: UrModel) -> None:
+    calibrated = CalibratedUniversalRobot(DIMENSIONS[model], FactoryCalibration())
+    joints = random_joints(random.Random(1))
+    assert calibrated.forward(joints).distance_mm(universal_robot(model).forward(joints)) < 1e-9
+
+
+@each_model
+def test_the_inverse_of_any_calibration_is_exact_in_every_branch(model: UrModel) -> None:
+    rng = random.Random(2)
+    for _ in range(20):
+        arm = CalibratedUniversalRobot(DIMENSIONS[model], random_calibration(rng))
+        for _ in range(4):
+            joints = random_joints(rng)
+            if arm.singular_measure(joints).least < 0.02:
+                continue
+            pose, branch = arm.forward(joints), arm.branch_of(joints)
+            found = arm.solve_branch(pose, branch, joints)
+            assert found == pytest.approx(joints, abs=1e-9)
+            assert arm.forward(found).distance_mm(pose) < 1e-9
+            for one in {solution.branch: solution for solution in arm.solutions(pose)}.values():
+                assert arm.forward(one.joints_rad).distance_mm(pose) < 1e-9
+                assert arm.branch_of(one.joints_rad) == one.branch
+
+
+def axes_of(arm: CalibratedUniversalRobot, tilt_rad: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the axes at joint zero, those of elbow and wrist 1 tilted towards the shoulder's."""
+    point, axes = np.array(arm.chain.base_mm), []
+    for joint in arm.chain.joints:
+        axes.append((point, np.array(joint.axis)))
+        point = point + joint.to_next_mm
+    for number, tilt in ((2, tilt_rad), (3, -0.4 * tilt_rad)):
+        about = Rotation.from_rotvec(tilt * np.array([0.045, 0.0, 1.0]))
+        axes[number] = (axes[number][0], about.apply(axes[number][1]))
+    return axes
+
+
+@each_model
+def test_an_arm_whose_axes_meet_hundreds_of_metres_away_is_as_good_as_any(model: UrModel) -> None:
+    """The oracle turns the flange about the axes themselves: no Denavit-Hartenberg parameter in it."""
+    nominal = CalibratedUniversalRobot(DIMENSIONS[model], FactoryCalibration())
+    axes = axes_of(nominal, 1e-3)
+    flange = nominal.flange_pose(ZEROS).as_matrix()
+    *rows, last = rows_of_axes(axes, flange)
+    assert abs(rows[1].d_mm) > 100e3
+    columns = [joint_vector(column) for column in zip(*rows, last, strict=True)]
+    theta, d, a, alpha = columns
+    calibration = FactoryCalibration.from_parameters(DIMENSIONS[model], theta, a, d, alpha)
+    arm = CalibratedUniversalRobot(DIMENSIONS[model], calibration)
+    at_zero = arm.forward(ZEROS)
+    assert all(np.abs(joint.to_next_mm).max() < 450.0 for joint in arm.chain.joints)
+    rng = random.Random(3)
+    for _ in range(20):
+        joints = random_joints(rng)
+        place, turn = np.array(at_zero.position_mm), Rotation.identity()
+        for (point, direction), angle in zip(reversed(axes), reversed(joints), strict=True):
+            about = Rotation.from_rotvec(angle * direction)
+            place, turn = point + about.apply(place - point), about * turn
+        assert arm.forward(joints).position_mm == pytest.approx(place, abs=1e-8)
+        expected = turn.as_matrix() @ np.reshape(at_zero.rotation, (3, 3))
+        assert np.reshape(arm.forward(joints).rotation, (3, 3)) == pytest.approx(expected, abs=1e-11)
+        if arm.singular_measure(joints).least > 0.02:
+            found = arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
+            assert arm.forward(found).distance_mm(arm.forward(joints)) < 1e-9
+
+
+def test_a_calibrated_arm_refuses_what_the_nominal_one_refuses() -> None:
+    arm = CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5E], random_calibration(random.Random(4)))
+    for branch in arm.branches:
+        with pytest.raises(Unreachable):
+            arm.solve_branch(Pose((3000.0, 0.0, 500.0)), branch, arm.home_rad)
+    straight = universal_robot(UrModel.UR5E).forward((0.2, -1.4, -1.7, 0.5, 0.0, 0.8))
+    with pytest.raises(Singular):
+        arm.solutions(straight)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        FactoryCalibration(d_mm=(float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0)),
+        FactoryCalibration(a_mm=(0.0, 25.0, 0.0, 0.0, 0.0, 0.0)),
+        FactoryCalibration(alpha_rad=(0.0, 0.0, 0.0, 0.2, 0.0, 0.0)),
+    ],
+    ids=["not a number", "longer upper arm", "twisted wrist"],
+)
+def test_a_calibration_that_no_factory_measures_is_refused(wrong: FactoryCalibration) -> None:
+    with pytest.raises(CalibrationOfAnotherArm, match="ARM-010"):
+        CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5], wrong)
+
+
+def test_the_calibration_of_the_other_model_is_refused() -> None:
+    other = DIMENSIONS[UrModel.UR5E]
+    parameters = FactoryCalibration.from_parameters(
+        DIMENSIONS[UrModel.UR5],
+        ZEROS,
+        joint_vector(link.position_mm[0] for link in other.links),
+        joint_vector(link.position_mm[2] for link in other.links),
+        ALPHA_RAD,
+    )
+    with pytest.raises(CalibrationOfAnotherArm) as refused:
+        CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5], parameters)
+    assert refused.value.code == "ARM-010"
