@@ -51,11 +51,11 @@ class TargetOutcome(Values):
 
     id: str
     depth_mm: float
+    predicted_tre_mm: float = Field(description="Root mean square.")
+    application_error_mm: float | None
     strategy: str | None = Field(
         default=None, description="Used: another than the run's if the operator agreed, and with `best`."
     )
-    predicted_tre_mm: float = Field(description="Root mean square.")
-    application_error_mm: float | None
     measured_error_mm: float | None = Field(
         default=None, description="Measured by the stereo head in place of the guide, on a phantom."
     )

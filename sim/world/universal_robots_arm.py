@@ -9,10 +9,9 @@ from __future__ import annotations
 from math import degrees, pi
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sim.world.nominal_arm import ORIGIN, Corner, Joint, RobotDescription
-from sim.world.rigid import as_point
+from sim.world.rigid import as_point, rotation_from_vector, vector_from_rotation
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 RANGE_DEG = 360.0
@@ -50,11 +49,16 @@ def _describe(
     Where on its axis a joint lies is free. The errors of a true arm are those of its tubes, so the wrist's
     joints are drawn back along their axes to where the tube before meets them, and the flange follows.
     """
-    turned, joints, ahead_mm = Rotation.identity(), [], np.zeros(3)
-    for name, (xyz_m, rpy_rad) in zip(NAMES, places, strict=True):
-        step_mm = ahead_mm + 1000.0 * turned.apply(np.array(xyz_m))
-        turned = turned * Rotation.from_euler("xyz", rpy_rad)
-        axis = turned.apply((0.0, 0.0, 1.0))
+    turned, joints, ahead_mm = np.eye(3), [], np.zeros(3)
+    for name, (xyz_m, (roll, pitch, yaw)) in zip(NAMES, places, strict=True):
+        step_mm = ahead_mm + 1000.0 * turned @ np.array(xyz_m)
+        turned = (
+            turned
+            @ rotation_from_vector((0.0, 0.0, yaw))
+            @ rotation_from_vector((0.0, pitch, 0.0))
+            @ rotation_from_vector((roll, 0.0, 0.0))
+        )
+        axis = turned[:, 2]
         ahead_mm = (step_mm @ axis) * axis if name.startswith("wrist") else np.zeros(3)
         end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
         joints.append(
@@ -73,7 +77,7 @@ def _describe(
         model,
         tuple(joints),
         flange_mm=as_point(ahead_mm),
-        flange_turn_rad=as_point(turned.as_rotvec()),
+        flange_turn_rad=as_point(vector_from_rotation(turned)),
         upper_arm_mm=-1000.0 * places[2][0][0],
         forearm_mm=-1000.0 * places[3][0][0],
         corners=(

@@ -142,7 +142,7 @@ def test_the_json_has_exactly_the_documented_keys(finished: MiniRun) -> None:
         "report",
     ]  # fmt: skip
     assert list(finished.outcome["targets"][0]) == [
-        "id", "depth_mm", "predicted_tre_mm", "application_error_mm",
+        "id", "depth_mm", "predicted_tre_mm", "application_error_mm", "strategy",
     ]  # fmt: skip
     assert list(finished.outcome["ct"]) == ["found", "missed", "false", "rms_error_mm"]
 
