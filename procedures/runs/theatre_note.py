@@ -24,7 +24,8 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.journal_reading import Chain, Line, read_chain
+from ronna_hw.evidence.lost_end import find_lost_lines, read_events
 from ronna_hw.theatre_kind import is_on_this_computer
 
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
@@ -67,14 +68,24 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
     try:
         if run.is_dir() and not (run / JOURNAL_FILE).exists():
             return None
-        chain = read_chain(run / JOURNAL_FILE)
-        arm = fold_history(chain)
+        chain, lost = _read_left_journal(run)
+        arm = fold_history(chain, lost)
         inside = arm.place.instrument_may_be_inside
-        if not (chain.torn or inside) and arm.journeys == arm_history(chain.lines[:lines_before]).journeys:
+        if (
+            not (chain.torn or lost or inside)
+            and arm.journeys == arm_history(chain.lines[:lines_before]).journeys
+        ):
             return None
         return not (arm.place.is_out or inside)
     except (OSError, RonnaError):
         return False
+
+
+def _read_left_journal(run: Path) -> tuple[Chain, tuple[Line, ...]]:
+    """Read the journal of an ended program, and the lines at its end that only the event file still has."""
+    events = read_events(run)
+    chain = read_chain(run / JOURNAL_FILE)
+    return chain, find_lost_lines(events, chain.lines)
 
 
 def note_path(theatre: Path) -> Path:
@@ -200,8 +211,8 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
     if last is None or (run is not None and _is_same(last, run)):
         return FormerRun()
     try:
-        chain = read_chain(last / JOURNAL_FILE)
-        place = fold_history(chain).place
+        chain, lost_lines = _read_left_journal(last)
+        place = fold_history(chain, lost_lines).place
     except (RonnaError, OSError):
         lost = _describe_lost_run(last, at_home=note.at_home)
         return FormerRun() if lost is None else FormerRun(last, lost)
@@ -213,7 +224,7 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
         home = None
     if not (place.is_out or inside):
         return FormerRun()
-    verb = "has lost the end of its journal, and may have left" if chain.torn else "left"
+    verb = "has lost the end of its journal, and may have left" if chain.torn or lost_lines else "left"
     message = (
         f"run {last.name} {verb} the arm away from its home" if place.is_out else f"run {last.name} ended"
     )

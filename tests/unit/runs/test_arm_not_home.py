@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 
 UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
 
@@ -175,6 +177,20 @@ def test_a_run_that_lost_the_end_of_its_journal_may_have_left_the_arm_away(tmp_p
         journal.write(bytes(100))
     lost = f"run {torn.name} has lost the end of its journal, and may have left the arm away"
     assert str(warning(tmp_path)).startswith(lost)
+
+
+@pytest.mark.hazard(5)
+def test_an_instrument_in_lines_that_only_the_event_file_still_has_is_not_forgotten(tmp_path: Path) -> None:
+    run = earlier(tmp_path, 1, "go", "home")
+    chain = read_chain(run / JOURNAL_FILE)
+    inside = {"entry": Entry.INSTRUMENT, "arm": "master", "trajectory": "T1", "inside": True}
+    lost = {**inside, "sequence": len(chain.lines), "previous": "0" * 64}
+    events = ({"what": {"kind": "journal", "line": line}} for line in (*chain.lines, lost))
+    (run / EVENTS_FILE).write_text("".join(f"{json.dumps(event)}\n" for event in events))
+    note = TheatreNote(run=run, moved_before=run)
+    assert "instrument" in str(find_former_run(note, None).inside)
+    (run / EVENTS_FILE).unlink()
+    assert find_former_run(note, None).inside is None
 
 
 @pytest.mark.hazard(5)
