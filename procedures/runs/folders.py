@@ -12,13 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from procedures.engine.errors import CommandRefused, RunInUse, TheatreNotNoted
-from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
 from ronna_hw.host.port_users import find_lock_holder

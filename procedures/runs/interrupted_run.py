@@ -67,7 +67,7 @@ class InterruptedRun:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """What the folder has and the journal does not know: lines lost at its end, and records."""
+        """Lines lost at the end of the journal and records that it does not name, in sentences."""
         lost = f"the journal {describe_lost_end(self.lost, len(self.chain.lines))}" if self.lost else ""
         return tuple(filter(None, (lost, describe_orphans(self.orphans) if self.orphans else "")))
 

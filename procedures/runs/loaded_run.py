@@ -6,7 +6,6 @@ import warnings
 from functools import cached_property
 from pathlib import Path
 
-from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.exchange.errors import NoRegistration
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
@@ -25,6 +24,7 @@ from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.files import open_regular

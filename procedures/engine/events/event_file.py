@@ -23,9 +23,9 @@ from procedures.engine.events.stream import CurrentState, EventStream
 from procedures.journal.journal import Entry
 from ronna_hw.bounded_input import check_json, count_values
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.logs import logger
 
-EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
 LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
 SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, a tracker and a stereo head

@@ -38,9 +38,9 @@ def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray, s
 
 def test_what_is_no_array_of_numbers_is_refused() -> None:
     with pytest.raises(WrongArgument, match=r"the points.*'x'"):
-        Transform.of(Frame.ROBOT, Frame.CT).apply("x")  # type: ignore[arg-type]
+        Transform.of(Frame.ROBOT, Frame.CT).apply("x")  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(WrongArgument, match=r"the translation.*'abc'"):
-        Transform.of(Frame.ROBOT, Frame.CT, translation_mm="abc")  # type: ignore[arg-type]
+        Transform.of(Frame.ROBOT, Frame.CT, translation_mm="abc")  # type: ignore[arg-type]  # wrong on purpose
 
 
 @pytest.mark.parametrize(

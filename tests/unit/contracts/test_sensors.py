@@ -34,9 +34,9 @@ def test_a_count_of_frames_that_is_none_is_refused_at_once() -> None:
     assert list(new_frames(tracker(Validity.OK), 0)) == []
     for count in (-1, 2.5, "3"):
         with pytest.raises(WrongArgument, match="ARG-001: the count of new frames"):
-            new_frames(tracker(Validity.OK), count)  # type: ignore[arg-type]
+            new_frames(tracker(Validity.OK), count)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(WrongArgument, match="ARG-001: the tracker"):
-        new_frames(None, 60)  # type: ignore[arg-type]
+        new_frames(None, 60)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:

@@ -12,8 +12,9 @@ from bounded_cost import bounded_cost
 from procedures.cli.runs.showing import line_of
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, SignalsLost, StepState
-from procedures.engine.events.event_file import EVENTS_FILE, EventFile, FollowedRun
+from procedures.engine.events.event_file import EventFile, FollowedRun
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 
 
 def pose(joint_rad: float) -> Pose:

@@ -20,7 +20,6 @@ import ronna_hw
 from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.engine.case import Case, StepKey
 from procedures.engine.errors import EventsUnreadable
-from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NoRegistration, NoSuchLook
@@ -44,6 +43,7 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
 from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
@@ -157,7 +157,7 @@ def test_looks_have_their_pictures_and_none_for_a_side_that_did_not_arrive(run: 
     with pytest.raises(NoSuchLook, match="no look 7; expected 0 to 0"):
         loaded.pictures[7]
     with pytest.raises(WrongArgument, match=r"ARG-001.*'left'"):
-        loaded.pictures["left"]  # type: ignore[call-overload]
+        loaded.pictures["left"]  # type: ignore[call-overload]  # wrong on purpose
     with pytest.raises(NoSuchLook, match=r"no pictures.*run\.notes"):
         loaded.pictures[:0][0]
 

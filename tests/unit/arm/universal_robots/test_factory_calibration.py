@@ -7,6 +7,7 @@ from math import pi
 
 import numpy as np
 import pytest
+from denavit_hartenberg import rows_of_axes
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.errors import CalibrationOfAnotherArm, Singular, Unreachable
@@ -16,7 +17,6 @@ from ronna_hw.arm.universal_robots.factory_calibration import ZEROS, FactoryCali
 from ronna_hw.arm.universal_robots.geometry import ALPHA_RAD, DIMENSIONS, UrModel
 from ronna_hw.arm.universal_robots.kinematics import universal_robot
 from ronna_hw.vectors import JointVector, joint_vector
-from sim.world.denavit_hartenberg import rows_of_axes
 
 each_model = pytest.mark.parametrize("model", UrModel)
 

@@ -16,7 +16,7 @@ from user_commands import in_this_process
 
 from procedures.cli.procedure import app
 from procedures.engine.events import CaseState
-from procedures.engine.events.event_file import EVENTS_FILE, EventFile
+from procedures.engine.events.event_file import EventFile
 from procedures.engine.events.stream import EventStream
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
@@ -34,6 +34,7 @@ from ronna_hw.errors import (
     EXIT_REFUSED,
 )
 from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from studies.cli import app as campaign
