@@ -12,6 +12,7 @@ from ronna_hw.host.port_users import find_tcp_listener
 from sim.errors import EndpointTaken
 
 READ_BYTES = 65536
+MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
 ANOTHER_ADDRESS = "Stop that program, or give an address of its own: --address 127.0.0.9."
 
 
@@ -41,6 +42,8 @@ class Connection:
         self._poll = poll
         self.handler: Handler | None = None
         self.open = True
+        self._held: list[bytes] | None = None  # what waits while nothing passes
+        self._held_bytes = 0
         poll.register(client, selectors.EVENT_READ, self.serve)
 
     def serve(self) -> None:
@@ -67,6 +70,12 @@ class Connection:
 
     def send(self, data: bytes) -> None:
         """Send, or close the connection if the client does not read."""
+        if self._held is not None:
+            self._held.append(data)
+            self._held_bytes += len(data)
+            if self._held_bytes > MOST_HELD_BYTES:
+                self.close()
+            return
         try:
             if self.socket.send(data) == len(data):
                 return
@@ -74,8 +83,23 @@ class Connection:
             pass
         self.close()
 
+    def hold(self, *, holds: bool) -> None:
+        """Let nothing pass in either direction, or what was sent meanwhile and everything again."""
+        if holds is (self._held is not None) or not self.open:
+            return
+        if holds:
+            self._held = []
+            self._poll.unregister(self.socket)
+            return
+        waiting, self._held, self._held_bytes = self._held or [], None, 0
+        self._poll.register(self.socket, selectors.EVENT_READ, self.serve)
+        if waiting:
+            self.send(b"".join(waiting))
+
     def try_send(self, data: bytes) -> bool:
         """Send, and return whether all of it went."""
+        if self._held is not None:
+            return True
         try:
             return self.socket.send(data) == len(data)
         except BlockingIOError:
@@ -111,6 +135,7 @@ class Listener:
         self._poll, self._connect = poll, connect
         self._send_buffer_bytes = send_buffer_bytes
         self._connections: list[Connection] = []
+        self._holds = False
         self._socket = _listen(address, port)
         poll.register(self._socket, selectors.EVENT_READ, self._accept)
 
@@ -125,6 +150,18 @@ class Listener:
         """Open connections."""
         return [connection for connection in self._connections if connection.open]
 
+    def hold(self, *, holds: bool) -> None:
+        """Let nothing pass, and nobody connect, or everything again."""
+        if holds is self._holds:
+            return
+        self._holds = holds
+        for connection in self.connections:
+            connection.hold(holds=holds)
+        if holds:
+            self._poll.unregister(self._socket)
+        else:
+            self._poll.register(self._socket, selectors.EVENT_READ, self._accept)
+
     def drop_all(self) -> None:
         """Close all connections."""
         for connection in self.connections:
@@ -133,7 +170,8 @@ class Listener:
     def close(self) -> None:
         """Close all connections and stop listening."""
         self.drop_all()
-        self._poll.unregister(self._socket)
+        with contextlib.suppress(KeyError):
+            self._poll.unregister(self._socket)
         self._socket.close()
 
     def _accept(self) -> None:

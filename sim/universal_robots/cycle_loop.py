@@ -4,9 +4,9 @@ A single thread does everything: no locks, and no other thread competes for the 
 `select` over all sockets.
 
 Real time: cycle k begins at t0 + k cycles. Lock-step: while our script streams, the next cycle begins once
-the client that owns its registers has answered the package of the last one. While its set-point is unchanged, the
-controller rests until someone waits for theatre time. Without such a program cycles run in real time: clients
-that only watch could not follow faster ones.
+the client that owns its registers has answered the package of the last one. While its set-point is unchanged,
+the controller rests until someone waits for theatre time. Without such a program cycles run in real time:
+clients that only watch could not follow faster ones.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ import time
 
 from ronna_hw.wire.universal_robots import SEQUENCE_INPUT
 from sim.universal_robots.controller import POSES, Controller
+from sim.universal_robots.faults import ControllerFaults
 from sim.universal_robots.interfaces.clients import ClientInterfaces
 from sim.universal_robots.interfaces.dashboard import Dashboard
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.universal_robots.rtde.session import Session
+from sim.world.faults import FaultBoard
+from sim.world.faults.log import FaultLog
 from sim.world.world import World
 
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a set-point
@@ -37,10 +40,13 @@ class CycleLoop:
         self._controller = controller
         self._clock = world.clock
         self._poll = selectors.EpollSelector()
-        self.rtde = RtdeServer(controller.robot, address, self._poll)
+        self.rtde = RtdeServer(controller.robot, address, self._poll, world.scene.seed)
         controller.watched = lambda: self.rtde.watched_writes
         self.clients = ClientInterfaces(controller, address, self._poll)
         self.dashboard = Dashboard(controller, address, self._poll)
+        log = FaultLog(self._fault_time)
+        board = FaultBoard(world, "ur", self._cycle_number)
+        self._faults = ControllerFaults(board, controller, self.rtde, self.clients, self.dashboard, log)
         self._alarm = self._clock.open_alarm()
         self._poll.register(self._alarm, selectors.EVENT_READ, self._ring)
         self._cycle_s = controller.model.cycle_s
@@ -80,19 +86,35 @@ class CycleLoop:
                 listener.close()
             self._alarm.close()
 
+    def _cycle_number(self) -> int:
+        """Return the number of the next cycle."""
+        return self._controller.cycles + 1
+
+    def _fault_time(self) -> tuple[float, str]:
+        return self._clock.now_s(), f"cycle {self._cycle_number()}"
+
     def _run_cycle(self) -> None:
+        self._faults.poll()
+        if self._faults.frozen:
+            self._pace()
+            if self._streams:
+                self._advance(streams=True)
+            return
         controller, program = self._controller, self._controller.program
         watchdog = None if program is None else program.watchdog
         self.rtde.watched = -1 if watchdog is None else watchdog.place
         controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants(POSES)
+        self.rtde.store_late()
         controller.step()
         self.rtde.send_outputs()
         self.clients.send_state()
         streamer = self._streamer()
-        if streamer is None:
+        if streamer is None or self._faults.is_cut:
             self._pace()
-        else:
+        elif self.rtde.awaits(streamer):
             self._await_set_point(streamer)
+        else:
+            self._serve(0.0)
         if self._lock_step:
             self._advance(streams=streamer is not None)
 

@@ -35,6 +35,7 @@ class Dashboard:
 
     def __init__(self, controller: Controller, address: str, poll: selectors.BaseSelector) -> None:
         self._controller = controller
+        self.silent = False  # fault: nothing is answered
         self._commands: dict[str, Callable[[str], str]] = {
             "robotmode": lambda _: f"Robotmode: {controller.modes.robot_mode.name}",
             "safetymode": lambda _: f"Safetymode: {controller.modes.safety_mode.name}",
@@ -74,7 +75,7 @@ class Dashboard:
 
     def _connect(self, connection: Connection) -> LineHandler:
         connection.send(f"{BANNER}\n".encode())
-        return LineHandler(self.answer)
+        return LineHandler(self)
 
     def answer(self, line: str) -> str:
         """Carry out a command and return the answer."""
@@ -169,8 +170,8 @@ QUERIES: Final = frozenset(
 class LineHandler:
     """Splits the bytes of one client into lines."""
 
-    def __init__(self, answer: Callable[[str], str]) -> None:
-        self._answer = answer
+    def __init__(self, dashboard: Dashboard) -> None:
+        self._dashboard = dashboard
         self._rest = b""
 
     def receive(self, data: bytes) -> bytes:
@@ -182,9 +183,11 @@ class LineHandler:
             if text.lower() in ("quit", "exit"):
                 raise HangUp("".join([*answers, "Disconnected\n"]).encode())
             if text:
-                answers.append(f"{self._answer(text)}\n")
+                answers.append(f"{self._dashboard.answer(text)}\n")
         if len(self._rest) > LONGEST_LINE:
             raise HangUp
+        if self._dashboard.silent:
+            return b""
         return "".join(answers).encode()
 
     def closed(self) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import selectors
+from collections import deque
 from collections.abc import Iterable
+from random import Random
 from typing import Any
 
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, RTDE_PORT
@@ -15,19 +17,46 @@ from sim.universal_robots.rtde.session import BadPackage, Session
 from sim.universal_robots.variables import DIGITAL_OUTPUTS, PLACES
 
 STANDARD_ANALOG = ("standard_analog_output_0", "standard_analog_output_1")
+GARBAGE = b"\0\7?no RTDE"
 OUTPUT_GROUPS = (("standard", 0), ("configurable", 8), ("tool", 16))  # first bit of each group of outputs
+
+
+class LinkFaults:
+    """Faults of the packages, as the script has them."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = Random(seed)
+        self.skip_percent = self.lose_percent = 0.0
+        self.delay_cycles = 0
+        self.garbage = False  # ahead of the next packages
+        self.idle = True
+
+    def update(self, skip_percent: float, lose_percent: float, delay_cycles: int) -> None:
+        """Set the lasting faults."""
+        self.skip_percent, self.lose_percent, self.delay_cycles = skip_percent, lose_percent, delay_cycles
+        self.idle = not (skip_percent or lose_percent or delay_cycles)
+
+    def skips(self) -> bool:
+        """Whether the next package is not sent."""
+        return self._random.uniform(0.0, 100.0) < self.skip_percent
+
+    def loses(self) -> bool:
+        """Whether a client's package has no effect."""
+        return self._random.uniform(0.0, 100.0) < self.lose_percent
 
 
 class RtdeServer:
     """Serves any number of clients with the variables of one robot."""
 
-    def __init__(self, robot: Robot, address: str, poll: selectors.BaseSelector) -> None:
+    def __init__(self, robot: Robot, address: str, poll: selectors.BaseSelector, seed: int) -> None:
         self.parameters = robot.parameters
         self.model: Model = robot.model
         self._robot = robot
         self._values = robot.values
         self._owners: dict[str, Session] = {}
         self.reserved: frozenset[str] = frozenset()  # fault: another client owns these
+        self.faults = LinkFaults(seed)
+        self._late: deque[tuple[int, InputRecipe, bytes]] = deque()
         self.watched = -1  # place of the input that a watchdog looks at
         self.watched_writes = 0
         self._cycle = 0
@@ -76,8 +105,21 @@ class RtdeServer:
 
     # -- packages
 
-    def store(self, _session: Session, recipe: InputRecipe, payload: bytes) -> None:
-        """Store a package of inputs, with its effects."""
+    def store(self, recipe: InputRecipe, payload: bytes) -> None:
+        """Take a package of inputs, unless a fault delays or loses it."""
+        faults = self.faults
+        if faults.idle:
+            self._store(recipe, payload)
+        elif not faults.loses():
+            self._late.append((self._cycle + faults.delay_cycles, recipe, payload))
+
+    def store_late(self) -> None:
+        """Take the delayed packages that are due."""
+        while self._late and self._late[0][0] <= self._cycle:
+            _, recipe, payload = self._late.popleft()
+            self._store(recipe, payload)
+
+    def _store(self, recipe: InputRecipe, payload: bytes) -> None:
         recipe.store(payload, self._values)
         if self.watched >= 0 and recipe.writes(self.watched):
             self.watched_writes += 1
@@ -109,11 +151,22 @@ class RtdeServer:
         """Send this cycle's package to each client that is due."""
         self._cycle += 1
         cycle, values = self._cycle, self._values
+        faults = self.faults
+        plain = faults.idle and not faults.garbage
         for connection, session in self._clients:
-            if session.started:
-                recipe = session.output
-                if recipe is not None and cycle % recipe.divider == 0:
+            recipe = session.output
+            if session.started and recipe is not None and cycle % recipe.divider == 0:
+                if plain:
+                    session.sent_cycle = cycle
                     connection.send(recipe.pack(values))
+                elif not faults.skips():
+                    session.sent_cycle = cycle
+                    connection.send((GARBAGE if faults.garbage else b"") + recipe.pack(values))
+        faults.garbage = False
+
+    def awaits(self, session: Session) -> bool:
+        """Whether a client got a package in this cycle."""
+        return session.sent_cycle == self._cycle
 
 
 class ClientHandler:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from struct import Struct, error, pack
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from ronna_hw.wire.universal_robots import (
     IN_USE,
@@ -18,15 +19,33 @@ from ronna_hw.wire.universal_robots import (
     MessageLevel,
     PackageType,
 )
+from sim.universal_robots.controller_parameters import ControllerParameters
+from sim.universal_robots.model import Model
 from sim.universal_robots.rtde.recipes import InputRecipe, OutputRecipe, field_list, type_names
-
-if TYPE_CHECKING:
-    from sim.universal_robots.rtde.server import RtdeServer
 
 HEADER = Struct(RTDE_HEADER)
 NEWEST_VERSION = 2
 SOURCE = "RTDE"
 DATA = PackageType.DATA.value
+
+
+class Exchange(Protocol):
+    """What the server does for each session."""
+
+    parameters: ControllerParameters
+    model: Model
+
+    def exists(self, name: str) -> bool:
+        """Whether this controller has the field."""
+
+    def is_taken(self, name: str, session: Session) -> bool:
+        """Whether another client or a fieldbus owns an input."""
+
+    def take(self, names: Iterable[str], session: Session) -> None:
+        """Make a client the owner of inputs."""
+
+    def store(self, recipe: InputRecipe, payload: bytes) -> None:
+        """Take a package of inputs."""
 
 
 class BadPackage(Exception):
@@ -36,7 +55,7 @@ class BadPackage(Exception):
 class Session:
     """State of one client, without its socket."""
 
-    def __init__(self, server: RtdeServer) -> None:
+    def __init__(self, server: Exchange) -> None:
         self._server = server
         self.version = 1
         self.output: OutputRecipe | None = None
@@ -45,6 +64,7 @@ class Session:
         self.unread = b""
         self.answers: list[bytes] = []
         self.packages = 0  # of data, so far
+        self.sent_cycle = -1  # in which it last got a package of data
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the client; raises BadPackage."""
@@ -75,7 +95,7 @@ class Session:
             self._handle_short(number, len(payload), recipe)
             return
         self.packages += 1
-        self._server.store(self, recipe, payload)
+        self._server.store(recipe, payload)
 
     def _handle_short(self, number: int, got: int, recipe: InputRecipe) -> None:
         handling = self._server.parameters.short_package
