@@ -58,7 +58,7 @@ class Drives:
         for wanted, angle, speed in zip(goal, self.target, self.target_speed, strict=True):
             error = wanted - angle
             following = error * rate
-            if not -most <= following - speed <= most:
+            if not (-most <= following - speed <= most and abs(following) <= FULL_SPEED_RAD_S):
                 # As fast as it can still brake in time.
                 fastest = min(FULL_SPEED_RAD_S, sqrt(2.0 * LARGEST_ACCELERATION_RAD_S2 * abs(error)))
                 following = max(-fastest, min(fastest, following))

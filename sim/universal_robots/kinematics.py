@@ -7,7 +7,7 @@ in every cycle; the inverse iterates from joints nearby.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan2, cos, hypot, pi, sin, sqrt
+from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ CONVERGED_RAD = 1e-10
 MOST_ITERATIONS = 60
 LARGEST_STEP_RAD = 0.3  # of one iteration
 DAMPING = 1e-9  # of the normal equations, which keeps steps near singular postures finite
-STRAIGHT_ANGLE_SINE = 1e-6  # below which a turn is half a turn, or none
+NEARLY_HALF_A_TURN = -0.9  # cosine of a turn below which its sine is too small to have a direction
 
 
 class Frame(NamedTuple):
@@ -94,18 +94,19 @@ def rotation_vector(frame: Frame) -> tuple[float, float, float]:
     """Return the rotation vector (rad) of a frame, of at most half a turn."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, *_ = frame
     x, y, z = r21 - r12, r02 - r20, r10 - r01  # 2 sin(angle) axis
-    double_sine = sqrt(x * x + y * y + z * z)
-    cosine = max(-1.0, min(1.0, (r00 + r11 + r22 - 1.0) / 2.0))
-    if double_sine > STRAIGHT_ANGLE_SINE:
-        scale = atan2(double_sine / 2.0, cosine) / double_sine
+    double_sine, cosine = sqrt(x * x + y * y + z * z), (r00 + r11 + r22 - 1.0) / 2.0
+    angle = atan2(double_sine / 2.0, cosine)
+    if cosine > NEARLY_HALF_A_TURN:
+        scale = angle / double_sine if double_sine else 0.5
         return x * scale, y * scale, z * scale
-    if cosine > 0.0:
-        return x / 2.0, y / 2.0, z / 2.0
-    # Half a turn: the columns of R + 1 are along the axis.
-    columns = ((r00 + 1.0, r10, r20), (r01, r11 + 1.0, r21), (r02, r12, r22 + 1.0))
+    # The sine vanishes; the columns of what is symmetric, less the cosine, are along the axis.
+    a, b, c = (r01 + r10) / 2.0, (r02 + r20) / 2.0, (r12 + r21) / 2.0
+    columns = ((r00 - cosine, a, b), (a, r11 - cosine, c), (b, c, r22 - cosine))
     u, v, w = max(columns, key=lambda column: sum(value * value for value in column))
-    length = sqrt(u * u + v * v + w * w)
-    return pi * u / length, pi * v / length, pi * w / length
+    scale = angle / sqrt(u * u + v * v + w * w)
+    if u * x + v * y + w * z < 0.0:
+        scale = -scale
+    return u * scale, v * scale, w * scale
 
 
 def pose_of_frame(frame: Frame) -> list[float]:
