@@ -100,9 +100,14 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
 
 
 def open_world(
-    world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
+    world: str | None,
+    scene: str,
+    faults: Path | None = None,
+    devices: Sequence[str] = DEVICES,
+    *,
+    paced: bool = True,
 ) -> World:
-    """Open the theatre's world, or create one on the host's clock for a standalone simulator.
+    """Open the theatre's world, or create one for a standalone simulator, on the host's clock if `paced`.
 
     `scene` is a built-in name or a file; `devices` are those simulated in a world of its own.
     """
@@ -110,7 +115,7 @@ def open_world(
         return World.open(world)
     truth = load_scene(scene)
     script = read_faults(faults, truth, devices) if faults else ""
-    own = World.create(truth, paced=True)
+    own = World.create(truth, paced=paced)
     if script:
         own.set_fault_script(script)
     return own

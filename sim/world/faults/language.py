@@ -30,6 +30,7 @@ from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
+from sim.world.faults.universal_robots import UR_FAULTS
 from sim.world.scene.model import Scene
 
 if TYPE_CHECKING:
@@ -42,11 +43,17 @@ LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps 
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
 
-FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
+FAULT_KINDS: tuple[FaultKind, ...] = (
+    *TRACKER_FAULTS,
+    *ROBOT_FAULTS,
+    *UR_FAULTS,
+    *CAMERA_FAULTS,
+    *ROOM_FAULTS,
+)
 NOW, SINCE = "now", "since"
-CYCLES_OF = "robot"  # device whose cycles a script can name
+CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
-DEVICES = ("tracker", "robot", "camera", "room")
+DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre
 
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
@@ -173,8 +180,8 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
     if fault.kind.device not in devices:
         yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
-    if fault.cycle is not None and fault.kind.device != CYCLES_OF:
-        yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
+    if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
+        yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
     yield from fault.kind.check(fault.arguments, scene)
 
 

@@ -219,7 +219,7 @@ def test_a_fault_requested_again_after_clearing_happens_again_with_a_stopped_clo
 def test_the_example_of_every_fault_kind_is_valid() -> None:
     for kind in FAULT_KINDS:
         (fault,) = parse_faults(kind.example)
-        check_faults((fault,), draw_scene("mini"))
+        check_faults((fault,), draw_scene("mini"), (kind.device,))
         assert fault.kind is kind
         assert kind.meaning.endswith(".")
     assert len({kind.name for kind in FAULT_KINDS}) == len(FAULT_KINDS)
