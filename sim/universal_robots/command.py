@@ -67,7 +67,7 @@ def ur(
     parameters = parse_parameters(parameter or ())
     room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step)
     controller = Controller(MODELS[ArmName(model.value)], parameters)
-    cycle_loop = CycleLoop(controller, room, _require_loopback(address))
+    cycle_loop = CycleLoop(controller, room, require_loopback(address))
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
@@ -81,7 +81,7 @@ def ur(
     cycle_loop.run()
 
 
-def _require_loopback(address: str) -> str:
+def require_loopback(address: str) -> str:
     """Return an address of this computer alone; raises URC-002 for any other."""
     from ipaddress import IPv4Address
 
