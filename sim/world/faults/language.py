@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
+from sim.world import universal_robots_arm
 from sim.world.faults.camera import CAMERA_FAULTS
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
@@ -55,7 +56,8 @@ NOW, SINCE = "now", "since"
 OF_ASSISTANT = "of_assistant"  # rule of the grammar
 CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
-DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre
+DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with a KUKA arm
+UR_DEVICES = ("tracker", "ur", "camera", "room")
 
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
@@ -93,6 +95,11 @@ COMMENT: /#[^\n]*/
 %ignore WS_INLINE
 %ignore COMMENT
 """
+
+
+def devices_of(scene: Scene) -> tuple[str, ...]:
+    """Return the devices of a theatre, depending on its arm."""
+    return UR_DEVICES if scene.arm.variant in universal_robots_arm.DESCRIPTIONS else DEVICES
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -140,8 +147,8 @@ def has_beginning(line: str) -> bool:
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
-def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Read a script and check it against the scene and present devices; raises SIM-003."""
+def read_faults(path: Path, scene: Scene, devices: Sequence[str] | None = None) -> str:
+    """Read a script and check it against the scene and present devices, by default all; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -161,13 +168,15 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> s
 def check_faults(
     faults: Iterable[Fault],
     scene: Scene,
-    devices: Sequence[str] = DEVICES,
+    devices: Sequence[str] | None = None,
     loaded: Sequence[str] | None = None,
 ) -> None:
     """Raise SIM-003 listing every fault that refers to a missing device, marker or tool.
 
-    `loaded` are the tools that a client has loaded into the tracker, if known.
+    `devices` are all of the theatre by default; `loaded` are the tools that a client has loaded into the
+    tracker, if known.
     """
+    devices = devices_of(scene) if devices is None else devices
     mistakes = []
     for fault in faults:
         found = list(_list_mistakes(fault, scene, devices))
