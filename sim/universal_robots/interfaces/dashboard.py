@@ -129,7 +129,7 @@ class Dashboard:
     def _play(self, _: str) -> str:
         controller = self._controller
         if controller.program is not None:
-            started = controller.is_running or controller.resume()
+            started = controller.resume() or controller.is_running
         else:
             started = bool(controller.loaded) and not controller.start(endless(controller.loaded))
         return "Starting program" if started else "Failed to execute: play"
