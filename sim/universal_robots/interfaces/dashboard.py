@@ -60,7 +60,10 @@ class Dashboard:
             "pause": self._pause,
             "stop": self._stop,
             "load": self._load,
+            "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
+            "get operational mode": lambda _: "NONE",
             "addtolog": self._add_to_log,
+            "savelog": lambda _: "Log saved to disk",
         }
         self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
 
@@ -162,6 +165,8 @@ QUERIES: Final = frozenset(
         "running",
         "programstate",
         "get loaded program",
+        "isprogramsaved",
+        "get operational mode",
         "addtolog",
     }
 )

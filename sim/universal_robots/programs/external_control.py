@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import ceil
 from struct import Struct, pack
 from typing import Final
 
@@ -163,18 +164,16 @@ class ExternalControl:
     def _read_messages(self) -> Iterator[None]:
         """Obey what has arrived; without a message within the limit the mode becomes STOPPED."""
         link = self._links[REVERSE]
+        self._silent_cycles += 1
         for _ in range(MOST_MESSAGES):
             message = link.take(self._message)
             if message is None:
                 break
             self._silent_cycles = 0
-            self._limit_cycles = round(message[0] / MILLISECONDS / self._robot.cycle_s)
+            self._limit_cycles = ceil(message[0] / MILLISECONDS / self._robot.cycle_s)
             yield from self._obey(message[1:-1], message[-1])
             if self._mode <= Mode.STOPPED:
                 return
-        else:
-            return
-        self._silent_cycles += 1
         if not link.is_open or 0 < self._limit_cycles < self._silent_cycles:
             self._mode = Mode.STOPPED
 
