@@ -228,6 +228,9 @@ class Controller:
             next(steps)
         except StopIteration:
             self.stop()
+        except (ArithmeticError, ValueError) as error:  # numbers of a client with which it cannot compute
+            program.failure = str(error)
+            self.stop()
 
     def _watchdog_allows(self, program: Program) -> bool:
         watchdog = program.watchdog

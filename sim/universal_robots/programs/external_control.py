@@ -265,4 +265,3 @@ class ExternalControl:
         while True:
             approach(self._robot, self._speeds, SPEED_ACCELERATION)
             yield
-

@@ -62,9 +62,7 @@ CUBIC, QUINTIC = 1, 2
 TO_JOINTS: Final = frozenset({PointType.MOVEJ, PointType.OPTIMOVEJ})
 TO_JOINTS_OF_POSE: Final = frozenset({PointType.MOVEJ_POSE, PointType.OPTIMOVEJ_POSE})
 LINE_TO_POSE: Final = frozenset({PointType.MOVEL, PointType.MOVEP, PointType.OPTIMOVEL})
-LINE_TO_JOINTS: Final = frozenset(
-    {PointType.MOVEL_JOINT, PointType.MOVEP_JOINT, PointType.OPTIMOVEL_JOINT}
-)
+LINE_TO_JOINTS: Final = frozenset({PointType.MOVEL_JOINT, PointType.MOVEP_JOINT, PointType.OPTIMOVEL_JOINT})
 
 
 class Trajectory:
@@ -174,7 +172,9 @@ class Trajectory:
         self._acceleration = accelerations[1] if accelerations else (0.0,) * JOINTS
         coefficients = [
             quintic(
-                (start[n], ends[0][n], accelerations[0][n]), (goal[n], ends[1][n], accelerations[1][n]), time_s
+                (start[n], ends[0][n], accelerations[0][n]),
+                (goal[n], ends[1][n], accelerations[1][n]),
+                time_s,
             )
             if accelerations
             else cubic((start[n], ends[0][n]), (goal[n], ends[1][n]), time_s)

@@ -31,7 +31,9 @@ class ArmDesign(NamedTuple):
     """Start of an arm, the place of the patient in front of it, and the sizes of its errors."""
 
     variant: Variant
-    home_deg: Numbers6  # flange down, stereo head reaching forward: above the head, clear of every singularity
+    home_deg: (
+        Numbers6  # flange down, stereo head reaching forward: above the head, clear of every singularity
+    )
     head_mm: Point  # middle of the places of the head's centre, robot frame: clear of singularities
     errors: ErrorSizes
 
@@ -59,7 +61,9 @@ UR5E_ERRORS = ErrorSizes(
     repeatability_mm=0.015,
 )
 UR5_ERRORS = UR5E_ERRORS._replace(
-    link_translation_mm=0.30, link_rotation_rad=radians(0.04), joint_offset_rad=radians(0.04),
+    link_translation_mm=0.30,
+    link_rotation_rad=radians(0.04),
+    joint_offset_rad=radians(0.04),
     repeatability_mm=0.05,
 )
 

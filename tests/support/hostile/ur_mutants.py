@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from random import Random
 
 from ur_clients import INPUTS, OUTPUTS, package, script
 
-EXTREMES = (b"\0" * 8, b"\xff" * 8, b"\x7f\xf8" + b"\0" * 6, b"\x7f\xf0" + b"\0" * 6, b"\x7f\xef" + b"\xff" * 6)
+EXTREMES = (
+    b"\0" * 8,
+    b"\xff" * 8,
+    b"\x7f\xf8" + b"\0" * 6,
+    b"\x7f\xf0" + b"\0" * 6,
+    b"\x7f\xef" + b"\xff" * 6,
+)
 REGISTERS = "input_int_register_0,input_int_register_1," + ",".join(
     f"input_double_register_{number}" for number in range(13)
 )
 
 
-def _registers(command: int) -> bytes:
-    return package("U", struct.pack(">B2i13d", 1, command, 0, *(0.1,) * 13))
+def _registers(command: int, value: float) -> bytes:
+    return package("U", struct.pack(">B2i13d", 1, command, 0, *(value,) * 13))
 
 
 RTDE = (
@@ -26,14 +33,28 @@ RTDE = (
     package("I", REGISTERS.encode()),
     package("S"),
     package("U", struct.pack(">B3i6d", 1, 1, 0, 7, *(0.1,) * 6)),
-    package("I", b"speed_slider_mask,speed_slider_fraction,standard_analog_output_mask,standard_analog_output_0"),
+    package(
+        "I", b"speed_slider_mask,speed_slider_fraction,standard_analog_output_mask,standard_analog_output_0"
+    ),
     package("M", b"\1a\1b\3"),
     package("P"),
 )
-COMMANDS = tuple(_registers(command) for command in (*range(72), 99, 255))
+VALUES = (0.1, -2.0, math.nan, math.inf, -1e308, 5e-324)
+COMMANDS = tuple(_registers(command, value) for command in (*range(72), 99, 255) for value in VALUES)
+SET_POINTS = tuple(
+    package("U", struct.pack(">B3i6d", 1, number, 0, 7, *(value,) * 6))
+    for number in (0, 1, 2, -(2**31))
+    for value in (-1.5, *VALUES)
+)
 LINES = (
-    *(f"{line}\n".encode() for line in ("robotmode", "power on", "brake release", "load wait_program.urp", "play")),
-    *(f"{line}\n".encode() for line in ("popup a text", "programState", "unlock protective stop", "stop", "quit")),
+    *(
+        f"{line}\n".encode()
+        for line in ("robotmode", "power on", "brake release", "load wait_program.urp", "play")
+    ),
+    *(
+        f"{line}\n".encode()
+        for line in ("popup a text", "programState", "unlock protective stop", "stop", "quit")
+    ),
 )
 SCRIPTS = (
     script().encode(),
@@ -51,7 +72,7 @@ def mutants(seeds: tuple[bytes, ...], count: int, seed: int) -> Iterator[bytes]:
     """Yield that many streams of up to five packages, each changed once or twice."""
     random = Random(seed)
     for _ in range(count):
-        stream = b"".join(random.choice(seeds) for _ in range(random.randint(1, 5)))
+        stream = b"".join(random.choice(seeds) for _ in range(random.choice((1, 1, 2, 5))))
         for _ in range(random.randint(0, 2)):
             stream = random.choice(CHANGES)(stream, random)
         yield stream

@@ -168,7 +168,13 @@ def test_points_of_a_trajectory_are_reached_and_its_result_is_told(dialled: Clie
         (goal, PointType.MOVEJ, 0, 0.5),
         (back, PointType.SPLINE, QUINTIC, 0.5),
     ):
-        numbers = [*(round(angle * UNITS) for angle in joints), *(0,) * 12, round(time_s * UNITS), spline, kind]
+        numbers = [
+            *(round(angle * UNITS) for angle in joints),
+            *(0,) * 12,
+            round(time_s * UNITS),
+            spline,
+            kind,
+        ]
         dialled.sockets["trajectory"].sendall(pack(">21i", *numbers))
     dialled.order(Order.RECEIVE, 2)
     dialled.steps(255)
@@ -212,7 +218,10 @@ def test_no_other_computer_is_dialled(controller: Controller, host: str) -> None
 
 
 def test_splines_meet_their_ends() -> None:
-    for coefficients in (cubic((0.1, 0.2), (0.5, -0.3), 2.0), quintic((0.1, 0.2, 0.4), (0.5, -0.3, 0.7), 2.0)):
+    for coefficients in (
+        cubic((0.1, 0.2), (0.5, -0.3), 2.0),
+        quintic((0.1, 0.2, 0.4), (0.5, -0.3, 0.7), 2.0),
+    ):
         end = sum(value * 2.0**power for power, value in enumerate(coefficients))
         speed = sum(power * value * 2.0 ** (power - 1) for power, value in enumerate(coefficients) if power)
         assert (end, speed) == (pytest.approx(0.5), pytest.approx(-0.3))
