@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import selectors
 from collections.abc import Callable
 
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
-from sim.universal_robots.connections import Connection, HangUp, Listener
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -20,7 +19,7 @@ LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
 class ClientInterfaces:
     """The three ports that take scripts."""
 
-    def __init__(self, controller: Controller, address: str, poll: selectors.BaseSelector) -> None:
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self._packages = StatePackages(controller)
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import selectors
 from collections.abc import Callable
 from typing import Final
 
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
-from sim.universal_robots.connections import Connection, HangUp, Listener
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
 from sim.universal_robots.programs.recognition import endless
@@ -33,7 +32,7 @@ STATES: Final = {
 class Dashboard:
     """Carries out the commands of any number of clients."""
 
-    def __init__(self, controller: Controller, address: str, poll: selectors.BaseSelector) -> None:
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self.silent = False  # fault: nothing is answered
         self._commands: dict[str, Callable[[str], str]] = {

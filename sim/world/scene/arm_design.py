@@ -31,9 +31,7 @@ class ArmDesign(NamedTuple):
     """Start of an arm, the place of the patient in front of it, and the sizes of its errors."""
 
     variant: Variant
-    home_deg: (
-        Numbers6  # flange down, stereo head reaching forward: above the head, clear of every singularity
-    )
+    home_deg: Numbers6  # flange down, stereo head forward: above the head, clear of every singularity
     head_mm: Point  # middle of the places of the head's centre, robot frame: clear of singularities
     errors: ErrorSizes
 
@@ -48,8 +46,8 @@ SET_S = ErrorSizes(
     sag_rad=radians(0.03),
     repeatability_mm=0.015,
 )
-# What the factory's calibration leaves of the links. The vendor publishes the repeatability alone, 0.03 mm, of
-# which half is taken per axis, as for the other arm (U). Its strain wave gears have next to no backlash.
+# What the factory's calibration leaves of the links. The vendor publishes the repeatability alone, 0.03 mm,
+# of which half is taken per axis, as for the other arm (U). Its strain wave gears have next to no backlash.
 UR5E_ERRORS = ErrorSizes(
     link_translation_mm=0.20,
     link_rotation_rad=radians(0.03),

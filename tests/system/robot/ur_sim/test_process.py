@@ -51,9 +51,6 @@ def test_it_serves_the_standard_ports_and_says_what_it_is(cell: UrCell) -> None:
         assert primary.recv(100)[4:5] == b"\x14"
     with cell.connect("realtime") as realtime:
         assert int.from_bytes(realtime.recv(4), "big") == 1108
-    elsewhere = command("sim.cli", "ur", "--address", "192.168.0.9")
-    refused = subprocess.run(elsewhere, capture_output=True, text=True, timeout=HANG_S)
-    assert "URC-002" in refused.stderr
     again = command("sim.cli", "ur", "--address", cell.address)
     refused = subprocess.run(again, capture_output=True, text=True, timeout=HANG_S)
     assert refused.returncode != 0
