@@ -22,6 +22,7 @@ RIDE_CYCLES = 250
 LARGEST_STEP_RAD = 3.5 * 0.002  # at full speed, in a cycle, and a little
 WORDS = {"INT": ("1", "3", "50"), "NUMBER": ("5", "30", "100")}
 CONNECTIONS = 1000
+READY_CYCLES = 150  # after which the orders are repeated
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def bring_back(cell: UrCell) -> RtdeClient:
                 cell.dashboard(line)
             client = cell.rtde()
             client.set_up()
-            for _ in range(1000):
+            for _ in range(READY_CYCLES):
                 state = client.state()
                 ready = (state.robot_mode, state.safety_mode) == (RobotMode.RUNNING, SafetyMode.NORMAL)
                 if ready and state.runtime == RuntimeState.STOPPED:
