@@ -85,8 +85,8 @@ class ClientInterfaces:
             try:
                 run_at_once(controller.robot, text)
             except (ArithmeticError, ValueError) as error:
-                for tell in controller.news.failure:
-                    tell(str(error))
+                for report in controller.news.failure:
+                    report(str(error))
         else:
             delay = round(controller.parameters.script_start_s / controller.model.cycle_s)
             self._waiting.append((delay, text))
