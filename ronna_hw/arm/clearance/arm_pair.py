@@ -177,7 +177,7 @@ class Course:
 
     def reach_mm(self, low: int, at: int, high: int) -> float:
         """Return a bound on the motion of any point from posture `at` to any in a range."""
-        low_mm, here_mm, high_mm = self.travel_mm[[low, at, high]].tolist()
+        low_mm, here_mm, high_mm = (float(self.travel_mm[number]) for number in (low, at, high))
         return max(high_mm - here_mm, here_mm - low_mm)
 
     def at(self, time_s: float) -> int:
