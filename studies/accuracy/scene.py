@@ -153,12 +153,13 @@ class Scenario:
         if not self.kinematics:
             return arms
         turns = Rotation.from_matrix(arms.link_rotation.reshape(-1, 3, 3)).as_rotvec()
-        remaining = Rotation.from_rotvec(turns * CALIBRATED.angle_rad / KR6.errors.link_rotation_rad).as_matrix()
+        drawn = KR6.errors
+        remaining = Rotation.from_rotvec(turns * CALIBRATED.angle_rad / drawn.link_rotation_rad).as_matrix()
         return replace(
             arms,
-            link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / KR6.errors.link_translation_mm,
+            link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / drawn.link_translation_mm,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
-            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / KR6.errors.joint_offset_rad,
+            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / drawn.joint_offset_rad,
         )
 
 
