@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 TOOL_FRAME, PHANTOM_FRAME = "robot_frame", patient_frame.NAME  # definitions shipped with the driver
 VICRA_HZ = 20
 NO_TOOL = 0  # the pointer is no tool of the theatre's: it hides nothing
-START_LIMIT_S = 60.0  # host time, as a safeguard
+# Host time, as safeguards: in lock-step a busy computer only makes a frame late.
+START_LIMIT_S, FRAME_LIMIT_S = 60.0, 30.0
 AT_REST = (0.0,) * 6
 
 
@@ -105,6 +106,7 @@ def open_room(scene: Scene) -> Iterator[tuple[World, OpticalTracker]]:
                 "tools": [{"name": name, "rom": f"{name}.rom"} for name in (TOOL_FRAME, PHANTOM_FRAME)],
                 "expected_model": "vicra",
                 "illuminator_rate_hz": VICRA_HZ,
+                "time_limits_s": {"BX": FRAME_LIMIT_S},
             },
         )
         clock = open_clock(world.clock_endpoint)
