@@ -50,11 +50,16 @@ def ur(
     It serves RTDE (30004), the dashboard (29999) and the client interfaces (30001 to 30003) on its address,
     powered and in remote control.
     """
+    from math import radians
+
     from sim.named_parameters import rows
+    from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
     from sim.universal_robots.controller import Controller
     from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
     from sim.universal_robots.cycle_loop import CycleLoop
+    from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.model import MODELS, ArmName
+    from sim.world.options import ArmChoice
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
     if list_parameters:
@@ -65,9 +70,17 @@ def ur(
         start_in_background("ur")
         return
     parameters = parse_parameters(parameter or ())
-    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step)
-    controller = Controller(MODELS[ArmName(model.value)], parameters)
-    cycle_loop = CycleLoop(controller, room, require_loopback(address))
+    place = require_loopback(address)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model.value))
+    described, truth, seed = MODELS[ArmName(model.value)], room.scene.arm, room.scene.seed
+    require_arm(truth, described)
+    last = room.arm() if room.has_arm() else None
+    start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
+    kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
+    controller = Controller(described, parameters, kinematics, start_rad)
+    drives = controller.robot.drives
+    arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
+    cycle_loop = CycleLoop(controller, arm, room, place)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(

@@ -5,13 +5,13 @@ It owns neither socket nor clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from ronna_hw.wire.universal_robots import RobotMode, RobotStatus, RuntimeState, SafetyMode
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Kinematics
-from sim.universal_robots.model import JOINTS, Model
+from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.modes import BROKEN, EMERGENCY, Modes
 from sim.universal_robots.programs.program import Program
 from sim.universal_robots.robot import Robot
@@ -55,11 +55,15 @@ class Controller:
     """Universal Robots controller with one arm and at most one program."""
 
     def __init__(
-        self, model: Model, parameters: ControllerParameters, kinematics: Kinematics | None = None
+        self,
+        model: Model,
+        parameters: ControllerParameters,
+        kinematics: Kinematics | None = None,
+        start_rad: Sequence[float] = HOME_RAD,
     ) -> None:
         self.model = model
         self.parameters = parameters
-        self.robot = Robot(model, parameters, kinematics or Kinematics(model))
+        self.robot = Robot(model, parameters, kinematics or Kinematics(model), start_rad)
         self.modes = Modes(parameters, model.cycle_s)
         self.news = News()
         self.program: Program | None = None

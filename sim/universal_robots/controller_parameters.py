@@ -74,6 +74,15 @@ class ControllerParameters:
     ] = 0.004
     slider_slows_servoj: Annotated[bool, "The speed slider slows servoj too."] = False
 
+    # the arm itself
+    factory_calibration: Annotated[
+        Literal["linearised", "exact", "none"],
+        "Denavit-Hartenberg parameters in the controller: fitted to this arm with small changes, fitted "
+        "exactly (axes nearly parallel meet hundreds of metres away), or those of the model.",
+    ] = "linearised"
+    reversal_deg: Annotated[float, "Reversal after which a joint rests on its other flank."] = 0.0005
+    motion_speed_deg_s: Annotated[float, "Speed of a joint at which a new motion begins."] = 0.3
+
     # RTDE
     send_buffer_bytes: Annotated[
         int, "Unread bytes after which a slow reader is disconnected.", MaximumValue(10_000_000)

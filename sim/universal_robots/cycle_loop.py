@@ -14,6 +14,7 @@ from __future__ import annotations
 import time
 
 from ronna_hw.wire.universal_robots import SEQUENCE_INPUT
+from sim.universal_robots.arm_in_world import ArmInWorld
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.faults import ControllerFaults
@@ -36,8 +37,10 @@ IDLE_WAIT_S = 0.02
 class CycleLoop:
     """Runs a controller cycle by cycle until `end` is called."""
 
-    def __init__(self, controller: Controller, world: World, address: str) -> None:
+    def __init__(self, controller: Controller, arm: ArmInWorld, world: World, address: str) -> None:
         self._controller = controller
+        self._arm = arm
+        self._mounted_tool = world.mounted_tool
         self._clock = world.clock
         self._poll = Poll()
         self.rtde = RtdeServer(controller.robot, address, self._poll, world.scene.seed)
@@ -106,7 +109,9 @@ class CycleLoop:
         self.rtde.watched = -1 if watchdog is None else watchdog.place
         controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants_poses
         self.rtde.store_late()
+        controller.robot.set_mounted_tool(self._mounted_tool())
         controller.step()
+        self._arm.follow()
         self.rtde.send_outputs()
         self.clients.send_state()
         streamer = self._streamer()
