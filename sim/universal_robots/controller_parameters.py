@@ -27,7 +27,7 @@ class ControllerParameters:
     ] = "running"
     programs: Annotated[
         str, "Programs on the controller that the dashboard can load, separated by commas."
-    ] = "external_control.urp"
+    ] = "external_control.urp,wait_program.urp"
     serial_number: Annotated[int, "Serial number, the digits that the dashboard states."] = 20265500001
 
     # power and safety

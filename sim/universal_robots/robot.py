@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 from ronna_hw.wire.universal_robots import TOOL_INPUTS
@@ -86,12 +87,14 @@ class Robot:
         self.values[TARGET_SPEED_FRACTION] = max(0.0, min(1.0, fraction))
 
     def set_tcp(self, pose: Sequence[float]) -> None:
-        """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad)."""
+        """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad); raises ValueError."""
+        _require_finite(*pose)
         self.tcp = frame_of_pose(pose)
         self.values[_TCP_OFFSET] = pose
 
     def set_payload(self, mass_kg: float, centre_m: Sequence[float] | None) -> None:
-        """Set the payload, at its former centre of gravity if None."""
+        """Set the payload, at its former centre of gravity if None; raises ValueError."""
+        _require_finite(mass_kg, *(centre_m or ()))
         self.values[PAYLOAD] = mass_kg
         if centre_m is not None:
             self.values[_COG] = centre_m
@@ -115,3 +118,8 @@ class Robot:
     def joints_at(self, tool: Frame, near_rad: Sequence[float]) -> list[float] | None:
         """Return the joints that bring the tool centre point there, or None if none are found."""
         return self.kinematics.joints_at(compose(tool, inverted(self.tcp)), near_rad)
+
+
+def _require_finite(*numbers: float) -> None:
+    if not isfinite(sum(map(abs, numbers))):
+        raise ValueError("a number that is not finite")

@@ -59,7 +59,10 @@ class Dashboard:
             "pause": self._pause,
             "stop": self._stop,
             "load": self._load,
+            "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
+            "get operational mode": lambda _: "NONE",
             "addtolog": self._add_to_log,
+            "savelog": lambda _: "Log saved to disk",
         }
         self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
 
@@ -128,7 +131,7 @@ class Dashboard:
     def _play(self, _: str) -> str:
         controller = self._controller
         if controller.program is not None:
-            started = controller.is_running or controller.resume()
+            started = controller.resume() or controller.is_running
         else:
             started = bool(controller.loaded) and not controller.start(endless(controller.loaded))
         return "Starting program" if started else "Failed to execute: play"
@@ -161,6 +164,8 @@ QUERIES: Final = frozenset(
         "running",
         "programstate",
         "get loaded program",
+        "isprogramsaved",
+        "get operational mode",
         "addtolog",
     }
 )
