@@ -16,6 +16,7 @@ from ronna_hw.arm.catalogue import BUILT_IN
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
+    BaseCalibration,
     Dated,
     DatedRecord,
     Numbers3,
@@ -211,6 +212,10 @@ class Calibrations(Strict):
     )
     arm: ArmCalibration | None = Field(
         default=None, description="Deviations of the arm; without it the arm is taken as nominal."
+    )
+
+    assistant_base: BaseCalibration | None = Field(
+        default=None, description="Where the assistant stands; without it, the assistant does not move."
     )
 
     @property

@@ -83,8 +83,8 @@ FIELD_TYPES: Final = {
 
 REGISTERS: Final = 48  # integers and doubles each
 CLIENT_REGISTERS: Final = range(24, REGISTERS)  # those below belong to fieldbuses
-# The tool changer states the number of the mounted tool, 0 for none, on configurable inputs from CI0 on.
-TOOL_INPUTS: Final = range(8, 12)  # bits of the digital inputs, the lowest first
+# The tool changer states the number of the mounted tool, 0 for none, on standard inputs from DI0 on.
+TOOL_INPUTS: Final = range(4)  # bits of the digital inputs, the lowest first
 BIT_REGISTERS: Final = range(64, 128)  # as single fields; those below come in two words
 
 

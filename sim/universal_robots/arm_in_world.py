@@ -41,7 +41,7 @@ class ArmInWorld:
         self._flank_share = 1.0 - exp(-cycle_s / FLANK_TIME_S)
         self._reversal_rad = radians(parameters.reversal_deg)
         self._motion_step_rad = radians(parameters.motion_speed_deg_s) * cycle_s
-        self._angles = self._extremes = drives.actual
+        self._angles, self._extremes = drives.actual, list(drives.actual)
         self._flanks = [0.0] * JOINTS
         self._motion_number, self._moved_s = 0, 0.0
         if last is not None:
@@ -77,21 +77,22 @@ class ArmInWorld:
 
     def _turn(self, angles_rad: list[float]) -> None:
         """Take new angles: a motion begins, a joint changes its flank once it has turned back far enough."""
-        before, self._angles = self._angles, angles_rad
-        fastest = max(abs(new - old) for new, old in zip(angles_rad, before, strict=True))
+        fastest = 0.0
+        extremes, directions = self._extremes, self._directions
+        for joint, (angle, before) in enumerate(zip(angles_rad, self._angles, strict=True)):
+            step = angle - before if angle > before else before - angle
+            if step > fastest:
+                fastest = step
+            travelled = angle - extremes[joint]
+            if directions[joint] * travelled > 0.0:
+                extremes[joint] = angle
+            elif travelled > self._reversal_rad or travelled < -self._reversal_rad:
+                directions[joint] = 1.0 if travelled > 0.0 else -1.0
+                extremes[joint] = angle
         moves = fastest > self._motion_step_rad
         if moves and not self._in_motion:
             self._motion_number += 1
-        self._in_motion = moves
-        extremes = list(self._extremes)
-        for joint, angle in enumerate(angles_rad):
-            travelled = angle - extremes[joint]
-            if self._directions[joint] * travelled > 0.0:
-                extremes[joint] = angle
-            elif abs(travelled) > self._reversal_rad:
-                self._directions[joint] = copysign(1.0, travelled)
-                extremes[joint] = angle
-        self._extremes = extremes
+        self._in_motion, self._angles = moves, angles_rad
 
 
 def require_arm(truth: ArmTruth, model: Model) -> None:

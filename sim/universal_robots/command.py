@@ -9,8 +9,10 @@ from typing import Annotated
 import typer
 
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.options import ArmChoice, ArmRole
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
+MASTER = ArmRole.MASTER
 
 
 class ModelName(StrEnum):
@@ -44,6 +46,7 @@ def ur(
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
+    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
 ) -> None:
     """Simulate a Universal Robots controller and its arm, for any client, until terminated.
 
@@ -59,8 +62,8 @@ def ur(
     from sim.universal_robots.cycle_loop import CycleLoop
     from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.model import MODELS, ArmName
-    from sim.world.options import ArmChoice
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
+    from sim.world.true_arm import arm_seed
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
@@ -71,16 +74,19 @@ def ur(
         return
     parameters = parse_parameters(parameter or ())
     place = require_loopback(address)
-    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model.value))
-    described, truth, seed = MODELS[ArmName(model.value)], room.scene.arm, room.scene.seed
+    chosen = ArmChoice(model.value)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)
+    described, truth = MODELS[ArmName(model.value)], room.scene.arm_of(role)
     require_arm(truth, described)
-    last = room.arm() if room.has_arm() else None
+    seed = arm_seed(room.scene.seed, role)
+    last = room.arm(role) if room.has_arm(role) else None
     start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
     controller = Controller(described, parameters, kinematics, start_rad)
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
-    cycle_loop = CycleLoop(controller, arm, room, place)
+    tool = room.mounted_tool if role is MASTER else _no_tool
+    cycle_loop = CycleLoop(controller, arm, tool, room, place)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
@@ -92,6 +98,10 @@ def ur(
         version=controller.model.version_text,
     )
     cycle_loop.run()
+
+
+def _no_tool() -> int:
+    return 0
 
 
 def require_loopback(address: str) -> str:

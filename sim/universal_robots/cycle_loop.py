@@ -12,6 +12,7 @@ clients that only watch could not follow faster ones.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from ronna_hw.wire.universal_robots import SEQUENCE_INPUT
 from sim.universal_robots.arm_in_world import ArmInWorld
@@ -37,10 +38,17 @@ IDLE_WAIT_S = 0.02
 class CycleLoop:
     """Runs a controller cycle by cycle until `end` is called."""
 
-    def __init__(self, controller: Controller, arm: ArmInWorld, world: World, address: str) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        arm: ArmInWorld,
+        mounted_tool: Callable[[], int],
+        world: World,
+        address: str,
+    ) -> None:
         self._controller = controller
         self._arm = arm
-        self._mounted_tool = world.mounted_tool
+        self._mounted_tool = mounted_tool
         self._clock = world.clock
         self._poll = Poll()
         self.rtde = RtdeServer(controller.robot, address, self._poll, world.scene.seed)
@@ -205,3 +213,7 @@ class CycleLoop:
                 if self._clock.must_wait_for_reader(self._cycle_ns):
                     self._poll.serve(IDLE_WAIT_S)
         self._clock.advance_cycle(self._cycle_ns)
+        while self._clock.must_wait_for_device() and not self._ending:  # until the other arm comes as far
+            with self._clock.rest(self._alarm):
+                if self._clock.must_wait_for_device():
+                    self._poll.serve(IDLE_WAIT_S)

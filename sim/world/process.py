@@ -107,8 +107,8 @@ def open_world(
     devices: Sequence[str] | None = None,
     *,
     paced: bool = True,
-    role: ArmRole = ArmRole.MASTER,
     arm: ArmChoice = ArmChoice.KR6,
+    role: ArmRole = ArmRole.MASTER,
 ) -> World:
     """Open the theatre's world, or create one for a standalone simulator, on the host's clock if `paced`.
 

@@ -33,7 +33,8 @@ from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
 from sim.world.faults.universal_robots import UR_FAULTS
-from sim.world.scene.model import Scene
+from sim.world.options import ArmRole
+from sim.world.scene.model import ArmTruth, Scene
 
 if TYPE_CHECKING:
     from lark import Lark
@@ -56,8 +57,7 @@ NOW, SINCE = "now", "since"
 OF_ASSISTANT = "of_assistant"  # rule of the grammar
 CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
-DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with a KUKA arm
-UR_DEVICES = ("tracker", "ur", "camera", "room")
+DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with KUKA arms
 
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
@@ -98,8 +98,13 @@ COMMENT: /#[^\n]*/
 
 
 def devices_of(scene: Scene) -> tuple[str, ...]:
-    """Return the devices of a theatre, depending on its arm."""
-    return UR_DEVICES if scene.arm.variant in universal_robots_arm.DESCRIPTIONS else DEVICES
+    """Return the devices of a theatre, depending on its arms."""
+    arms = (scene.arm,) if scene.assistant is None else (scene.arm, scene.assistant.arm)
+    return ("tracker", *dict.fromkeys(map(_controller_of, arms)), "camera", "room")
+
+
+def _controller_of(arm: ArmTruth) -> str:
+    return "ur" if arm.variant in universal_robots_arm.DESCRIPTIONS else "robot"
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -198,6 +203,10 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         yield f"expected a fault of the robot, got {fault.phrase!r}: only an arm can be the assistant"
     elif fault.of_assistant and scene.assistant is None:
         yield f"expected a fault of the only arm, got {fault.phrase!r}: there is no assistant here"
+    elif fault.kind.device in CYCLES_OF and scene.assistant is not None:
+        role = ArmRole.ASSISTANT if fault.of_assistant else ArmRole.MASTER
+        if (device := _controller_of(scene.arm_of(role))) != fault.kind.device:
+            yield f"expected a fault of the {device}, got {fault.phrase!r}: another arm is the {role}"
     yield from fault.kind.check(fault.arguments, scene)
 
 

@@ -46,8 +46,9 @@ SET_S = ErrorSizes(
     sag_rad=radians(0.03),
     repeatability_mm=0.015,
 )
-# What the factory's calibration leaves of the links. The vendor publishes the repeatability alone, 0.03 mm,
-# of which half is taken per axis, as for the other arm (U). Its strain wave gears have next to no backlash.
+# Before the factory's calibration, which its controller knows: that identifies most of links and offsets (U).
+# The vendor publishes the repeatability alone, 0.03 mm, of which half is taken per axis, as for the other
+# arm (U). Its strain wave gears have next to no backlash.
 UR5E_ERRORS = ErrorSizes(
     link_translation_mm=0.20,
     link_rotation_rad=radians(0.03),

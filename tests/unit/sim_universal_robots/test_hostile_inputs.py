@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import selectors
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -12,7 +11,7 @@ import pytest
 from ur_clients import own_address
 from ur_mutants import COMMANDS, LINES, RTDE, SCRIPTS, SET_POINTS, mutants
 
-from sim.universal_robots.connections import Handler, HangUp
+from sim.universal_robots.connections import Handler, HangUp, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
@@ -80,7 +79,8 @@ class Target:
         """Begin anew with a controller that may move."""
         self._opened.close()
         self.controller = Controller(MODELS[ArmName.UR5E], parse_parameters(("power_on_s=0.01",)))
-        poll, address = self._opened.enter_context(selectors.DefaultSelector()), own_address()
+        poll, address = Poll(), own_address()
+        self._opened.callback(poll.close)
         self.rtde = RtdeServer(self.controller.robot, address, poll, seed=1)
         self.clients = ClientInterfaces(self.controller, address, poll)
         self.dashboard = Dashboard(self.controller, address, poll)

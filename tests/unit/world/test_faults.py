@@ -53,7 +53,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ),
         (
             "at 3 s:",
-            "line 2, column 8: expected 'camera', .*, got the end of the line. Write for example: at 12.5",
+            "line 2, column 8: expected 'assistant', 'camera', .*, got the end of the line",
         ),
         (
             "at 3 s: robot dorp 5 %",
