@@ -396,7 +396,7 @@ def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = Fal
             yield Problem(name, wrong)
             continue
         try:
-            if PurePosixPath(name).is_absolute():
+            if name.startswith("/"):
                 remaining_bytes -= os.stat(name).st_size
             if remaining_bytes < 0:
                 yield Problem(name, "not checked: too much lies outside the run", unfinished=True)
@@ -412,9 +412,9 @@ def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = Fal
 
 def explain_bad_name(name: str) -> str:
     """Explain why a name is invalid for a run file: it leads outside, or is not normalised."""
-    path = PurePosixPath(name)
-    leads_elsewhere = path.is_absolute() or ".." in path.parts
-    return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
+    # By the string: a journal may name a hundred thousand files, and a path object costs ten times as much.
+    is_bad = not {"", ".", ".."}.isdisjoint(name.split("/"))
+    return "not the name of a file of the run" if is_bad else ""
 
 
 def explain_unreadable(error: OSError | InputRefused) -> str:
@@ -430,5 +430,4 @@ def explain_unreadable(error: OSError | InputRefused) -> str:
 
 def _is_out_of_reach(name: str) -> bool:
     """Return whether an outside file is in a missing or inaccessible folder."""
-    path = PurePosixPath(name)
-    return path.is_absolute() and not os.access(path.parent, os.X_OK)
+    return name.startswith("/") and not os.access(PurePosixPath(name).parent, os.X_OK)

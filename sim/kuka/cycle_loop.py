@@ -23,12 +23,13 @@ from sim.kuka.controller import Controller
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
-from sim.kuka.faults import ControllerFaults, FaultLog
+from sim.kuka.faults import ControllerFaults
 from sim.kuka.pendant import PendantDisplay
 from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
 from sim.kuka.rsi.telegrams import Reply
 from sim.world.faults import FaultBoard
+from sim.world.faults.log import FaultLog
 from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
@@ -194,10 +195,10 @@ class CycleLoop:
         """Return the number of the next telegram, or of the last one between runs, across all runs."""
         return self.cycles + (self._controller.run is not None)
 
-    def _fault_time(self) -> tuple[float, int | None]:
+    def _fault_time(self) -> tuple[float, str]:
         """Return the theatre time and the next telegram's IPOC."""
         run = self._controller.run
-        return self._clock.now_s(), run.ipoc if run is not None else None
+        return self._clock.now_s(), f"IPOC {run.ipoc}" if run is not None else "no RSI"
 
     def _close_rsi(self) -> None:
         for link in (self._rsi, self._foreign):
@@ -238,7 +239,10 @@ class CycleLoop:
             self._clock.end_stream()
 
     def _advance(self, cycle_ns: int) -> None:
-        """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame."""
+        """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame.
+
+        The other arm, if it streams, then comes as far.
+        """
         limit_s = time.monotonic() + READER_WAIT_S
         while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
             if time.monotonic() > limit_s:
@@ -249,6 +253,10 @@ class CycleLoop:
                     select.select([self._alarm], (), (), IDLE_WAIT_S)
                     self._clock.silence(self._alarm)
         self._clock.advance_cycle(cycle_ns)
+        while self._clock.must_wait_for_device() and not self._ending:
+            with self._clock.rest(self._alarm):
+                if self._clock.must_wait_for_device() and self._wait_once(IDLE_WAIT_S, self._alarm):
+                    self._clock.silence(self._alarm)
 
     def _update_display(self) -> None:
         run = self._controller.run

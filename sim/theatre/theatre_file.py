@@ -22,6 +22,7 @@ from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
 from sim.world.noise import noise
+from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
@@ -38,6 +39,7 @@ DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be credible
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
+ROBOTS = {ArmRole.MASTER: "kuka", ArmRole.ASSISTANT: ArmRole.ASSISTANT.value}  # device in the READY line
 
 
 def theatre_content(
@@ -66,15 +68,17 @@ def theatre_content(
             "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
-            "master": {
+            role.value: {
                 "driver": "kuka_rsi",
-                "endpoints": {key: endpoints["kuka"][key] for key in ("rsi", "eki_project")},
+                "endpoints": {key: endpoints[device][key] for key in ("rsi", "eki_project")},
                 "options": {
-                    "variant": scene.arm.variant,
+                    "variant": scene.arm_of(role).variant,
                     "silence_limit_s": silence_limit_s,
                     **({} if cycle_ms is None else {"cycle_ms": cycle_ms}),
                 },
             }
+            for role, device in ROBOTS.items()
+            if device in endpoints
         },
         "stereo": {
             "driver": "basler_stereo",

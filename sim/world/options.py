@@ -13,8 +13,28 @@ class InstrumentKind(StrEnum):
     DRILL_HOLE = "drill-hole"
 
 
+class ArmChoice(StrEnum):
+    """Arm of a named scene."""
+
+    KR6 = "kr6"
+    UR5 = "ur5"
+    UR5E = "ur5e"
+
+
 class Carrier(StrEnum):
     """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
 
     FREE = "free"
     XFRAME = "xframe"
+
+
+class ArmRole(StrEnum):
+    """Role of an arm, as the theatre file names it."""
+
+    MASTER = "master"  # carries stereo head and guide; its base is the robot frame
+    ASSISTANT = "assistant"  # carries the instrument
+
+    @property
+    def number(self) -> int:
+        """Number from 0, also that of its cycles in the clock."""
+        return tuple(ArmRole).index(self)
