@@ -28,8 +28,9 @@ def register(app: typer.Typer) -> None:
     from sim.polaris.command import polaris
     from sim.running_command import env, list_command, stop_command
     from sim.theatre.command import fault, mount, move, scene, stand, theatre, verify, work
+    from sim.universal_robots.command import ur
 
-    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, move, fault, verify):
+    for command in (theatre, polaris, kuka, ur, basler, phantom, scene, mount, stand, move, fault, verify):
         app.command()(command)
     app.command(context_settings={"ignore_unknown_options": True})(
         work

@@ -430,6 +430,52 @@ def worlds(
         raise typer.Exit(EXIT_FAILED)
 
 
+@app.command(name="low-cost")
+@with_option_records
+def low_cost(
+    arms: Annotated[int, typer.Option("--arms", min=1, max=100, help="Random UR5 arms.")] = 10,
+    targets: Annotated[
+        int,
+        typer.Option("--targets", min=2, max=500, help="Targets, each in three orientations."),
+    ] = 30,
+    frames: Annotated[
+        int, typer.Option("--frames", min=2, max=1000, help="Tracker frames averaged for one look, at 20 Hz.")
+    ] = 60,
+    scans: Annotated[
+        int, typer.Option("--scans", min=1, max=50, help="CT scans of the phantom; the first is registered.")
+    ] = 5,
+    coarse: Annotated[
+        bool, typer.Option("--coarse", help="Scans of larger voxels, in a tenth of the time.")
+    ] = False,
+    *,
+    study_options: StudyOptions,
+) -> None:
+    """A UR5 guided by a Polaris Vicra to targets of a CT (PAPER 2): open loop, and on the tracker's feedback.
+
+    The thesis prints no figures of that paper: relations are judged. Exit code 1: one does not hold.
+    """
+    from studies.low_cost import tables as low_cost_tables
+    from studies.low_cost.preparation import load_or_prepare
+    from studies.low_cost.study import LowCostStudy
+
+    folder = study_options.out or Path("campaigns") / LowCostStudy.name
+    require_output_folder(folder)
+    with terminal.progress_bar("scans, tool and registration") as progress:
+        prepared = load_or_prepare(
+            folder, study_options.seed, scans, frames, coarse=coarse, progress=progress
+        )
+    study = LowCostStudy(arms, targets, study_options.seed, frames, prepared)
+    sums = _run(
+        study,
+        lambda found: low_cost_tables.tables(prepared, found),
+        low_cost_tables.plots,
+        replace(study_options, out=folder),
+    )
+    if missed := low_cost_tables.list_missed_relations(sums):
+        terminal.tell(f"does not hold: {'; '.join(missed)}")
+        raise typer.Exit(EXIT_FAILED)
+
+
 def _try_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     if not names:
         return ()

@@ -169,7 +169,7 @@ def refine_bases(
         used = np.sum(misses**2, axis=1) < OUTLIER_CHI2 * scatter_mm**2
     _require_fit(scatter_mm, used)
     fit = BallFit(
-        bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=float)),
+        bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=np.float64)),
         flange_from_ball_mm=ball,
         ball_error_mm=float(np.sqrt(np.trace(covariance[BALL, BALL]))),
         head_shift_mm=head,

@@ -63,8 +63,16 @@ class HandEye:
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
-def solve(pairs: PosePairs) -> HandEye:
-    """Solve for the frame's pose on the flange from pose pairs. Raises CAL-002 to CAL-004, CAL-015."""
+def solve(
+    pairs: PosePairs,
+    *,
+    largest_scatter_mm: float = LARGEST_SCATTER_MM,
+    largest_scatter_rad: float = LARGEST_SCATTER_RAD,
+) -> HandEye:
+    """Solve for the frame's pose on the flange from pose pairs.
+
+    The largest scatters, per axis, are what errors of the arm explain. Raises CAL-002 to CAL-004, CAL-015.
+    """
     _require_solvable(pairs)
     x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
@@ -82,7 +90,7 @@ def solve(pairs: PosePairs) -> HandEye:
         scatter_rad = max(float(np.sqrt(squares[3:].sum() / freedom)), LEAST_SCATTER_RAD)
         scatter = np.array([scatter_mm] * 3 + [scatter_rad] * 3)
         used = np.sum((misses / scatter) ** 2, axis=1) < OUTLIER_CHI2
-    _require_fit(scatter_mm, scatter_rad, used)
+    _require_fit((scatter_mm, scatter_rad), (largest_scatter_mm, largest_scatter_rad), used)
     return HandEye(x, z, covariance, scatter_mm, scatter_rad, misses[:, :3], misses[:, 3:], used)
 
 
@@ -122,13 +130,15 @@ def _require_solvable(pairs: PosePairs) -> None:
     require_spread(flange, "the poses rotate the frame about nearly parallel axes, or hardly at all", action)
 
 
-def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_]) -> None:
-    if scatter_mm > LARGEST_SCATTER_MM or scatter_rad > LARGEST_SCATTER_RAD:
+def _require_fit(scatter: tuple[float, float], largest: tuple[float, float], used: NDArray[np.bool_]) -> None:
+    """Require scatters in mm and rad within the largest ones."""
+    if scatter[0] > largest[0] or scatter[1] > largest[1]:
+        scatter_deg, largest_deg = np.degrees(scatter[1]), np.degrees(largest[1])
         raise DoesNotFit(
             "no pose of the frame on the flange explains the data of arm and tracker",
-            limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
-            got=f"{format_against_limit(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
-            f"{format_against_limit(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
+            limit=f"{largest[0]:g} mm and {largest_deg:.2f} deg per axis",
+            got=f"{format_against_limit(scatter[0], largest[0], 2)} mm and "
+            f"{format_against_limit(scatter_deg, largest_deg, 2)} deg",
             action="Check that the frame, the mount and the tracker's stand are rigid and the "
             "arm variant is right.",
         )

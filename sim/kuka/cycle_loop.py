@@ -23,12 +23,13 @@ from sim.kuka.controller import Controller
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
-from sim.kuka.faults import ControllerFaults, FaultLog
+from sim.kuka.faults import ControllerFaults
 from sim.kuka.pendant import PendantDisplay
 from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
 from sim.kuka.rsi.telegrams import Reply
 from sim.world.faults import FaultBoard
+from sim.world.faults.log import FaultLog
 from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
@@ -194,10 +195,10 @@ class CycleLoop:
         """Return the number of the next telegram, or of the last one between runs, across all runs."""
         return self.cycles + (self._controller.run is not None)
 
-    def _fault_time(self) -> tuple[float, int | None]:
+    def _fault_time(self) -> tuple[float, str]:
         """Return the theatre time and the next telegram's IPOC."""
         run = self._controller.run
-        return self._clock.now_s(), run.ipoc if run is not None else None
+        return self._clock.now_s(), f"IPOC {run.ipoc}" if run is not None else "no RSI"
 
     def _close_rsi(self) -> None:
         for link in (self._rsi, self._foreign):

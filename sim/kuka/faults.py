@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 
 from ronna_hw.wire.kuka_eki import OperationMode
@@ -11,6 +10,7 @@ from sim.kuka.eki.server import EkiServer, halve, pad_with_nul, prepend_garbage
 from sim.kuka.rsi.link import LinkFaults
 from sim.kuka.rsi.program_run import RunSettings
 from sim.world.faults import Fault, FaultBoard
+from sim.world.faults.log import FaultLog
 from sim.world.faults.robot import ROBOT_FAULTS
 
 MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
@@ -21,48 +21,6 @@ EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
     "eki_garbage": lambda server: server.corrupt_next(prepend_garbage),
     "eki_padding": lambda server: server.corrupt_next(pad_with_nul),
 }
-
-
-class FaultLog:
-    """Logs the start and end of faults on standard error, stamped with the time and IPOC from `moment`."""
-
-    def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
-        self._moment = moment
-        self._acting: dict[tuple[int, float | None], Fault] = {}
-        self._hits: dict[str, int] = {}
-
-    def update(self, acting: tuple[Fault, ...]) -> None:
-        """Log the faults that have begun or ended since the last call."""
-        now = {(fault.line, fault.at_s): fault for fault in acting}
-        for key, fault in now.items():
-            if key not in self._acting:
-                self._write(f"{_describe_fault(fault)} begins")
-        for key, fault in self._acting.items():
-            if key not in now:
-                hits = self._hits.pop(fault.kind.name, 0)
-                self._write(f"{_describe_fault(fault)} ends" + (f" after {hits} telegrams" if hits else ""))
-        self._acting = now
-
-    def hit(self, kind: str) -> None:
-        """Count a telegram or reply affected by a lasting fault."""
-        self._hits[kind] = self._hits.get(kind, 0) + 1
-
-    def happened(self, fault: Fault) -> None:
-        """Log a momentary fault."""
-        self._write(_describe_fault(fault))
-
-    def _write(self, what: str) -> None:
-        time_s, ipoc = self._moment()
-        stamp = f"IPOC {ipoc}" if ipoc is not None else "no RSI"
-        sys.stderr.write(f"fault at {time_s:.3f} s, {stamp}: {what}\n")
-        sys.stderr.flush()
-
-
-def _describe_fault(fault: Fault) -> str:
-    words, arguments = [], iter(fault.arguments)
-    for word in fault.kind.phrase.split():
-        words.append(next(arguments) if word.isupper() else word)
-    return " ".join([fault.kind.device, *words])
 
 
 class ControllerFaults:

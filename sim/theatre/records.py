@@ -26,8 +26,8 @@ ARM_ERROR_MM = 0.016
 
 STEREO_HEAD_KG = 2.1
 CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame
-# From home, with the arm turned aside: the gauge is on the table next to the patient.
-GAUGE_TURN_DEG = -40.0
+# About z from home: the gauge is on the table next to the patient.
+GAUGE_TURN_DEG = 40.0
 GAUGE_BASE_MM = 60.0
 
 
@@ -69,7 +69,8 @@ def tool_records(
     """Return the tool records by name, using `record_header` for the fields common to dated records."""
     mount = scene.mount
     guide = mount.guide
-    A1, *others = scene.arm.home_deg
+    first_deg, *others = scene.arm.home_deg
+    gauge_deg = first_deg + GAUGE_TURN_DEG * DESCRIPTIONS[scene.arm.variant].joints[0].axis[2]
     common = {"flange": flange, "centre_of_gravity_mm": list(CENTRE_OF_GRAVITY_MM)}
     return {
         "stereo_head": {
@@ -88,7 +89,7 @@ def tool_records(
             "bore": {"reach_mm": guide.reach_mm, "length_mm": guide.bore_mm, "play_mm": guide.play_mm},
             **_guide_frame_pose(mount),
             "gauge": {
-                "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
+                "joints_deg": [gauge_deg, *others],
                 "base_mm": GAUGE_BASE_MM,
                 **gauge_readings(scene),
             },

@@ -27,6 +27,8 @@ Matrix = NDArray[np.float64]
 
 GIMBAL_LIMIT = 1e-9  # cosine of B below which only A - C or A + C is defined
 OVERHEAD, ABOVE_STRETCH, WRIST_NOT_POSITIVE = 1, 2, 4  # bits of the status
+# Postures of a procedure; the wrist's two are equivalent, its ranges being symmetric.
+POSTURES = (ABOVE_STRETCH, 0, OVERHEAD | ABOVE_STRETCH, OVERHEAD)
 STRAIGHT_WRIST = 1e-6  # sine of A5 below which only A4 + A6 is defined
 ZERO_DEG = 0.01  # a frame with four decimals does not show on which side of zero its axes were
 

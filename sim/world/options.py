@@ -13,6 +13,14 @@ class InstrumentKind(StrEnum):
     DRILL_HOLE = "drill-hole"
 
 
+class ArmChoice(StrEnum):
+    """Arm of a named scene."""
+
+    KR6 = "kr6"
+    UR5 = "ur5"
+    UR5E = "ur5e"
+
+
 class Carrier(StrEnum):
     """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
 

@@ -20,8 +20,8 @@ from ronna_hw.host.process import PARENT, resume_garbage_collection
 from sim.errors import BadScene
 from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
-from sim.world.faults import DEVICES, read_faults
-from sim.world.options import ArmRole, Carrier
+from sim.world.faults import read_faults
+from sim.world.options import ArmChoice, ArmRole, Carrier
 from sim.world.running import register
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, Scene, read_scene
@@ -104,20 +104,22 @@ def open_world(
     world: str | None,
     scene: str,
     faults: Path | None = None,
-    devices: Sequence[str] = DEVICES,
+    devices: Sequence[str] | None = None,
     *,
+    paced: bool = True,
+    arm: ArmChoice = ArmChoice.KR6,
     role: ArmRole = ArmRole.MASTER,
 ) -> World:
-    """Open the theatre's world, or create one on the host's clock for a standalone simulator.
+    """Open the theatre's world, or create one for a standalone simulator, on the host's clock if `paced`.
 
-    `scene` is a built-in name or a file; `devices` are those simulated in a world of its own. In a theatre,
-    `role` is that of the arm that this process simulates.
+    `scene` is a built-in name, drawn with `arm`, or a file; `devices` are those simulated in a world of its
+    own. In a theatre, `role` is that of the arm that this process simulates.
     """
     if world is not None:
         return World.open(world, role)
-    truth = load_scene(scene)
+    truth = load_scene(scene, arm=arm if scene in SCENES else ArmChoice.KR6)
     script = read_faults(faults, truth, devices) if faults else ""
-    own = World.create(truth, paced=True)
+    own = World.create(truth, paced=paced)
     if script:
         own.set_fault_script(script)
     return own
@@ -137,6 +139,7 @@ def load_scene(
     markers: int | None = None,
     targets: int | None = None,
     fiducials: Carrier = Carrier.FREE,
+    arm: ArmChoice = ArmChoice.KR6,
     calibrated: bool = False,
     first_day: bool = False,
     target_balls: bool = False,
@@ -149,9 +152,11 @@ def load_scene(
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
-        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
+        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame, arm=arm)
     elif fiducials is not Carrier.FREE:
         raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
+    elif arm is not ArmChoice.KR6:
+        raise BadScene("a scene file defines its arm: omit --arm")
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

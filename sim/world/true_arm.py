@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from math import cos, exp, sin
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +25,7 @@ from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
 
 Matrix = NDArray[np.float64]
+Real = TypeVar("Real", float, Matrix)
 
 ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach
 DAMPING = 1e-4  # in the least squares, relative to a Jacobian in hundreds of mm/rad
@@ -54,8 +56,7 @@ class TrueArm:
         self._drifts = truth.thermal_drift_mm > 0.0
         self._thermal_time_s = truth.thermal_time_s
         self._sag_rad = truth.sag_rad
-        self._upper_mm = arm.upper_arm_mm
-        self._fore_mm = arm.forearm_mm
+        self._arm = arm
         self._joints = tuple(
             zip(
                 truth.joint_offset_rad,
@@ -94,15 +95,23 @@ class TrueArm:
                 encoders_rad, flanks, self._joints, strict=True
             )
         ]
-        # Weight turns both axes of the stretched arm in their positive direction: KUKA's point to its left,
-        # those of Universal Robots to its right, but there it extends along -x. The moment about an axis
-        # grows with the horizontal distance of its load: full stretched out, zero upright, then reversed.
-        fore = cos(encoders_rad[1] + encoders_rad[2])
-        upper = cos(encoders_rad[1])
-        stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)
-        angles[1] += self._sag_rad[0] * stretch
-        angles[2] += self._sag_rad[1] * fore
+        upper, fore = cos(encoders_rad[1]), cos(encoders_rad[1] + encoders_rad[2])
+        of_shoulder, of_elbow = sag_levers(self._arm, upper, fore)
+        angles[1] += self._sag_rad[0] * of_shoulder
+        angles[2] += self._sag_rad[1] * of_elbow
         return angles
+
+
+def sag_levers(arm: RobotDescription, upper: Real, fore: Real) -> tuple[Real, Real]:
+    """Return the shares of a stretched arm's sag at shoulder and elbow.
+
+    `upper` and `fore` are the cosines of the elevations of upper arm and forearm. Weight turns both axes of
+    the stretched arm in their positive direction: KUKA's point to its left, those of Universal Robots to its
+    right, but there it extends along -x. The moment about an axis grows with the horizontal distance of its
+    load: full stretched out, zero upright, then reversed.
+    """
+    upper_mm, fore_mm = arm.upper_arm_mm, arm.forearm_mm
+    return (upper_mm * upper + fore_mm * fore) / (upper_mm + fore_mm), fore
 
 
 class JointChain:

@@ -6,11 +6,11 @@ one. Written independently of the kinematics that the drivers use.
 
 from __future__ import annotations
 
-from math import degrees, pi
+from math import acos, asin, atan2, cos, degrees, hypot, pi, sin
 
 import numpy as np
 
-from sim.world.nominal_arm import ORIGIN, Corner, Joint, RobotDescription
+from sim.world.nominal_arm import ORIGIN, Corner, Joint, Matrix, RobotDescription
 from sim.world.rigid import as_point, rotation_from_vector, vector_from_rotation
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -18,6 +18,10 @@ RANGE_DEG = 360.0
 ELBOW_RANGE_DEG = 180.0  # as planners of the field limit it (U)
 FULL_SPEED_DEG_S = 180.0
 ACCELERATION_DEG_S2 = degrees(40.0)  # the largest that a program may ask for: what the drives can do (U)
+
+BEHIND, ELBOW_DOWN, WRIST_BACK = 1, 2, 4  # bits of a branch: base, elbow and wrist 2 solved the other way
+POSTURES = (0, WRIST_BACK)  # of a procedure: elbow up, the head ahead of the base
+STRAIGHT_WRIST = 1e-6  # sine of wrist 2 below which only the sum of wrist 1 and wrist 3 is defined
 
 TUBE_RADIUS_MM, WRIST_RADIUS_MM = 55.0, 40.0  # tubes of upper arm and forearm with their joints (U)
 
@@ -95,3 +99,39 @@ DESCRIPTIONS = {
     "ur5": _describe("ur5", "UR5", UR5, 135.85, 16.5),
     "ur5e": _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
 }
+
+
+def axes_of_branch(
+    arm: RobotDescription, flange: Matrix, branch: int
+) -> tuple[float, float, float, float, float, float] | None:
+    """Return the joints (rad, modulo whole turns) for a flange pose (4, 4) in the base, in one branch.
+
+    None if the pose is out of reach or leaves wrist 1 and wrist 3 undefined. The shoulder, elbow and wrist 1
+    axes are parallel: the arm is solved in the plane across them, in which `u` points ahead and `v` up.
+    """
+    upper_mm, fore_mm = arm.joints[2].origin_mm[0], arm.joints[3].origin_mm[0]
+    beside_mm, wrist_mm = -arm.joints[4].origin_mm[1], -arm.joints[5].origin_mm[2]
+    flange_mm = -arm.flange_mm[1]
+    x_axis, y_axis, z_axis = flange[:3, 0].tolist(), flange[:3, 1].tolist(), flange[:3, 2].tolist()
+    x_mm, y_mm, z_mm = (flange[:3, 3] - flange_mm * flange[:3, 2]).tolist()
+    out_mm = hypot(x_mm, y_mm)
+    if out_mm <= beside_mm:
+        return None
+    aside = asin(beside_mm / out_mm)
+    pan = atan2(y_mm, x_mm) + (pi - aside if branch & BEHIND else aside)
+    s1, c1 = sin(pan), cos(pan)
+    across = [s1 * x - c1 * y for x, y, _ in (x_axis, y_axis, z_axis)]  # shares along the parallel axes
+    bend = acos(max(-1.0, min(1.0, across[2]))) * (-1.0 if branch & WRIST_BACK else 1.0)
+    s5 = sin(bend)
+    if abs(s5) < STRAIGHT_WRIST:
+        return None
+    last = atan2(-across[1] / s5, across[0] / s5)
+    pitch = atan2(-z_axis[2] / s5, -(c1 * z_axis[0] + s1 * z_axis[1]) / s5)  # of the three parallel joints
+    u_mm = c1 * x_mm + s1 * y_mm - wrist_mm * sin(pitch)
+    v_mm = z_mm - arm.joints[0].origin_mm[2] + wrist_mm * cos(pitch)
+    cosine = (u_mm**2 + v_mm**2 - upper_mm**2 - fore_mm**2) / (2.0 * upper_mm * fore_mm)
+    if abs(cosine) > 1.0:
+        return None
+    elbow = acos(cosine) if bool(branch & ELBOW_DOWN) != bool(branch & BEHIND) else -acos(cosine)
+    lift = atan2(v_mm, u_mm) - atan2(fore_mm * sin(elbow), upper_mm + fore_mm * cos(elbow))
+    return pan, lift, elbow, pitch - lift - elbow, bend, last

@@ -1,8 +1,9 @@
 """Random arms of parameter set S, drawn as in the simulated theatre, and their joints at planned poses.
 
-The formulas are those of the simulator's true arm, implemented a second time for arrays: a test compares the
-two. Every arm is drawn from the seed and its own number. Set S, with the CT error of 0.38 mm, was chosen so
-that the means of table 4 of the thesis come out: agreement with that table confirms nothing.
+The formulas are those of the simulator's true arm, chain and joints implemented a second time for arrays: a
+test compares the two. Every arm is drawn from the seed and its own number. Set S, with the CT error of
+0.38 mm, was chosen so that the means of table 4 of the thesis come out: agreement with that table confirms
+nothing.
 """
 
 from __future__ import annotations
@@ -16,17 +17,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
-from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
+from sim.world.descriptions import DESCRIPTIONS
+from sim.world.nominal_arm import RobotDescription
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM, draw_arm, draw_mount
 from sim.world.scene.model import ArmTruth
+from sim.world.true_arm import sag_levers
 from studies.errors import PoseNotSolved
 
 Array = NDArray[np.float64]
 Components = tuple[Array, Array, Array]
 ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
-UPPER_ARM, FOREARM = 1, 3  # links between A2 and A3, between A4 and the wrist
 SETTLED_MM = 1e-6  # far below any source of error
 STEPS = 10
 
@@ -44,8 +47,9 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class RandomArms:
-    """Errors of `a` arms with six joints each, in millimetres and radians."""
+    """Errors of `a` arms of one model with six joints each, in millimetres and radians."""
 
+    description: RobotDescription
     chain: Chain
     link_translation_mm: Array  # (a, 6, 3)
     link_rotation: Array  # (a, 6, 3, 3)
@@ -69,7 +73,8 @@ class RandomArms:
         links = [truth.links for truth in truths]
         turns = np.array([[link.rotation_rad for link in arm] for arm in links])
         return cls(
-            chain=kr6_r900(truths[0].variant).chain,
+            description=DESCRIPTIONS[truths[0].variant],
+            chain=find_kinematics(truths[0].variant).chain,
             link_translation_mm=np.array([[link.translation_mm for link in arm] for arm in links]),
             link_rotation=Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(-1, 6, 3, 3),
             joint_offset_rad=np.array([truth.joint_offset_rad for truth in truths]),
@@ -130,12 +135,10 @@ class RandomArms:
             size, phase = self.harmonics_rad[:, None, place], self.phases_rad[:, None, place]
             angles = angles + size * np.sin(order * encoders_rad + phase)
         angles = angles + FLANK_SHARE * self.backlash_rad[:, None] * flanks
-        upper_mm = self.chain.joints[UPPER_ARM].to_next_mm[0]
-        fore_mm = self.chain.joints[FOREARM].to_next_mm[0]
-        fore = np.cos(encoders_rad[..., 1] + encoders_rad[..., 2])
-        stretch = (upper_mm * np.cos(encoders_rad[..., 1]) + fore_mm * fore) / (upper_mm + fore_mm)
-        angles[..., 1] += self.sag_rad[:, None, 0] * stretch
-        angles[..., 2] += self.sag_rad[:, None, 1] * fore
+        upper, fore = np.cos(encoders_rad[..., 1]), np.cos(encoders_rad[..., 1] + encoders_rad[..., 2])
+        of_shoulder, of_elbow = sag_levers(self.description, upper, fore)
+        angles[..., 1] += self.sag_rad[:, None, 0] * of_shoulder
+        angles[..., 2] += self.sag_rad[:, None, 1] * of_elbow
         return np.asarray(angles)
 
 

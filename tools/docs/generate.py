@@ -48,6 +48,7 @@ from ronna_hw.config import TheatreFile
 from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.world.faults import FAULT_KINDS
 from sim.world.scene.model import Scene
 
@@ -98,6 +99,7 @@ def tables() -> dict[str, str]:
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
+        "ur-parameters.md": parameter_table(rows(ControllerParameters)),
     }
 
 

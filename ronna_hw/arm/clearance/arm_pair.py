@@ -177,8 +177,8 @@ class Course:
 
     def reach_mm(self, low: int, at: int, high: int) -> float:
         """Return a bound on the motion of any point from posture `at` to any in a range."""
-        here_mm = float(self.travel_mm[at])
-        return max(float(self.travel_mm[high]) - here_mm, here_mm - float(self.travel_mm[low]))
+        low_mm, here_mm, high_mm = (float(self.travel_mm[number]) for number in (low, at, high))
+        return max(high_mm - here_mm, here_mm - low_mm)
 
     def at(self, time_s: float) -> int:
         """Return the number of the posture at a time, at the end for a later one."""

@@ -26,12 +26,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
+from sim.world import universal_robots_arm
 from sim.world.faults.camera import CAMERA_FAULTS
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
-from sim.world.scene.model import Scene
+from sim.world.faults.universal_robots import UR_FAULTS
+from sim.world.options import ArmRole
+from sim.world.scene.model import ArmTruth, Scene
 
 if TYPE_CHECKING:
     from lark import Lark
@@ -43,12 +46,18 @@ LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps 
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
 
-FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
+FAULT_KINDS: tuple[FaultKind, ...] = (
+    *TRACKER_FAULTS,
+    *ROBOT_FAULTS,
+    *UR_FAULTS,
+    *CAMERA_FAULTS,
+    *ROOM_FAULTS,
+)
 NOW, SINCE = "now", "since"
 OF_ASSISTANT = "of_assistant"  # rule of the grammar
-CYCLES_OF = ("robot",)  # devices whose cycles a script can name
+CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
-DEVICES = ("tracker", "robot", "camera", "room")
+DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with KUKA arms
 
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
@@ -86,6 +95,16 @@ COMMENT: /#[^\n]*/
 %ignore WS_INLINE
 %ignore COMMENT
 """
+
+
+def devices_of(scene: Scene) -> tuple[str, ...]:
+    """Return the devices of a theatre, depending on its arms."""
+    arms = (scene.arm,) if scene.assistant is None else (scene.arm, scene.assistant.arm)
+    return ("tracker", *dict.fromkeys(map(_controller_of, arms)), "camera", "room")
+
+
+def _controller_of(arm: ArmTruth) -> str:
+    return "ur" if arm.variant in universal_robots_arm.DESCRIPTIONS else "robot"
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -133,8 +152,8 @@ def has_beginning(line: str) -> bool:
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
-def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Read a script and check it against the scene and present devices; raises SIM-003."""
+def read_faults(path: Path, scene: Scene, devices: Sequence[str] | None = None) -> str:
+    """Read a script and check it against the scene and present devices, by default all; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -154,13 +173,15 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> s
 def check_faults(
     faults: Iterable[Fault],
     scene: Scene,
-    devices: Sequence[str] = DEVICES,
+    devices: Sequence[str] | None = None,
     loaded: Sequence[str] | None = None,
 ) -> None:
     """Raise SIM-003 listing every fault that refers to a missing device, marker or tool.
 
-    `loaded` are the tools that a client has loaded into the tracker, if known.
+    `devices` are all of the theatre by default; `loaded` are the tools that a client has loaded into the
+    tracker, if known.
     """
+    devices = devices_of(scene) if devices is None else devices
     mistakes = []
     for fault in faults:
         found = list(_list_mistakes(fault, scene, devices))
@@ -182,6 +203,10 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         yield f"expected a fault of the robot, got {fault.phrase!r}: only an arm can be the assistant"
     elif fault.of_assistant and scene.assistant is None:
         yield f"expected a fault of the only arm, got {fault.phrase!r}: there is no assistant here"
+    elif fault.kind.device in CYCLES_OF and scene.assistant is not None:
+        role = ArmRole.ASSISTANT if fault.of_assistant else ArmRole.MASTER
+        if (device := _controller_of(scene.arm_of(role))) != fault.kind.device:
+            yield f"expected a fault of the {device}, got {fault.phrase!r}: another arm is the {role}"
     yield from fault.kind.check(fault.arguments, scene)
 
 

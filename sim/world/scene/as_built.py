@@ -1,9 +1,7 @@
 """Arm, mount and cameras as built: design plus random errors.
 
-The errors of arm and mount are parameter set S. It is no measurement: its sizes were chosen so that the means
-of the thesis' table 4, measured on one robot, come out. All are one standard deviation. Links: translations
-0.40 mm and rotations 0.05 deg per axis. Joints: offsets 0.05 deg, harmonics 0.015 and 0.008 deg, backlash
-0.02 deg, sag 0.03 deg. Repeatability 0.015 mm per axis; tool error of the mount 2 mm.
+The sizes of an arm's errors belong to its design. The mount's tool error, 2 mm per axis and one standard
+deviation, is that of parameter set S.
 
 Design of the stereo head: magnification 0.25 with 50 mm lenses, so 250 mm working distance and a 45 x 24 mm
 field; the optical axes intersect at the tool centre point at 55 degrees.
@@ -26,19 +24,8 @@ from sim.world.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
+from sim.world.scene.arm_design import KR6, ArmDesign
 from sim.world.scene.model import ArmTruth, CameraTruth, LinkError, Mount
-
-LINK_TRANSLATION_MM = 0.40
-LINK_ROTATION_RAD = radians(0.05)
-JOINT_OFFSET_RAD = radians(0.05)
-HARMONIC_1_RAD = radians(0.015)
-HARMONIC_2_RAD = radians(0.008)
-BACKLASH_RAD = radians(0.02)
-SAG_RAD = radians(0.03)
-REPEATABILITY_MM = 0.015
-
-# Flange down, stereo head reaching forward: above the head, clear of every singularity.
-HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 
 TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
 TOOL_ERROR_MM = 2.0  # per axis: deviation of the mount from its drawing
@@ -61,8 +48,9 @@ DISTORTION_K1 = 0.02
 SERIALS = ("21904411", "21904412")
 
 
-def draw_arm(generator: np.random.Generator) -> ArmTruth:
-    """Draw a true arm with the errors of parameter set S."""
+def draw_arm(generator: np.random.Generator, design: ArmDesign = KR6) -> ArmTruth:
+    """Draw a true arm with the errors of its design."""
+    sizes = design.errors
 
     def six(scale: float) -> Any:
         return tuple(float(value) for value in generator.normal(0.0, scale, 6))
@@ -74,20 +62,23 @@ def draw_arm(generator: np.random.Generator) -> ArmTruth:
         return tuple(float(value) for value in generator.uniform(0.0, 2 * np.pi, 6))
 
     links: Any = tuple(
-        LinkError(translation_mm=three(LINK_TRANSLATION_MM), rotation_rad=three(LINK_ROTATION_RAD))
+        LinkError(
+            translation_mm=three(sizes.link_translation_mm), rotation_rad=three(sizes.link_rotation_rad)
+        )
         for _ in range(6)
     )
     return ArmTruth(
-        home_deg=HOME_DEG,
+        variant=design.variant,
+        home_deg=design.home_deg,
         links=links,
-        joint_offset_rad=six(JOINT_OFFSET_RAD),
-        harmonic_1_rad=six(HARMONIC_1_RAD),
+        joint_offset_rad=six(sizes.joint_offset_rad),
+        harmonic_1_rad=six(sizes.harmonic_1_rad),
         harmonic_1_phase_rad=phases(),
-        harmonic_2_rad=six(HARMONIC_2_RAD),
+        harmonic_2_rad=six(sizes.harmonic_2_rad),
         harmonic_2_phase_rad=phases(),
-        sag_rad=(SAG_RAD, SAG_RAD),
-        backlash_rad=(BACKLASH_RAD,) * 6,
-        repeatability_mm=REPEATABILITY_MM,
+        sag_rad=(sizes.sag_rad, sizes.sag_rad),
+        backlash_rad=(sizes.backlash_rad,) * 6,
+        repeatability_mm=sizes.repeatability_mm,
     )
 
 

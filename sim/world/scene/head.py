@@ -26,7 +26,8 @@ from sim.world.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
-from sim.world.scene.model import Adhesive, Fiducial, Head
+from sim.world.scene.arm_design import KR6, ArmDesign
+from sim.world.scene.model import Adhesive, Fiducial, Head, Variant
 from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
@@ -46,7 +47,6 @@ GUIDE_CLEARANCE_MM = 26.0  # between the axis of a trajectory and spheres or bar
 GUIDE_MM, SAMPLE_MM = 90.0, 3.0  # length of the guide outside the skin; spacing of points along bars
 FRAME_ATTEMPTS = 2000
 
-HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # keeps the wrist away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
 RECLINE_RAD = radians(60.0)  # elevation of the vertex above the horizontal
@@ -77,8 +77,11 @@ def draw_head(
     template: MarkerTemplate | None = None,
     *,
     x_frame: bool = False,
+    arm: ArmDesign = KR6,
 ) -> Head:
-    """Draw a head with 3 to 8 spheres (`markers`) and `targets`; raises SIM-001 if they do not fit.
+    """Draw a head with 3 to 8 spheres (`markers`) and `targets` in an arm's reach.
+
+    Raises SIM-001 if they do not fit.
 
     A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
     """
@@ -93,7 +96,7 @@ def draw_head(
         fiducials = (
             _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers)
         )
-    pose = _draw_pose(generator)
+    pose = _draw_pose(generator, arm.head_mm)
     return Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
@@ -101,7 +104,7 @@ def draw_head(
         fiducials=fiducials,
         x_frame=x_frame,
         template_mm=template.centres_mm if template else None,
-        targets=_draw_targets(generator, targets, fiducials, pose, frame),
+        targets=_draw_targets(generator, targets, fiducials, pose, frame, arm.variant),
     )
 
 
@@ -130,12 +133,12 @@ def stick_adhesives(head: Head, count: int, generator: np.random.Generator) -> H
     return head.model_copy(update={"adhesives": adhesives})
 
 
-def _draw_pose(generator: np.random.Generator) -> Vector:
+def _draw_pose(generator: np.random.Generator, middle_mm: Point) -> Vector:
     left = np.array([0.0, 1.0, 0.0])
     superior = np.array([-cos(RECLINE_RAD), 0.0, sin(RECLINE_RAD)])
     rotation = np.column_stack([left, np.cross(superior, left), superior])
     rotation = rotation_from_vector(generator.uniform(-1, 1, 3) * ROTATION_SPREAD_RAD) @ rotation
-    centre = np.array(HEAD_IN_ROBOT_MM) + generator.uniform(-1, 1, 3) * POSITION_SPREAD_MM
+    centre = np.array(middle_mm) + generator.uniform(-1, 1, 3) * POSITION_SPREAD_MM
     return matrix_from(centre - rotation @ np.array(CENTRE_CT_MM), rotation)
 
 
@@ -189,11 +192,12 @@ def _draw_targets(
     fiducials: tuple[Fiducial, ...],
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
+    variant: Variant,
 ) -> tuple[Target, ...]:
     """Draw trajectories between the spheres, all within reach of the arm in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
-    feasibility = PlanFeasibility(apply(robot_from_ct, spheres))
+    feasibility = PlanFeasibility(apply(robot_from_ct, spheres), variant)
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):

@@ -37,6 +37,7 @@ from sim.world.scene.parts import (
 )
 
 Numbers6 = tuple[float, float, float, float, float, float]
+Variant = Literal["kr6_r900_sixx", "kr6_r900_2", "ur5", "ur5e"]
 Count = Annotated[int, Field(ge=1)]
 SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
 HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
@@ -189,9 +190,7 @@ class ArmTruth(Strict):
     the sign of the last motion; at rest a repeatability error is added.
     """
 
-    variant: Literal["kr6_r900_sixx", "kr6_r900_2", "ur5", "ur5e"] = Field(
-        default="kr6_r900_sixx", description="Arm model."
-    )
+    variant: Variant = Field(default="kr6_r900_sixx", description="Arm model.")
     home_deg: Numbers6 = Field(description="Joint angles at the start.")
     links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError] = Field(
         description="Geometric errors of the links, from the base outwards."

@@ -17,7 +17,9 @@ from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BadScene
 from sim.world.noise import noise
-from sim.world.rigid import apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.world.options import ArmChoice
+from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
@@ -42,7 +44,7 @@ FRAME_BESIDE_HEAD_MM = (60.0, 230.0, -60.0)  # from the centre of the head, alon
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 USUAL_REFLECTIONS = 2  # in a room with lamps and instruments
 # Staff place the stand by hand, its dials aligned with the robot's axes by eye.
-STAND_MM = (563.0, -325.0, 230.0)
+STAND_FROM_HEAD_MM = (-197.0, -325.0, 30.0)  # of the middle of the places of the head's centre
 STAND_SPREAD_MM = 3.0
 DIVOT_MM = 0.005  # manufacturing tolerance per axis
 DIALS_RAD = radians(1.0)
@@ -58,6 +60,7 @@ def draw_scene(
     targets: int | None = None,
     template: MarkerTemplate | None = None,
     x_frame: bool = False,
+    arm: ArmChoice = ArmChoice.KR6,
 ) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
@@ -70,15 +73,17 @@ def draw_scene(
         raise BadScene(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
+    design = DESIGNS[arm]
     head = draw_head(
         generator,
         (3 if mini else 5) if markers is None else markers,
         (1 if mini else 3) if targets is None else targets,
         template,
         x_frame=x_frame,
+        arm=design,
     )
     left, right = draw_cameras(generator)
-    arm, mount = draw_arm(generator), draw_mount(generator)
+    true_arm, mount = draw_arm(generator, design), draw_mount(generator)
     on_bench = name in BENCH_DISTANCES_MM
     if not on_bench:
         mount = mount.model_copy(update={"guide": Guide(tip_from_frame=GUIDE_FRAME_IN_TIP)})
@@ -87,7 +92,7 @@ def draw_scene(
         seed=seed,
         head=head,
         ct=MINI_CT if mini else CtProtocol(),
-        arm=arm,
+        arm=true_arm,
         mount=mount,
         tracker=_place_bench_tracker(BENCH_DISTANCES_MM[name])
         if on_bench
@@ -98,16 +103,18 @@ def draw_scene(
         ),
         left=left,
         right=right,
-        stand=_draw_stand(seed),
+        stand=_draw_stand(seed, design.head_mm),
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
     )
 
 
-def _draw_stand(seed: int) -> Stand:
+def _draw_stand(seed: int, head_mm: Point) -> Stand:
     """Draw the stand with independent noise, so that it does not affect the rest of the scene."""
     generator = noise(seed, "stand", 0)
     return Stand(
-        ball_mm=as_point(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
+        ball_mm=as_point(
+            np.add(head_mm, STAND_FROM_HEAD_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)
+        ),
         divot_from_ball_mm=as_point(generator.normal(0.0, DIVOT_MM, 3)),
         dials_turned_rad=as_point(generator.normal(0.0, DIALS_RAD, 3)),
     )

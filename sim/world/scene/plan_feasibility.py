@@ -14,9 +14,10 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.world.nominal_arm import Variant, axes_of_status, description
+from sim.world.descriptions import DESCRIPTIONS, INVERSES
 from sim.world.rigid import inverse, matrix_from
 from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
+from sim.world.scene.model import Variant
 from sim.world.scene.parts import Guide
 
 Vector = NDArray[np.float64]
@@ -24,20 +25,22 @@ Vector = NDArray[np.float64]
 APPROACH_MM = 60.0  # distance of the tool outside sphere or skin
 STANDOFF_MM = 30.0  # distance of the guide from the entry, in the plan of a phantom
 TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
-# Status S of arm postures, the usual one first; the wrist's two are equivalent, its ranges being symmetric.
-STATUSES = (2, 0, 3, 1)
 MARGIN_RAD = radians(3.0)  # from the end switches: a coarse registration is off by millimetres
 SPHERE_MM = 5.75  # radius
 BESIDE_MM = 4.0  # clearance around each sphere, a millimetre more than the planner requires
-# A4 and A6 turn more than a full circle, so they reach every angle.
-LIMITED = (0, 1, 2, 4)
 
 
 class PlanFeasibility:
     """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3)."""
 
-    def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
-        self._arm = description(variant)
+    def __init__(self, spheres_mm: Vector, variant: Variant) -> None:
+        self._arm, self._inverse = DESCRIPTIONS[variant], INVERSES[variant]
+        # Joints that turn more than a full circle reach every angle.
+        self._limited = [
+            (number, radians(joint.lower_deg) + MARGIN_RAD, radians(joint.upper_deg) - MARGIN_RAD)
+            for number, joint in enumerate(self._arm.joints)
+            if radians(joint.upper_deg - joint.lower_deg) < 2.0 * (pi + MARGIN_RAD)
+        ]
         self._spheres_mm = spheres_mm
         self._tool_from_flange = inverse(matrix_from(TOOL_IN_FLANGE_MM, np.eye(3)))
         self._known: dict[tuple[int, bytes], bool] = {}
@@ -45,11 +48,12 @@ class PlanFeasibility:
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
         """Return whether one posture reaches all trajectories, given as entry (3,) and target (3,)."""
         return any(
-            all(self._is_trajectory_reachable(*ends, status) for ends in trajectories) for status in STATUSES
+            all(self._is_trajectory_reachable(*ends, posture) for ends in trajectories)
+            for posture in self._inverse.postures
         )
 
-    def _is_trajectory_reachable(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
-        key = status, entry_mm.tobytes() + target_mm.tobytes()
+    def _is_trajectory_reachable(self, entry_mm: Vector, target_mm: Vector, posture: int) -> bool:
+        key = posture, entry_mm.tobytes() + target_mm.tobytes()
         if key not in self._known:
             to_target_mm = target_mm - entry_mm
             depth_mm = float(np.linalg.norm(to_target_mm))
@@ -63,7 +67,7 @@ class PlanFeasibility:
             self._known[key] = any(
                 self._is_each_sphere_visible(orientation)
                 and all(
-                    self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, status)
+                    self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, posture)
                     for tip in tips
                 )
                 for orientation in _list_orientations(axis, target_mm)
@@ -85,14 +89,12 @@ class PlanFeasibility:
                 return False
         return True
 
-    def _is_within_ranges(self, flange: Vector, status: int) -> bool:
-        axes = axes_of_status(self._arm, flange, status)
+    def _is_within_ranges(self, flange: Vector, posture: int) -> bool:
+        axes = self._inverse.axes(self._arm, flange, posture)
         if axes is None:
             return False
-        for number in LIMITED:
-            joint = self._arm.joints[number]
+        for number, low, high in self._limited:
             angle = (axes[number] + pi) % (2.0 * pi) - pi
-            low, high = radians(joint.lower_deg) + MARGIN_RAD, radians(joint.upper_deg) - MARGIN_RAD
             if not (low <= angle <= high or low <= angle - 2.0 * pi):
                 return False
         return True

@@ -7,12 +7,12 @@ from typing import Any
 
 from recording_cell import RecordingArm
 
-from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm_stream.motion import MotionPlanner
 from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -14,6 +14,7 @@ from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 CYCLE_S = 0.004
+LONGEST_TEST_S = 60.0  # theatre time that may pass at once: a controller at rest would run at 10 Hz
 Make = Callable[..., Any]  # a fixture that makes something
 
 
@@ -29,6 +30,7 @@ class SharedController:
     def begin(self) -> None:
         """RSI streams, corrections act, nothing is wrong."""
         self.world.set_fault_script("")
+        self.world.clock.let_pass(LONGEST_TEST_S)
         self.reconnect()
         self.eki.state(Mode="EXT", EStop="0", Guard="0")
         self.eki.command("CANCEL")

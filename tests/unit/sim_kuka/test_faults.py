@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.kuka_eki import OperationMode
-from sim.kuka.faults import ControllerFaults, FaultLog
+from sim.kuka.faults import ControllerFaults
 from sim.kuka.rsi.link import LinkFaults
 from sim.world.faults import FaultBoard
+from sim.world.faults.log import FaultLog
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -49,7 +50,7 @@ def channel() -> SimpleNamespace:
 
 @pytest.fixture
 def faults(bench: Any, world: World, channel: Any) -> ControllerFaults:
-    log = FaultLog(lambda: (0.0, None))
+    log = FaultLog(lambda: (0.0, "no RSI"))
     board = FaultBoard(world, "robot", lambda: 1)
     return ControllerFaults(board, bench.controller, (channel,), LinkFaults(1, log.hit), log)
 

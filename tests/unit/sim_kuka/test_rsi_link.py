@@ -9,10 +9,10 @@ from xml.etree import ElementTree
 import pytest
 
 from ronna_hw.wire.kuka_context import load_context
-from sim.kuka.faults import FaultLog
 from sim.kuka.rsi.link import LinkFaults
 from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.faults import parse_faults
+from sim.world.faults.log import FaultLog
 
 REPLY = (
     '<Sen Type="KROSHU"><Stop>0</Stop><AK A1="1.500000" A2="0" A3="0" A4="0" A5="0" A6="0"/>'
@@ -20,8 +20,8 @@ REPLY = (
 )
 
 
-def moment() -> tuple[float, int | None]:
-    return 12.5, 4208
+def moment() -> tuple[float, str]:
+    return 12.5, "IPOC 4208"
 
 
 @pytest.fixture

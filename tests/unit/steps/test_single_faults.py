@@ -25,7 +25,7 @@ from single_faults import (
 from procedures.steps import branches
 from procedures.steps.branches import Branch
 from procedures.steps.catalogue import CLINICAL_STEPS
-from sim.world.faults import FAULT_KINDS, check_faults, parse_faults
+from sim.world.faults import DEVICES, FAULT_KINDS, check_faults, parse_faults
 from sim.world.scene.named_scenes import draw_scene
 
 ORDER = [step.name for step in CLINICAL_STEPS]
@@ -42,7 +42,7 @@ DEVICE_ROWS = [row for row in ROWS if device_of(row) in STEPS]
 
 def test_every_fault_of_the_catalogue_is_in_the_table() -> None:
     held = {parse_faults(f"now: {row.fault}")[0].kind.usage for row in ROWS if row.fault}
-    assert held == {kind.usage for kind in FAULT_KINDS}
+    assert held == {kind.usage for kind in FAULT_KINDS if kind.device in DEVICES}
 
 
 @pytest.mark.parametrize("device", STEPS)

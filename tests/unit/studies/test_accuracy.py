@@ -10,7 +10,7 @@ import pytest
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import is_clear_of, list_sites, mark_allowed, propose_markers
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
-from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import draw_arm
 from sim.world.true_arm import TrueArm
@@ -48,12 +48,13 @@ def errors_mm(strategy: str, arms: RandomArms, sizes: Sizes, numbers: range) -> 
     return SCENE.errors_mm(arms, SCENE.planned(strategy), SCENE.chance(numbers), sizes)
 
 
-def test_the_vectorized_arm_equals_the_simulators_arm() -> None:
+@pytest.mark.parametrize("model", ["kr6_r900_sixx", "ur5"])
+def test_the_vectorized_arm_equals_the_simulators_arm(model: str) -> None:
     random = np.random.default_rng(3)
-    truths = [draw_arm(random) for _ in range(2)]
+    truths = [draw_arm(random).model_copy(update={"variant": model}) for _ in range(2)]
     tools = random.normal(size=(2, 3))
     arms = RandomArms.of(list(zip(truths, tools, strict=True)))
-    joints = np.array(kr6_r900().home_rad) + 0.5 * random.normal(size=(2, 4, 6))
+    joints = np.array(find_kinematics(model).home_rad) + 0.5 * random.normal(size=(2, 4, 6))
     flanks = random.choice((-1.0, 1.0), size=joints.shape)
     found = arms.tool_points_mm(joints, flanks)
     for arm, truth in enumerate(truths):

@@ -84,8 +84,9 @@ def exchange(client: socket.socket, turn_deg: float) -> bytes:
 
 
 def test_layout_peer_wiring_limits_timeout_and_precision_come_from_the_files(
-    client: socket.socket, controller: ChildProcess
+    client: socket.socket, controller: ChildProcess, lock_step_world: World
 ) -> None:
+    lock_step_world.clock.let_pass(60.0)  # at a correction that is clamped the controller rests otherwise
     said = {key: controller.ready[key] for key in ("wiring", "timeout_packets", "precision")}
     assert said == {"wiring": "context", "timeout_packets": TIMEOUT_PACKETS, "precision": 2}
     first = exchange(client, 0.0)

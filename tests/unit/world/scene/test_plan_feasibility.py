@@ -18,10 +18,11 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame
 from sim.world.rigid import apply, inverse, matrix_of
-from sim.world.scene.model import Scene
+from sim.world.scene.model import Scene, Variant
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
+ARM: Variant = "kr6_r900_sixx"
 LEAST_BEND_RAD = math.radians(4.0)
 
 
@@ -70,7 +71,7 @@ def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.n
     place = matrix_of(scene.head.robot_from_ct)
     spheres = apply(place, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
     ends = [(apply(place, t.entry_ct_mm), apply(place, t.target_ct_mm)) for t in scene.head.targets]
-    return PlanFeasibility(spheres), ends
+    return PlanFeasibility(spheres, ARM), ends
 
 
 @pytest.mark.parametrize("markers", [3, 5, 8])
@@ -93,8 +94,8 @@ def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() 
     apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
     crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
     down = (below + np.array([20.0, 20.0, 80.0]), below + np.array([20.0, 20.0, 20.0]))
-    assert not PlanFeasibility(crowded).is_feasible([down])
-    assert PlanFeasibility(crowded[:2]).is_feasible([down])
+    assert not PlanFeasibility(crowded, ARM).is_feasible([down])
+    assert PlanFeasibility(crowded[:2], ARM).is_feasible([down])
 
 
 @pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])

@@ -1,0 +1,1 @@
+"""Simulated Universal Robots controller with its arm: RTDE, dashboard and the client interfaces."""

@@ -1,0 +1,118 @@
+"""`ronna-sim ur`: a Universal Robots controller with its arm, for any client."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.options import ArmChoice, ArmRole
+
+FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
+MASTER = ArmRole.MASTER
+
+
+class ModelName(StrEnum):
+    """Arm, with the controller that it is sold with: UR5 on a CB3, UR5e on an e-Series controller."""
+
+    UR5 = "ur5"
+    UR5E = "ur5e"
+
+
+def ur(
+    address: Annotated[
+        str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
+    ] = "127.0.0.9",
+    model: Annotated[
+        ModelName, typer.Option(help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz).")
+    ] = ModelName.UR5E,
+    lock_step: Annotated[
+        bool,
+        typer.Option(
+            "--lock-step", help="While our script streams, a cycle begins once the client has answered."
+        ),
+    ] = False,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
+    ] = None,
+    list_parameters: Annotated[
+        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
+    ] = False,
+    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    detach: DetachOption = False,
+    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
+    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
+) -> None:
+    """Simulate a Universal Robots controller and its arm, for any client, until terminated.
+
+    It serves RTDE (30004), the dashboard (29999) and the client interfaces (30001 to 30003) on its address,
+    powered and in remote control.
+    """
+    from math import radians
+
+    from sim.named_parameters import rows
+    from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
+    from sim.universal_robots.controller import Controller
+    from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
+    from sim.universal_robots.cycle_loop import CycleLoop
+    from sim.universal_robots.factory_calibration import calibrate
+    from sim.universal_robots.model import MODELS, ArmName
+    from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
+    from sim.world.true_arm import arm_seed
+
+    if list_parameters:
+        for name, value, meaning in rows(ControllerParameters):
+            typer.echo(f"{name}={value}  {meaning}")
+        return
+    if detach and not IN_BACKGROUND:
+        start_in_background("ur")
+        return
+    parameters = parse_parameters(parameter or ())
+    place = require_loopback(address)
+    chosen = ArmChoice(model.value)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)
+    described, truth = MODELS[ArmName(model.value)], room.scene.arm_of(role)
+    require_arm(truth, described)
+    seed = arm_seed(room.scene.seed, role)
+    last = room.arm(role) if room.has_arm(role) else None
+    start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
+    kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
+    controller = Controller(described, parameters, kinematics, start_rad)
+    drives = controller.robot.drives
+    arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
+    tool = room.mounted_tool if role is MASTER else _no_tool
+    cycle_loop = CycleLoop(controller, arm, tool, room, place)
+    control = open_own_control_port(world, room, FAULTS_OF)
+    end_with_parent(cycle_loop.end)
+    announce(
+        "ur",
+        control=control,
+        endpoints=cycle_loop.endpoints,
+        model=model.value,
+        cycle_s=controller.model.cycle_s,
+        version=controller.model.version_text,
+    )
+    cycle_loop.run()
+
+
+def _no_tool() -> int:
+    return 0
+
+
+def require_loopback(address: str) -> str:
+    """Return an address of this computer alone; raises URC-002 for any other."""
+    from ipaddress import IPv4Address
+
+    from sim.universal_robots.errors import BadAddress
+
+    try:
+        if IPv4Address(address).is_loopback:
+            return address
+    except ValueError:
+        pass
+    raise BadAddress(f"a controller cannot be simulated at {address!r}", expected="an address in 127.0.0.0/8")

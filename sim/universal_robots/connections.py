@@ -1,0 +1,232 @@
+"""Listening sockets and client connections, non-blocking, for one `select` loop."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+from collections.abc import Callable
+from typing import Protocol
+
+from ronna_hw.host.port_users import find_tcp_listener
+from sim.errors import EndpointTaken
+
+READ_BYTES = 65536
+MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
+ANOTHER_ADDRESS = "Stop that program, or give an address of its own: --address 127.0.0.9."
+
+
+class Poll:
+    """Sockets to wait on, each with what to do when it is readable."""
+
+    def __init__(self) -> None:
+        self._epoll = select.epoll()
+        self._actions: dict[int, Callable[[], None]] = {}
+
+    def register(self, one: socket.socket, action: Callable[[], None]) -> None:
+        """Wait for a socket too."""
+        self._actions[one.fileno()] = action
+        self._epoll.register(one, select.EPOLLIN)
+
+    def unregister(self, one: socket.socket) -> None:
+        """Wait for a socket no more; without effect for one that was not waited for."""
+        if self._actions.pop(one.fileno(), None) is not None:
+            self._epoll.unregister(one)
+
+    def serve(self, timeout_s: float) -> None:
+        """Wait once, and do what is to be done."""
+        actions = self._actions
+        for number, _ in self._epoll.poll(timeout_s):
+            action = actions.get(number)
+            if action is not None:  # else closed a moment ago
+                action()
+
+    def close(self) -> None:
+        """Wait for nothing any more."""
+        self._epoll.close()
+
+
+class Handler(Protocol):
+    """Program behind a connection."""
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes from the client and return the answer, perhaps empty; raises HangUp."""
+
+    def closed(self) -> None:
+        """Called when the connection has been closed."""
+
+
+class HangUp(Exception):
+    """The connection is closed after these last bytes."""
+
+    def __init__(self, last: bytes = b"") -> None:
+        super().__init__()
+        self.last = last
+
+
+class Connection:
+    """A client. What it does not read in time closes it."""
+
+    def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[Connection], None]) -> None:
+        self.socket = client
+        self._poll, self._forget = poll, forget
+        self.handler: Handler | None = None
+        self.open = True
+        self._held: list[bytes] | None = None  # what waits while nothing passes
+        self._held_bytes = 0
+        poll.register(client, self.serve)
+
+    def serve(self) -> None:
+        """Read what has arrived, and answer."""
+        assert self.handler is not None
+        try:
+            data = self.socket.recv(READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return
+        try:
+            answer = self.handler.receive(data)
+        except HangUp as hang_up:
+            if hang_up.last:
+                self.send(hang_up.last)
+            self.close()
+            return
+        if answer:
+            self.send(answer)
+
+    def send(self, data: bytes) -> None:
+        """Send, or close the connection if the client does not read."""
+        if self._held is not None:
+            self._held.append(data)
+            self._held_bytes += len(data)
+            if self._held_bytes > MOST_HELD_BYTES:
+                self.close()
+            return
+        try:
+            if self.socket.send(data) == len(data):
+                return
+        except OSError:
+            pass
+        self.close()
+
+    def hold(self, *, holds: bool) -> None:
+        """Let nothing pass in either direction, or what was sent meanwhile and everything again."""
+        if holds is (self._held is not None) or not self.open:
+            return
+        if holds:
+            self._held = []
+            self._poll.unregister(self.socket)
+            return
+        waiting, self._held, self._held_bytes = self._held or [], None, 0
+        self._poll.register(self.socket, self.serve)
+        if waiting:
+            self.send(b"".join(waiting))
+
+    def try_send(self, data: bytes) -> bool:
+        """Send, and return whether all of it went."""
+        if self._held is not None:
+            return True
+        try:
+            return self.socket.send(data) == len(data)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self.close()
+            return False
+
+    def close(self) -> None:
+        """Close the connection; safe to call twice."""
+        if not self.open:
+            return
+        self.open = False
+        self._poll.unregister(self.socket)
+        self.socket.close()
+        self._forget(self)
+        if self.handler is not None:
+            self.handler.closed()
+
+
+class Listener:
+    """Accepts clients of one port."""
+
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        poll: Poll,
+        connect: Callable[[Connection], Handler | None],
+        *,
+        send_buffer_bytes: int = 0,
+    ) -> None:
+        self._poll, self._connect = poll, connect
+        self._send_buffer_bytes = send_buffer_bytes
+        self.connections: tuple[Connection, ...] = ()  # open ones
+        self._holds = False
+        self._socket = _listen(address, port)
+        poll.register(self._socket, self._accept)
+
+    @property
+    def endpoint(self) -> str:
+        """Endpoint of the clients."""
+        host, port = self._socket.getsockname()[:2]
+        return f"tcp://{host}:{port}"
+
+    def hold(self, *, holds: bool) -> None:
+        """Let nothing pass, and nobody connect, or everything again."""
+        if holds is self._holds:
+            return
+        self._holds = holds
+        for connection in self.connections:
+            connection.hold(holds=holds)
+        if holds:
+            self._poll.unregister(self._socket)
+        else:
+            self._poll.register(self._socket, self._accept)
+
+    def drop_all(self) -> None:
+        """Close all connections."""
+        for connection in self.connections:
+            connection.close()
+
+    def close(self) -> None:
+        """Close all connections and stop listening."""
+        self.drop_all()
+        self._poll.unregister(self._socket)
+        self._socket.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            client, _ = self._socket.accept()
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._send_buffer_bytes:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._send_buffer_bytes)
+            connection = Connection(client, self._poll, self._forget)
+            self.connections = (*self.connections, connection)
+            connection.handler = self._connect(connection)
+            if connection.handler is None:
+                connection.close()
+
+    def _forget(self, connection: Connection) -> None:
+        self.connections = tuple(one for one in self.connections if one is not connection)
+
+
+def _listen(address: str, port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # A server that just ended leaves its port in TIME_WAIT; a running one still blocks it.
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((address, port))
+        listener.listen()
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        holder = find_tcp_listener(address, port)
+        raise EndpointTaken.from_system(
+            error, f"tcp://{address}:{port}", holder=holder, action=ANOTHER_ADDRESS
+        ) from error
+    return listener

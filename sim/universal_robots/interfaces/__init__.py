@@ -1,0 +1,1 @@
+"""Client interfaces and dashboard: robot state, messages, scripts, commands."""

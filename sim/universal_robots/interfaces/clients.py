@@ -1,0 +1,137 @@
+"""Primary, secondary and real-time interfaces: state and messages out, scripts in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.controller import Controller
+from sim.universal_robots.interfaces.scripts import ScriptText
+from sim.universal_robots.interfaces.state_packages import StatePackages
+from sim.universal_robots.programs.recognition import name_of, recognise
+from sim.universal_robots.programs.statements import run_at_once
+
+LOCAL_MODE_CODE = 210  # a script while in local mode
+LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
+
+
+class ClientInterfaces:
+    """The three ports that take scripts."""
+
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
+        self._controller = controller
+        self._packages = StatePackages(controller)
+        self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
+        self._deaf: set[Connection] = set()  # real-time clients that never read: no longer sent to
+        self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
+        self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
+        self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect)
+        self.realtime = Listener(address, REALTIME_PORT, poll, self._connect_realtime)
+        news, packages = controller.news, self._packages
+        news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
+        news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
+        news.failure.append(lambda text: self._tell(packages.runtime_exception(text)))
+        news.error.append(lambda code, text: self._tell(packages.error(code, text)))
+
+    @property
+    def listeners(self) -> tuple[Listener, ...]:
+        """All ports."""
+        return self.primary, self.secondary, self.realtime
+
+    def _connect(self, connection: Connection) -> ScriptHandler:
+        connection.send(self._packages.version())
+        connection.send(self._packages.safety_mode(self._controller.modes.safety_mode))
+        connection.send(self._packages.state())
+        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
+
+    def _connect_realtime(self, _connection: Connection) -> ScriptHandler:
+        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
+
+    def _tell(self, message: bytes) -> None:
+        for listener in (self.primary, self.secondary):
+            for connection in listener.connections:
+                connection.send(message)
+
+    def send_state(self) -> None:
+        """Send what is due in this cycle."""
+        if self._waiting:
+            self._start_waiting()
+        if self._controller.cycles % self._period == 0:
+            readers = [*self.primary.connections, *self.secondary.connections]
+            if readers:
+                state = self._packages.state()
+                for connection in readers:
+                    connection.send(state)
+        if self.realtime.connections:
+            package = self._packages.realtime()
+            for connection in self.realtime.connections:
+                if connection not in self._deaf and not connection.try_send(package):
+                    self._deaf.add(connection)
+
+    # -- scripts
+
+    def take(self, text: str) -> None:
+        """Carry out a script or a command."""
+        controller = self._controller
+        if controller.modes.local:
+            for tell in controller.news.error:
+                tell(LOCAL_MODE_CODE, LOCAL_MODE_TEXT)
+            return
+        command = COMMANDS.get(" ".join(text.split()))
+        if command is not None:
+            command(controller)
+        elif text.lstrip().startswith("sec"):
+            try:
+                run_at_once(controller.robot, text)
+            except (ArithmeticError, ValueError) as error:
+                for report in controller.news.failure:
+                    report(str(error))
+        else:
+            delay = round(controller.parameters.script_start_s / controller.model.cycle_s)
+            self._waiting.append((delay, text))
+            if not delay:
+                self._start_waiting()
+
+    def _start_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for cycles, text in waiting:
+            if cycles > 0:
+                self._waiting.append((cycles - 1, text))
+                continue
+            controller = self._controller
+            why_not = controller.start(recognise(text, controller.model.cycle_s))
+            if why_not:
+                for tell in controller.news.failure:
+                    tell(f"{name_of(text)} cannot run: {why_not}")
+
+
+class ScriptHandler:
+    """Takes the scripts of one client."""
+
+    def __init__(self, longest_bytes: int, take: Callable[[str], None]) -> None:
+        self._text = ScriptText(longest_bytes)
+        self._take = take
+
+    def receive(self, data: bytes) -> bytes:
+        """Carry out what is complete."""
+        try:
+            for text in self._text.feed(data):
+                self._take(text)
+        except ValueError:
+            raise HangUp from None
+        return b""
+
+    def closed(self) -> None:
+        """A closed connection stops nothing."""
+
+
+COMMANDS: dict[str, Callable[[Controller], object]] = {
+    "stop program": Controller.stop,
+    "pause program": Controller.pause,
+    "resume program": Controller.resume,
+    "power on": lambda controller: controller.modes.power_on(),
+    "power off": Controller.power_off,
+    "set robotmode run": lambda controller: controller.modes.release_brakes(),
+    "set unlock protective stop": Controller.unlock_protective_stop,
+}

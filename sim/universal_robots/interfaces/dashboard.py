@@ -1,0 +1,198 @@
+"""Dashboard: lines of text, one answer each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.controller import Controller
+from sim.universal_robots.interfaces.state_packages import BUILD_DATE
+from sim.universal_robots.programs.recognition import endless
+
+BANNER: Final = "Connected: Universal Robots Dashboard Server"
+LONGEST_LINE = 1000
+PROGRAM_FOLDER = "/programs/"
+TOO_EARLY: Final = (
+    "Cannot unlock protective stop until 5s after occurrence. "
+    "Always inspect cause of protective stop before unlocking"
+)
+NOT_ALLOWED: Final = "Command is not allowed due to safety reasons"  # in local mode (U)
+STATES: Final = {
+    RuntimeState.PLAYING: "PLAYING",
+    RuntimeState.RESUMING: "PLAYING",
+    RuntimeState.PAUSING: "PAUSED",
+    RuntimeState.PAUSED: "PAUSED",
+    RuntimeState.STOPPING: "STOPPED",
+    RuntimeState.STOPPED: "STOPPED",
+}
+
+
+class Dashboard:
+    """Carries out the commands of any number of clients."""
+
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
+        self._controller = controller
+        self.silent = False  # fault: nothing is answered
+        self._commands: dict[str, Callable[[str], str]] = {
+            "robotmode": lambda _: f"Robotmode: {controller.modes.robot_mode.name}",
+            "safetymode": lambda _: f"Safetymode: {controller.modes.safety_mode.name}",
+            "safetystatus": lambda _: f"Safetystatus: {controller.modes.safety_mode.name}",
+            "polyscopeversion": lambda _: f"URSoftware {controller.model.version_text} ({BUILD_DATE[:11]})",
+            "version": lambda _: controller.model.version_text,
+            "get serial number": lambda _: str(controller.parameters.serial_number),
+            "get robot model": lambda _: "UR5",
+            "is in remote control": lambda _: str(not controller.modes.local).lower(),
+            "running": lambda _: f"Program running: {str(self._is_playing).lower()}",
+            "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
+            "get loaded program": self._get_loaded,
+            "power on": self._power_on,
+            "power off": self._power_off,
+            "brake release": self._release_brakes,
+            "unlock protective stop": self._unlock,
+            "close safety popup": lambda _: "closing safety popup",
+            "close popup": lambda _: "closing popup",
+            "popup": self._popup,
+            "restart safety": self._restart_safety,
+            "play": self._play,
+            "pause": self._pause,
+            "stop": self._stop,
+            "load": self._load,
+            "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
+            "get operational mode": lambda _: "NONE",
+            "addtolog": self._add_to_log,
+            "savelog": lambda _: "Log saved to disk",
+        }
+        self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
+
+    @property
+    def listener(self) -> Listener:
+        """The port."""
+        return self._listener
+
+    @property
+    def _is_playing(self) -> bool:
+        return STATES[self._controller.runtime_state] == "PLAYING"
+
+    def _connect(self, connection: Connection) -> LineHandler:
+        connection.send(f"{BANNER}\n".encode())
+        return LineHandler(self)
+
+    def answer(self, line: str) -> str:
+        """Carry out a command and return the answer."""
+        words = line.split()
+        for count in range(len(words), 0, -1):
+            name = " ".join(words[:count]).lower()
+            command = self._commands.get(name)
+            if command is not None:
+                only_queries = self._controller.parameters.local_mode_commands == "queries"
+                if self._controller.modes.local and only_queries and name not in QUERIES:
+                    return NOT_ALLOWED
+                return command(line.strip()[len(name) :].strip())
+        return f"could not understand: '{line.strip()}'"
+
+    # -- power and safety
+
+    def _power_on(self, _: str) -> str:
+        self._controller.modes.power_on()
+        return "Powering on"
+
+    def _power_off(self, _: str) -> str:
+        self._controller.power_off()
+        return "Powering off"
+
+    def _release_brakes(self, _: str) -> str:
+        self._controller.modes.release_brakes()
+        return "Brake releasing"
+
+    def _unlock(self, _: str) -> str:
+        return "Protective stop releasing" if self._controller.unlock_protective_stop() else TOO_EARLY
+
+    def _restart_safety(self, _: str) -> str:
+        self._controller.modes.restart_safety()
+        return "Restarting safety"
+
+    # -- programs
+
+    def _get_loaded(self, _: str) -> str:
+        loaded = self._controller.loaded
+        return f"Loaded program: {PROGRAM_FOLDER}{loaded}" if loaded else "No program loaded"
+
+    def _load(self, name: str) -> str:
+        controller = self._controller
+        if name.rpartition("/")[2] not in controller.parameters.programs.split(","):
+            return f"File not found: {name}"
+        if controller.program is not None:
+            return f"Error while loading program: {name}"
+        controller.loaded = name.rpartition("/")[2]
+        return f"Loading program: {name}"
+
+    def _play(self, _: str) -> str:
+        controller = self._controller
+        if controller.program is not None:
+            started = controller.resume() or controller.is_running
+        else:
+            started = bool(controller.loaded) and not controller.start(endless(controller.loaded))
+        return "Starting program" if started else "Failed to execute: play"
+
+    def _pause(self, _: str) -> str:
+        return "Pausing program" if self._controller.pause() else "Failed to execute: pause"
+
+    def _stop(self, _: str) -> str:
+        self._controller.stop()
+        return "Stopped"
+
+    def _popup(self, text: str) -> str:
+        self._controller.popup = text
+        return "showing popup"
+
+    def _add_to_log(self, _: str) -> str:
+        return "Added log message"
+
+
+QUERIES: Final = frozenset(
+    {
+        "robotmode",
+        "safetymode",
+        "safetystatus",
+        "polyscopeversion",
+        "version",
+        "get serial number",
+        "get robot model",
+        "is in remote control",
+        "running",
+        "programstate",
+        "get loaded program",
+        "isprogramsaved",
+        "get operational mode",
+        "addtolog",
+    }
+)
+
+
+class LineHandler:
+    """Splits the bytes of one client into lines."""
+
+    def __init__(self, dashboard: Dashboard) -> None:
+        self._dashboard = dashboard
+        self._rest = b""
+
+    def receive(self, data: bytes) -> bytes:
+        """Return the answers to all complete lines; raises HangUp."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        answers: list[str] = []
+        for line in lines:
+            text = line.decode("utf-8", "replace").strip()
+            if text.lower() in ("quit", "exit"):
+                raise HangUp("".join([*answers, "Disconnected\n"]).encode())
+            if text:
+                answers.append(f"{self._dashboard.answer(text)}\n")
+        if len(self._rest) > LONGEST_LINE:
+            raise HangUp
+        if self._dashboard.silent:
+            return b""
+        return "".join(answers).encode()
+
+    def closed(self) -> None:
+        """A closed connection changes nothing."""

@@ -1,0 +1,1 @@
+"""Programs of the controller: recognised scripts, carried out without an interpreter of URScript."""

@@ -1,0 +1,117 @@
+"""Motions of URScript: movej, movel, speedj, speedl, stopj. Each step is a cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import hypot, sqrt
+
+import numpy as np
+
+from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, rotation_vector
+from sim.universal_robots.model import FULL_SPEED_RAD_S, JOINTS, LARGEST_ACCELERATION_RAD_S2
+from sim.universal_robots.robot import Robot
+
+SMALLEST_PATH = 1e-9  # rad or m below which there is nothing to do
+LEAST_SPEED, LEAST_ACCELERATION = 1e-3, 1e-2  # of a motion that is asked for without
+TURN_PER_LENGTH = 1.0  # rad: a turn counts like as many metres on a path
+SINGULAR_DAMPING = 1e-6
+
+
+class Trapezoid:
+    """Path length over time, with a trapezoidal speed profile."""
+
+    def __init__(self, length: float, speed: float, acceleration: float) -> None:
+        self._length, self._acceleration = length, acceleration
+        self._speed = min(speed, sqrt(length * acceleration))
+        self._ramp_s = self._speed / acceleration
+        self.duration_s = 2.0 * self._ramp_s + (length / self._speed - self._ramp_s)
+
+    def share(self, time_s: float) -> float:
+        """Return the fraction of the path that is behind after that time."""
+        remaining_s = self.duration_s - time_s
+        if remaining_s <= 0.0:
+            return 1.0
+        if time_s < self._ramp_s:
+            return self._acceleration * time_s**2 / 2.0 / self._length
+        if remaining_s > self._ramp_s:
+            return self._speed * (time_s - self._ramp_s / 2.0) / self._length
+        return 1.0 - self._acceleration * remaining_s**2 / 2.0 / self._length
+
+
+def _shares(robot: Robot, profile: Trapezoid) -> Iterator[float]:
+    """Yield the fraction of a path once per cycle, slowed by the speed slider, ending at 1."""
+    time_s = 0.0
+    while time_s < profile.duration_s:
+        time_s += robot.cycle_s * robot.speed_fraction
+        yield profile.share(time_s)
+
+
+def movej(
+    robot: Robot, goal_rad: Sequence[float], speed_rad_s: float, acceleration_rad_s2: float
+) -> Iterator[None]:
+    """Move all joints in proportion; speed and acceleration are those of the leading one."""
+    yield from stopj(robot, robot.parameters.program_stop_rad_s2)
+    start = robot.drives.target
+    travel = [goal - angle for goal, angle in zip(goal_rad, start, strict=True)]
+    length = max(map(abs, travel))
+    if length < SMALLEST_PATH:
+        return
+    speed = max(LEAST_SPEED, min(speed_rad_s, FULL_SPEED_RAD_S))
+    acceleration = max(LEAST_ACCELERATION, min(acceleration_rad_s2, LARGEST_ACCELERATION_RAD_S2))
+    for share in _shares(robot, Trapezoid(length, speed, acceleration)):
+        if share == 1.0:
+            robot.drives.place(list(goal_rad))
+        else:
+            robot.drives.place([angle + share * way for angle, way in zip(start, travel, strict=True)])
+        yield
+
+
+def movel(robot: Robot, pose: Sequence[float], speed_m_s: float, acceleration_m_s2: float) -> Iterator[None]:
+    """Move the tool centre point straight; asks for a protective stop if the joints cannot follow."""
+    yield from stopj(robot, robot.parameters.program_stop_rad_s2)
+    start, goal = robot.tool_frame(robot.drives.target), frame_of_pose(pose)
+    turn = rotation_vector(compose(goal, inverted(start)))
+    way = (goal.x - start.x, goal.y - start.y, goal.z - start.z)
+    length = max(hypot(*way), hypot(*turn) * TURN_PER_LENGTH)
+    if length < SMALLEST_PATH:
+        return
+    speed = max(LEAST_SPEED, speed_m_s)
+    acceleration = max(LEAST_ACCELERATION, acceleration_m_s2)
+    for share in _shares(robot, Trapezoid(length, speed, acceleration)):
+        spun = compose(frame_of_pose((0.0, 0.0, 0.0, *(share * angle for angle in turn))), start)
+        x, y, z = (a + share * b for a, b in zip((start.x, start.y, start.z), way, strict=True))
+        joints = robot.joints_at(spun._replace(x=x, y=y, z=z), robot.drives.target)
+        if joints is None or _largest_change(joints, robot.drives.target) > FULL_SPEED_RAD_S * robot.cycle_s:
+            robot.stop_request = "the joints cannot follow the tool on its line"
+            yield
+            return
+        robot.drives.place(joints)
+        yield
+
+
+def _largest_change(one: Sequence[float], other: Sequence[float]) -> float:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+
+
+def speedj(robot: Robot, speeds_rad_s: Sequence[float], acceleration_rad_s2: float) -> None:
+    """Approach joint speeds for one cycle."""
+    fraction = robot.speed_fraction
+    robot.drives.speed([fraction * speed for speed in speeds_rad_s], acceleration_rad_s2)
+
+
+def speedl(robot: Robot, velocity: Sequence[float], acceleration_m_s2: float) -> None:
+    """Approach a velocity of the tool centre point, m/s and rad/s in the base, for one cycle."""
+    jacobian = robot.kinematics.jacobian(robot.drives.target, robot.tcp)
+    normal = jacobian.T @ jacobian + SINGULAR_DAMPING * np.eye(JOINTS)
+    speeds = np.linalg.solve(normal, jacobian.T @ np.array(velocity) * robot.speed_fraction)
+    most = float(np.abs(speeds).max()) / max(hypot(*velocity), SMALLEST_PATH)
+    acceleration = min(LARGEST_ACCELERATION_RAD_S2, max(1.0, acceleration_m_s2 * most))
+    robot.drives.speed(speeds.tolist(), acceleration)
+
+
+def stopj(robot: Robot, deceleration_rad_s2: float) -> Iterator[None]:
+    """Come to rest, the leading joint with that deceleration."""
+    deceleration = max(LEAST_ACCELERATION, deceleration_rad_s2)
+    while robot.drives.moving:
+        robot.drives.brake(deceleration)
+        yield

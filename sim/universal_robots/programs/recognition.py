@@ -1,0 +1,63 @@
+"""Recognise a script by its name or its text; what is not known is accepted, and does nothing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from ronna_hw.wire.universal_robots import SCRIPT_NAME
+from sim.universal_robots.programs.external_control import external_control, read_external_control
+from sim.universal_robots.programs.program import Program, Watchdog
+from sim.universal_robots.programs.register_loop import register_loop
+from sim.universal_robots.programs.statements import run_statements
+from sim.universal_robots.programs.stream_script import stream_program
+from sim.universal_robots.robot import Robot
+from sim.universal_robots.variables import PLACES, index
+
+REGISTER_LOOP_MARK: Final = "RTDE Control Script Loaded"  # in the text of the script that ur_rtde sends
+_NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(")
+_WATCHDOG = re.compile(
+    r"^\s*rtde_set_watchdog\(\s*\"(\w+)\"\s*,\s*([0-9.]+)\s*,\s*\"(\w+)\"\s*\)", re.MULTILINE
+)
+_OFFSET = re.compile(r"^\s*global\s+reg_offset_int\s*=\s*(\d+)", re.MULTILINE)
+
+
+def name_of(text: str) -> str:
+    """Return the name of a script, or its first line if it has none."""
+    found = _NAME.match(text)
+    return found[1] if found else text.strip().partition("\n")[0].strip()
+
+
+def recognise(text: str, cycle_s: float) -> Program:
+    """Return the program that a script is."""
+    name = name_of(text)
+    if name == SCRIPT_NAME:
+        program = stream_program(name, text)
+        program.watchdog = _read_watchdog(text, cycle_s)
+        return program
+    if REGISTER_LOOP_MARK in text:
+        offset = _OFFSET.search(text)
+        first = int(offset[1]) if offset else 0
+        return Program(name, lambda robot, program: register_loop(robot, program, first))
+    settings = read_external_control(text)
+    if settings is not None:
+        return external_control(name, settings)
+    return Program(name, lambda robot, program: run_statements(robot, text))
+
+
+def endless(name: str) -> Program:
+    """Return a program of the pendant that runs until it is stopped."""
+
+    def steps(_robot: Robot, _program: Program) -> Iterator[None]:
+        while True:
+            yield
+
+    return Program(name, steps)
+
+
+def _read_watchdog(text: str, cycle_s: float) -> Watchdog | None:
+    found = _WATCHDOG.search(text)
+    if found is None or found[1] not in PLACES or not float(found[2]):
+        return None
+    return Watchdog(index(found[1]), round(1.0 / float(found[2]) / cycle_s), found[3])

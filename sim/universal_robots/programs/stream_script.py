@@ -1,0 +1,124 @@
+"""Our own script `ronna_stream`: set-points in registers, one per cycle, with a sequence number.
+
+Its text is not interpreted. It is recognised by its name, and its settings are the lines at its head.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from math import isfinite
+from typing import Final
+
+from ronna_hw.wire.universal_robots import (
+    ORDER_INPUT,
+    RUN_INPUT,
+    RUN_OUTPUT,
+    SEQUENCE_INPUT,
+    SEQUENCE_OUTPUT,
+    SET_POINT_INPUTS,
+    STATE_OUTPUT,
+    UNCHANGED_OUTPUT,
+    ScriptOrder,
+    ScriptSettings,
+    ScriptState,
+)
+from sim.universal_robots.programs.motions import stopj
+from sim.universal_robots.programs.program import Program
+from sim.universal_robots.robot import Robot
+from sim.universal_robots.variables import index
+
+_SETTING = re.compile(
+    r"^\s*(?:global\s+|local\s+)?([A-Z0-9_a-z]+)\s*=\s*([-+0-9.eE]+)\s*(?:#.*)?$", re.MULTILINE
+)
+_SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_INPUT)
+_SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)
+_USED, _STATE, _RUN_ECHO, _UNCHANGED = map(
+    index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT, UNCHANGED_OUTPUT)
+)
+NO_SET_POINT: Final = 0
+_RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
+
+
+def read_settings(text: str) -> ScriptSettings | str:
+    """Return the settings of the script's text, or why it cannot run."""
+    found = {name: value for name, value in _SETTING.findall(text) if name in ScriptSettings._fields}
+    missing = [name for name in ScriptSettings._fields if name not in found]
+    if missing:
+        return f"variable {missing[0]} is not defined"
+    try:
+        numbers = {name: float(value) for name, value in found.items()}
+    except ValueError:
+        return "syntax error in a number"
+    for name, (least, most) in _RANGES.items():
+        if not least <= numbers[name] <= most:
+            return f"servoj: {name} is {numbers[name]:g}, expected {least:g} to {most:g}"
+    for name, value in numbers.items():
+        if not (isfinite(value) and value > 0.0):
+            return f"{name} is {value:g}"
+    return ScriptSettings(
+        CYCLE_S=numbers["CYCLE_S"],
+        STARVED_CYCLES=int(numbers["STARVED_CYCLES"]),
+        LARGEST_STEP_RAD=numbers["LARGEST_STEP_RAD"],
+        STOP_DECELERATION_RAD_S2=numbers["STOP_DECELERATION_RAD_S2"],
+        LOOKAHEAD_S=numbers["LOOKAHEAD_S"],
+        GAIN=numbers["GAIN"],
+    )
+
+
+def stream_program(name: str, text: str) -> Program:
+    """Return the script as a program."""
+    settings = read_settings(text)
+
+    def steps(robot: Robot, program: Program) -> Iterator[None]:
+        if isinstance(settings, str):
+            program.failure = settings
+            return
+        yield from _stream(robot, program, settings)
+
+    return Program(name, steps, streams=True)
+
+
+def _stream(robot: Robot, program: Program, settings: ScriptSettings) -> Iterator[None]:
+    values, drives = robot.values, robot.drives
+    lag_s = settings.LOOKAHEAD_S + robot.parameters.servoj_lag_s
+    slows = robot.parameters.slider_slows_servoj
+    cycles = max(1, round(settings.CYCLE_S / robot.cycle_s))  # that servoj blocks
+    largest = settings.LARGEST_STEP_RAD
+    used, unchanged = NO_SET_POINT, 0
+    goal: list[float] = drives.target
+    values[_USED], values[_UNCHANGED], values[_STATE] = NO_SET_POINT, 0, ScriptState.WAITING.value
+    while True:
+        values[_RUN_ECHO] = values[_RUN]
+        if values[_ORDER] == ScriptOrder.END:
+            state = ScriptState.ENDED
+            break
+        sequence = values[_SEQUENCE]
+        if sequence == used:
+            if sequence == NO_SET_POINT:
+                yield
+                continue
+            unchanged += 1
+            if unchanged >= settings.STARVED_CYCLES:
+                state = ScriptState.STARVED
+                break
+        else:
+            wanted = values[_SET_POINT]
+            if max(map(_distance, wanted, goal)) > largest:
+                state = ScriptState.TOO_FAR
+                break
+            if used == NO_SET_POINT:
+                values[_STATE] = ScriptState.STREAMING.value
+                program.awaits_client = True
+            used, unchanged, goal = sequence, 0, wanted
+        values[_USED], values[_UNCHANGED] = used, unchanged
+        for _ in range(cycles):
+            drives.servo(goal, lag_s / max(robot.speed_fraction, 1e-3) if slows else lag_s)
+            yield
+    program.awaits_client = False
+    values[_STATE], values[_UNCHANGED] = state.value, unchanged
+    yield from stopj(robot, settings.STOP_DECELERATION_RAD_S2)
+
+
+def _distance(a: float, b: float) -> float:
+    return abs(a - b)

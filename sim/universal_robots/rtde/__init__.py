@@ -1,0 +1,1 @@
+"""Real-Time Data Exchange: recipes, one session per client, and the server."""

@@ -1,0 +1,147 @@
+"""PAPER 2's experiment on simulated arms: arm alone, calibration, positioning with and without feedback.
+
+F. Šuligoj's thesis describes it in words and prints no figure of it, and the paper was not found: only
+relations between the figures, and a peer study, can be judged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.universal_robots import universal_robot
+from ronna_hw.frames import Frame, Transform
+from sim.world.rigid import matrix_of
+from sim.world.scene.model import Scene
+from studies.campaign.study import Sums, Unit
+from studies.low_cost.calibration import FrameCalibration, calibrate, take_looks
+from studies.low_cost.devices import InstantArm, factory_kinematics, open_room
+from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatability_mm, named_pose
+from studies.low_cost.positioning import ArmModel, TipModel, TipPositioner
+from studies.low_cost.preparation import Preparation
+from studies.low_cost.room import MODEL, PHANTOM_MM, TIP_IN_FLANGE_MM, draw_room, draw_ur5, nominal_error_mm
+from studies.low_cost.sight import require_look
+from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, Target, draw_targets, oriented
+
+Array = NDArray[np.float64]
+
+NOMINAL, FACTORY = "nominal", "factory"  # Denavit-Hartenberg parameters
+OPEN, CLOSED = "open", "closed"  # methods 1 and 2
+# Workspace that arm and tracker share, about a point above the phantom: the five poses of ISO 9283's cube,
+# which the looks of the calibration are taken about too, and more for the absolute error.
+CUBE_MM = ((0, 0, 0), (120, 120, 80), (120, -120, -40), (-120, -120, 80), (-120, 120, -40))
+ABOVE_MM = (0.0, 0.0, 60.0)
+ACCURACY_POSES = 100
+ACCURACY_HALF_MM = (150.0, 150.0, 100.0)
+ACCURACY_KEY = 9283  # of the random numbers
+
+
+@dataclass(frozen=True)
+class LowCostStudy:
+    """Study of `arms` UR5 in one room, each at `targets` points in three orientations."""
+
+    arms: int
+    targets: int
+    seed: int
+    frames: int  # averaged for one look
+    preparation: Preparation
+    name: str = "low-cost"
+
+    def settings(self) -> dict[str, object]:
+        return {
+            "arms": self.arms,
+            "targets": self.targets,
+            "orientations": len(ORIENTATIONS_RAD),
+            "seed": self.seed,
+            "frames": self.frames,
+            "scans": len(self.preparation.scans_mm),
+            "preparation_sha256": hashlib.sha256(self.preparation.model_dump_json().encode()).hexdigest(),
+        }
+
+    def units(self) -> Sequence[Unit]:
+        """List one unit per arm."""
+        return [Unit(f"arm {number}", 0, 1) for number in range(self.arms)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Return an arm's figures, those at targets keyed `method|model|orientation|target|quantity`."""
+        number = int(unit.condition.split()[1])
+        scene, truth = draw_room(self.seed), draw_ur5(self.seed, number, self.arms)
+        noise_seed = self.seed * self.arms + number
+        models = {NOMINAL: universal_robot(MODEL), FACTORY: factory_kinematics(truth, noise_seed)}
+        sums: Sums = {"nominal error|mm": nominal_error_mm(truth)}
+        with open_room(scene) as (world, tracker):
+            arm, judge = InstantArm(truth, world, noise_seed), Judge(scene, world)
+            drawn = TipModel(models[NOMINAL], _drawn_tip())
+            sums |= _measure_alone(arm, judge, drawn, models, self.seed)
+            points = [np.add(PHANTOM_MM, ABOVE_MM) + place for place in CUBE_MM]
+            looks = take_looks(arm, tracker, drawn, points, self.frames)
+            known = {}
+            for name, kinematics in models.items():
+                found = calibrate(looks, kinematics)
+                known[name] = ArmModel.of(kinematics, found.fit, self.preparation.tip_from_marker)
+                sums |= _collect_calibration(name, found)
+            positioner = TipPositioner(arm, tracker, self.preparation.tip_from_marker, self.frames)
+            for target in plan_targets(scene, self.seed, self.targets):
+                wanted = self.preparation.registration @ target.ct_from_tool
+                phantom = require_look(tracker, self.frames).phantom
+                place = f"{target.orientation}|{target.number}"
+                # Method 2 continues from where the nominal arm took itself, so that comes last.
+                for name in (FACTORY, NOMINAL):
+                    commanded = positioner.aim(known[name], phantom, wanted)
+                    sums |= judge.error(target).sums(f"{OPEN}|{name}|{place}")
+                reached = positioner.iterate(known[NOMINAL], commanded, wanted)
+                sums |= judge.error(target).sums(f"{CLOSED}|{NOMINAL}|{place}")
+                sums[f"{CLOSED}|{NOMINAL}|{place}|rounds"] = float(reached.rounds)
+                sums[f"{CLOSED}|{NOMINAL}|{place}|settled"] = float(reached.residual.is_settled)
+        return sums
+
+
+def plan_targets(scene: Scene, seed: int, count: int) -> tuple[Target, ...]:
+    """Draw the targets of a room, in orientations that suit how the phantom lies on the table."""
+    turned = Rotation.from_matrix(matrix_of(scene.head.robot_from_ct)[:3, :3])
+    head = scene.head
+    return draw_targets(seed, count, np.array(head.centre_ct_mm), np.array(head.semi_axes_mm), turned.inv())
+
+
+def _drawn_tip() -> Transform:
+    return Transform.of(
+        Frame.FLANGE, Frame.TOOL, translation_mm=TIP_IN_FLANGE_MM, quaternion_wxyz=(1.0, 0.0, 0.0, 0.0)
+    )
+
+
+def _measure_alone(
+    arm: InstantArm, judge: Judge, drawn: TipModel, models: Mapping[str, Kinematics], seed: int
+) -> Sums:
+    """Measure repeatability and absolute error of the arm, over the same poses for every arm."""
+    centre = np.add(PHANTOM_MM, ABOVE_MM)
+    cube = [named_pose(centre + place, REFERENCE) for place in CUBE_MM]
+    sums: Sums = {"repeatability|mm": measure_repeatability_mm(arm, judge, drawn, cube)}
+    random = np.random.default_rng([seed, ACCURACY_KEY])
+    poses = [
+        named_pose(
+            centre + random.uniform(-1.0, 1.0, 3) * ACCURACY_HALF_MM, oriented(number % len(ORIENTATIONS_RAD))
+        )
+        for number in range(ACCURACY_POSES)
+    ]
+    for name, errors in measure_accuracy_mm(arm, judge, drawn, poses, models).items():
+        sums |= {
+            f"absolute|{name}|mean": float(errors.mean()),
+            f"absolute|{name}|max": float(errors.max()),
+        }
+    return sums
+
+
+def _collect_calibration(name: str, found: FrameCalibration) -> Sums:
+    return {
+        f"calibration|{name}|scatter mm": found.fit.scatter_mm,
+        f"calibration|{name}|scatter deg": float(np.degrees(found.fit.scatter_rad)),
+        f"calibration|{name}|looks": float(len(found.fit.used)),
+        f"calibration|{name}|held out mm": found.held_out_mm,
+        f"calibration|{name}|held out deg": float(np.degrees(found.held_out_rad)),
+    }

@@ -1,0 +1,290 @@
+"""Tables, relations and plots of the experiment of PAPER 2.
+
+The thesis prints no figures of that paper. What can be judged: that feedback helps, that it does not depend
+on the arm, and how large the error remains beside the closed loop of a peer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.campaign.plots import bars, boxes, curves
+from studies.campaign.study import Cell, Sums, Table, yes_or_no
+from studies.low_cost.judge import distance_errors_mm
+from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM
+from studies.low_cost.preparation import Preparation
+from studies.low_cost.room import REPEATABILITY_MM, draw_room
+from studies.low_cost.study import CLOSED, FACTORY, NOMINAL, OPEN
+from studies.low_cost.targets import ORIENTATIONS_RAD
+
+Array = NDArray[np.float64]
+
+MOST_CLOSED_MM = 0.5  # goal for the mean error with feedback
+MOST_DEPENDENT = 0.1  # of it: how far an arm's mean may be from that of all
+# Tovar-Arriaga et al., Sensors 12 (2012): a light-weight arm (LWR3) guided by an optical tracker.
+PEER = "Tovar-Arriaga et al., Sensors 12 (2012), another arm and tracker"
+PEER_CALIBRATION_MM, PEER_OPEN_MM, PEER_CLOSED_RMS_MM = (0.81, 0.41), (1.2, 0.4), 0.35
+METHODS = {
+    f"1, {NOMINAL} DH": (OPEN, NOMINAL),
+    f"1, {FACTORY} DH": (OPEN, FACTORY),
+    f"2, {NOMINAL} DH": (CLOSED, NOMINAL),
+}
+NOT_FOUND = (
+    "F. Šuligoj's thesis (Zagreb 2018) prints no figure of PAPER 2 (IROS 2015, pp. 3785-3790), and the "
+    "paper was not found: there is nothing of it to compare with."
+)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm's figures."""
+
+    number: int
+    sums: Sums
+
+    def at_targets(self, method: str, model: str, quantity: str) -> Array:
+        """Return a quantity at all targets, (orientations, targets)."""
+        found: dict[int, list[float]] = {}
+        for key, value in self.sums.items():
+            parts = key.split("|")
+            if len(parts) == 5 and (parts[0], parts[1], parts[4]) == (method, model, quantity):
+                found.setdefault(int(parts[2]), []).append(value)
+        return np.array([found[orientation] for orientation in sorted(found)])
+
+    def __getitem__(self, name: str) -> float:
+        return self.sums[name]
+
+
+def collect_arms(sums: Mapping[str, Sums]) -> list[Arm]:
+    """Return the finished arms in order."""
+    return [Arm(int(condition.split()[1]), content) for condition, content in sums.items()]
+
+
+def tables(preparation: Preparation, sums: Mapping[str, Sums]) -> list[Table]:
+    """Return all tables, the judged relations first."""
+    arms = collect_arms(sums)
+    return [
+        tabulate_relations(arms),
+        _tabulate_positioning(arms),
+        _tabulate_arms(arms),
+        _tabulate_calibrations(arms, preparation),
+        _tabulate_scans(preparation),
+        _tabulate_peer(arms),
+    ]
+
+
+def tabulate_relations(arms: list[Arm]) -> Table:
+    """Judge the relations that have to hold whatever the figures are."""
+    opened, closed = (_errors_mm(arms, method, NOMINAL) for method in (OPEN, CLOSED))
+    better = closed.mean(axis=(1, 2)) < opened.mean(axis=(1, 2))
+    better_sets = closed.mean(axis=2) < opened.mean(axis=2)
+    means = closed.mean(axis=(1, 2))
+    mean_mm, apart = float(means.mean()), float(np.abs(means / means.mean() - 1.0).max())
+    rms_mm = float(np.sqrt(np.mean(closed**2)))
+    rows: list[tuple[str, Cell, Cell, Cell]] = [
+        (
+            "arms with a smaller mean error by method 2 than by method 1",
+            f"{int(better.sum())} of {better.size}",
+            "all",
+            yes_or_no(bool(better.all())),
+        ),
+        (
+            "the same, each orientation of the tool alone",
+            f"{int(better_sets.sum())} of {better_sets.size}",
+            None,
+            None,
+        ),
+        (
+            "mean error by method 2, mm",
+            mean_mm,
+            f"at most {MOST_CLOSED_MM:g}",
+            yes_or_no(mean_mm <= MOST_CLOSED_MM),
+        ),
+        (
+            "farthest mean of an arm by method 2 from that of all, %",
+            100.0 * apart,
+            f"at most {100.0 * MOST_DEPENDENT:g}",
+            yes_or_no(apart <= MOST_DEPENDENT),
+        ),
+        (
+            "rms error by method 2, mm, beside the peer's closed loop",
+            rms_mm,
+            f"at most {PEER_CLOSED_RMS_MM:g}",
+            yes_or_no(rms_mm <= PEER_CLOSED_RMS_MM),
+        ),
+    ]
+    return Table(
+        "Relations",
+        ("relation", "here", "limit", "holds"),
+        rows,
+        f"{NOT_FOUND} Both methods with nominal DH. Row 2 is not judged: tip, registration and tracker err "
+        "alike in both methods, and one orientation may suit an arm by chance.",
+    )
+
+
+def list_missed_relations(sums: Mapping[str, Sums]) -> list[str]:
+    """Describe the relations that do not hold."""
+    return [str(row[0]) for row in tabulate_relations(collect_arms(sums)).rows if row[3] == yes_or_no(False)]
+
+
+def _tabulate_positioning(arms: list[Arm]) -> Table:
+    rows: list[dict[str, Cell]] = []
+    for title, chosen in [*((f"{arm.number}", [arm]) for arm in arms), ("all", arms)]:
+        for name, (method, model) in METHODS.items():
+            errors = _errors_mm(chosen, method, model)
+            angles = np.array([arm.at_targets(method, model, "deg") for arm in chosen])
+            row: dict[str, Cell] = {
+                "arm": title,
+                "method": name,
+                "targets": errors.size,
+                "mean mm": float(errors.mean()),
+                "sd mm": float(errors.std(ddof=1)),
+                "rms mm": float(np.sqrt(np.mean(errors**2))),
+                "largest mm": float(errors.max()),
+                "mean deg": float(angles.mean()),
+                "rounds": None,
+                "settled %": None,
+            }
+            if method == CLOSED:
+                rounds, settled = (
+                    np.array([arm.at_targets(method, model, what) for arm in chosen])
+                    for what in ("rounds", "settled")
+                )
+                row |= {"rounds": float(rounds.mean()), "settled %": 100.0 * float(settled.mean())}
+            rows.append(row)
+    return Table.of(
+        "Tool positioning",
+        rows,
+        "True error of the tip. Method 1: one command through the calibration. Method 2: from there the "
+        f"mean of some frames, and a move by the residual, until less than {SETTLED_MM:g} mm and 0.1 deg "
+        f"remain or after {MOST_ROUNDS} rounds. Both are our reading of one sentence of the thesis.",
+    )
+
+
+def _tabulate_arms(arms: list[Arm]) -> Table:
+    return Table.of(
+        "Arm alone",
+        [
+            {
+                "arm": arm.number,
+                "over the workspace, nominal DH, rms mm": arm["nominal error|mm"],
+                "repeatability mm": arm["repeatability|mm"],
+                **{
+                    f"{model} DH, {what} mm": arm[f"absolute|{model}|{what}"]
+                    for model in (NOMINAL, FACTORY)
+                    for what in ("mean", "max")
+                },
+            }
+            for arm in arms
+        ],
+        f"Repeatability by ISO 9283, the worst of five poses; the data sheet has ±{REPEATABILITY_MM:g} mm. "
+        "Absolute error of the tip in the workspace of the phantom after a rigid fit of the base. Factory: "
+        "DH parameters as the controller states them, identified on the arm with what they can describe.",
+    )
+
+
+def _tabulate_calibrations(arms: list[Arm], preparation: Preparation) -> Table:
+    return Table.of(
+        "Calibration of base and flange frame",
+        [
+            {
+                "arm": arm.number,
+                "DH": model,
+                "looks": arm[f"calibration|{model}|looks"],
+                "residual mm per axis": arm[f"calibration|{model}|scatter mm"],
+                "residual deg per axis": arm[f"calibration|{model}|scatter deg"],
+                "held out mm": arm[f"calibration|{model}|held out mm"],
+                "held out deg": arm[f"calibration|{model}|held out deg"],
+            }
+            for arm in arms
+            for model in (NOMINAL, FACTORY)
+        ],
+        "Joint solution of base to tracker and flange to tool frame (A X = Z B). Held out: 3-D rms at looks "
+        f"that were not fitted. Tip by pivoting: {preparation.pivot_rms_mm:.3f} mm rms. Registration of the "
+        f"CT to the phantom's frame: FRE {preparation.fre_mm:.3f} mm.",
+    )
+
+
+def _tabulate_scans(preparation: Preparation) -> Table:
+    true_mm = np.array([one.centre_ct_mm for one in draw_room(preparation.seed).head.fiducials])
+    rows: list[dict[str, Cell]] = []
+    for number, found in enumerate(preparation.scans_mm):
+        errors = distance_errors_mm(np.array(found), true_mm)
+        rows.append(
+            {
+                "scan": number,
+                "spheres": len(found),
+                "distances": len(errors),
+                "mean of absolute errors mm": float(np.abs(errors).mean()),
+                "rms mm": float(np.sqrt(np.mean(errors**2))),
+                "largest mm": float(np.abs(errors).max()),
+            }
+        )
+    return Table.of(
+        "CT alone",
+        rows,
+        "Distances between the spheres' centres. Every scan has a table feed that is wrong by up to 0.2 %. "
+        "The first scan is registered.",
+    )
+
+
+def _tabulate_peer(arms: list[Arm]) -> Table:
+    held_out = np.array([arm[f"calibration|{NOMINAL}|held out mm"] for arm in arms])
+    opened, closed = (_errors_mm(arms, method, NOMINAL) for method in (OPEN, CLOSED))
+    return Table(
+        "Beside a peer",
+        ("what", "peer mm", "here mm"),
+        [
+            ("calibration", "{:g} ± {:g}".format(*PEER_CALIBRATION_MM), float(held_out.mean())),
+            ("open loop, mean", "{:g} ± {:g}".format(*PEER_OPEN_MM), float(opened.mean())),
+            ("closed loop, rms", f"{PEER_CLOSED_RMS_MM:g}", float(np.sqrt(np.mean(closed**2)))),
+        ],
+        f"{PEER}: the order of size, not the figures, is comparable.",
+    )
+
+
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """Plot the errors of both methods, their dependence on the arm's own, and the rounds."""
+    arms = sorted(collect_arms(sums), key=lambda arm: arm[f"absolute|{NOMINAL}|mean"])
+    lines = {
+        f"method {name}": [
+            (arm[f"absolute|{NOMINAL}|mean"], float(arm.at_targets(method, model, "mm").mean()))
+            for arm in arms
+        ]
+        for name, (method, model) in METHODS.items()
+    }
+    rounds = np.array([arm.at_targets(CLOSED, NOMINAL, "rounds") for arm in arms]).ravel()
+    return {
+        "errors.png": boxes(
+            "Error of the tip at the target",
+            "mm",
+            {
+                f"method {name}, orientation {orientation}": _errors_mm(arms, method, model)[
+                    :, orientation
+                ].ravel()
+                for name, (method, model) in METHODS.items()
+                for orientation in range(len(ORIENTATIONS_RAD))
+            },
+        ),
+        "dependence-on-the-arm.png": curves(
+            "Error at the target against that of the arm",
+            f"absolute error of the arm, {NOMINAL} DH, mean, mm",
+            "mean error at the target, mm",
+            lines,
+        ),
+        "rounds.png": bars(
+            "Rounds of method 2",
+            "% of the targets",
+            {f"{n}": {"share": 100.0 * float(np.mean(rounds == n))} for n in range(MOST_ROUNDS + 1)},
+            x_label="rounds",
+        ),
+    }
+
+
+def _errors_mm(arms: list[Arm], method: str, model: str) -> Array:
+    """Return the errors (arms, orientations, targets) in mm."""
+    return np.array([arm.at_targets(method, model, "mm") for arm in arms])

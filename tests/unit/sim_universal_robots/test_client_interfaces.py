@@ -1,0 +1,153 @@
+"""Scripts, state packages and the dashboard's answers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+
+import pytest
+from ur_clients import own_address, script
+
+from ronna_hw.wire.universal_robots import SafetyMode
+from sim.universal_robots.connections import Poll
+from sim.universal_robots.controller import Controller
+from sim.universal_robots.interfaces.dashboard import Dashboard
+from sim.universal_robots.interfaces.scripts import ScriptText
+from sim.universal_robots.interfaces.state_packages import StatePackages
+from sim.universal_robots.model import ALPHA_RAD, ArmName
+from sim.universal_robots.programs.recognition import recognise
+from sim.universal_robots.variables import DIGITAL_OUTPUTS
+
+MakeController = Callable[..., Controller]
+
+
+@pytest.fixture
+def ask(controller: Controller) -> Iterator[Callable[[str], str]]:
+    poll = Poll()
+    dashboard = Dashboard(controller, own_address(), poll)
+    yield dashboard.answer
+    dashboard.listener.close()
+    poll.close()
+
+
+def parts(package: bytes) -> dict[int, bytes]:
+    """The payloads of a robot state by their kind."""
+    size, kind = struct.unpack_from(">iB", package)
+    assert (size, kind) == (len(package), 16)
+    found, start = {}, 5
+    while start < size:
+        length, number = struct.unpack_from(">IB", package, start)
+        found[number] = package[start + 5 : start + length]
+        start += length
+    return found
+
+
+# -- scripts
+
+
+def test_programs_are_split_from_lines_however_the_bytes_arrive() -> None:
+    text = f"stop program\r\n{script()}\n# a comment\nset_digital_out(1, True)\n"
+    whole = ScriptText(10_000)
+    found = [one for byte in text.encode() for one in whole.feed(bytes([byte]))]
+    assert [one.partition("\n")[0] for one in found] == [
+        "stop program",
+        "def ronna_stream():",
+        "set_digital_out(1, True)",
+    ]
+    assert found[1] == script().rstrip()
+
+
+def test_a_text_without_end_is_refused() -> None:
+    with pytest.raises(ValueError, match="without end"):
+        list(ScriptText(1000).feed(b"def endless():\n" + b"  sync()\n" * 200))
+
+
+def test_a_program_of_plain_statements_is_carried_out(controller: Controller) -> None:
+    goal = [angle + 0.05 for angle in controller.robot.drives.target]
+    text = f"def plain():\n  set_digital_out(3, True)\n  movej({goal}, a=5.0, v=1.0)\nend"
+    controller.start(recognise(text, controller.model.cycle_s))
+    for _ in range(500):
+        controller.step()
+    assert controller.robot.drives.target == goal
+    assert controller.robot.values[DIGITAL_OUTPUTS] == 1 << 3
+
+
+# -- state
+
+
+def test_the_state_has_the_documented_parts(controller: Controller) -> None:
+    found = parts(StatePackages(controller).state())
+    sizes = {0: 42, 1: 6 * 41, 3: 70, 4: 96, 5: 220, 6: 440}
+    assert {kind: len(found[kind]) for kind in sizes} == sizes
+    assert struct.unpack_from(">3d", found[1]) == (0.0, 0.0, 0.0)
+
+
+def test_the_kinematics_are_the_parameters_in_metres_and_rad(controller: Controller) -> None:
+    payload = parts(StatePackages(controller).state())[5]
+    theta, a, d, alpha = (struct.unpack_from(">6d", payload, 24 + 48 * column) for column in range(4))
+    assert theta == (0.0,) * 6
+    assert a == (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
+    assert d == (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
+    assert alpha == ALPHA_RAD
+
+
+@pytest.mark.parametrize(("size", "payload_bytes"), [("38", 33), ("46", 41), ("47", 42)])
+def test_the_mode_part_has_the_size_of_its_age(make: MakeController, size: str, payload_bytes: int) -> None:
+    assert len(parts(StatePackages(make(f"robot_mode_bytes={size}")).state())[0]) == payload_bytes
+
+
+@pytest.mark.parametrize(("arm", "size"), [(ArmName.UR5, 1108), (ArmName.UR5E, 1220)])
+def test_the_realtime_package_has_the_size_of_its_version(
+    make: MakeController, arm: ArmName, size: int
+) -> None:
+    package = StatePackages(make(arm=arm)).realtime()
+    assert struct.unpack_from(">i", package) == (size,)
+    assert len(package) == size
+
+
+# -- dashboard
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("robotmode", "Robotmode: RUNNING"),
+        ("SafetyMode", "Safetymode: NORMAL"),
+        ("power on", "Powering on"),
+        ("stop", "Stopped"),
+        ("play", "Failed to execute: play"),
+        ("get loaded program", "No program loaded"),
+        ("load nothing.urp", "File not found: nothing.urp"),
+        ("is in remote control", "true"),
+        ("popup hello there", "showing popup"),
+        ("running", "Program running: false"),
+    ],
+)
+def test_the_dashboard_answers(ask: Callable[[str], str], line: str, answer: str) -> None:
+    assert ask(line) == answer
+
+
+def test_a_loaded_program_plays_pauses_and_stops(ask: Callable[[str], str], controller: Controller) -> None:
+    assert ask("load external_control.urp") == "Loading program: external_control.urp"
+    assert ask("play") == "Starting program"
+    controller.step()
+    assert ask("programState") == "PLAYING external_control.urp"
+    assert ask("pause") == "Pausing program"
+    controller.step()
+    assert ask("play") == "Starting program"
+    ask("stop")
+    controller.step()
+    assert ask("running") == "Program running: false"
+
+
+def test_a_protective_stop_is_not_unlocked_within_five_seconds(
+    ask: Callable[[str], str], controller: Controller
+) -> None:
+    controller.hold(SafetyMode.PROTECTIVE_STOP)
+    assert ask("unlock protective stop").startswith("Cannot unlock protective stop until 5s")
+
+
+def test_in_local_mode_it_only_answers_questions(ask: Callable[[str], str], controller: Controller) -> None:
+    controller.modes.local = True
+    assert ask("is in remote control") == "false"
+    assert ask("power off") == "Command is not allowed due to safety reasons"
