@@ -6,7 +6,7 @@ import random
 
 import numpy as np
 
-from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
+from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions, planning_limits
 from procedures.planning.motions import Motion
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.sweep import moving_ends
