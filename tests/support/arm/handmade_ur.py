@@ -5,6 +5,7 @@ It shares no code with the driver or the simulator. It answers what a start asks
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import threading
@@ -36,15 +37,16 @@ def robot_state(
     a: tuple[float, ...] = UR5E_A,
 ) -> bytes:
     """Return a package of the primary interface with the parts of PolyScope 5."""
-    mode = struct.pack(
-        ">Q7?BBdddB", 1_000_000, True, True, True, False, False, False, False, 7, 0, speed_fraction, 1.0, 1.0, 0
-    )  # fmt: skip
+    stops = (True, True, True, False, False, False, False)  # connected, enabled, powered; nothing else
+    mode = struct.pack(">Q7?BBdddB", 1_000_000, *stops, 7, 0, speed_fraction, 1.0, 1.0, 0)
     joints = b"".join(struct.pack(">3d4fB", angle, angle, 0.0, 0.1, 48.0, 30.0, 31.0, 253) for angle in HOME)
     board = struct.pack(
         ">iibbddbbddffffB", digital_inputs, 0, 0, 0, 0.0, 0.0, 0, 0, 0.0, 0.0, 30.0, 48.0, 0.5, 0.1, 1
     )  # fmt: skip
     kinematics = struct.pack(">6I24dI", *checksums, *theta, *a, *UR5E_D, *UR5E_ALPHA, 2)
-    body = part(0, mode) + part(1, joints) + part(3, board + bytes(20)) + part(5, kinematics) + part(9, bytes(7))
+    body = (
+        part(0, mode) + part(1, joints) + part(3, board + bytes(20)) + part(5, kinematics) + part(9, bytes(7))
+    )
     return struct.pack(">iB", 5 + len(body), 16) + body
 
 
@@ -107,11 +109,8 @@ class HandmadeController:
                 threading.Thread(target=serve, args=(client,), daemon=True).start()
 
         def serve(client: socket.socket) -> None:
-            with client:
-                try:
-                    talk(client)
-                except (OSError, struct.error):
-                    pass
+            with client, contextlib.suppress(OSError, struct.error):
+                talk(client)
 
         threading.Thread(target=accept, daemon=True).start()
         return server

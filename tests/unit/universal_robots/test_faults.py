@@ -18,7 +18,10 @@ OPTIONS = UrOptions()
 FAULTS = stream_faults("arm", universal_robot("ur5e"), OPTIONS)
 
 
-def error_of(fault: Fault, word: ControllerWord = ControllerWord(7, 1, 2, 2)) -> RonnaError | None:
+STREAMING = ControllerWord(7, 1, 2, 2)
+
+
+def error_of(fault: Fault, word: ControllerWord = STREAMING) -> RonnaError | None:
     state = NO_STATE._replace(
         fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=3, controller_word=word.number
     )
@@ -84,6 +87,6 @@ def test_the_script_allows_a_late_set_point_but_no_jump() -> None:
     for model, cycles in (("ur5", 3), ("ur5e", 10)):
         options = UrOptions(model=model)
         settings = script_settings(options)
-        assert settings.STARVED_CYCLES == cycles
+        assert cycles == settings.STARVED_CYCLES
         working_step_rad = options.speed_fraction * 3.1416 * options.cycle_s
         assert 2.0 * working_step_rad < settings.LARGEST_STEP_RAD < 5.0 * working_step_rad

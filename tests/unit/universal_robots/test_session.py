@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -79,7 +80,7 @@ def test_a_stall_of_the_computer_is_followed_by_a_start_from_rest() -> None:
     before = len(stand.goals)
     stand.cycles(3)
     steps = stand.goals[before - 2 :]
-    assert max(abs(a[0] - b[0]) for a, b in zip(steps, steps[1:], strict=False)) < 0.1 * WORKING_STEP_RAD
+    assert max(abs(a[0] - b[0]) for a, b in itertools.pairwise(steps)) < 0.1 * WORKING_STEP_RAD
     stand.run()
     assert stand.session.result is Result.DONE
 
