@@ -18,10 +18,10 @@ OPTIONS = UrOptions()
 FAULTS = stream_faults("arm", universal_robot("ur5e"), OPTIONS)
 
 
-RUNNING = ControllerWord(7, 1, 2, 2)
+STREAMING = ControllerWord(7, 1, 2, 2)
 
 
-def error_of(fault: Fault, word: ControllerWord = RUNNING) -> RonnaError | None:
+def error_of(fault: Fault, word: ControllerWord = STREAMING) -> RonnaError | None:
     state = NO_STATE._replace(
         fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=3, controller_word=word.number
     )

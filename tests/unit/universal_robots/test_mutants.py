@@ -9,7 +9,7 @@ from mutations import mutations
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
 
-IN_A_RUN = 1_500
+IN_A_RUN = 600
 IN_A_SOAK, SHARES = 1_000_000, 10
 ORIGINALS = {"RTDE": (OUTPUT_PACKAGE,), "UR primary": (PRIMARY_STATE,)}
 
