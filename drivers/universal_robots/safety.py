@@ -1,4 +1,4 @@
-"""What safety and robot modes mean: which error, and with which advice."""
+"""Errors of safety and robot modes, with the advice for each."""
 
 from __future__ import annotations
 

@@ -120,6 +120,3 @@ class UrWatch(StreamWatch):
         link = self._connections.open_link
         surroundings = NOTHING_AROUND if link is None else link.surroundings
         return fault_error(self._faults, self._options, state, self.mode, surroundings)
-
-    def _mode(self) -> str:
-        return self.mode

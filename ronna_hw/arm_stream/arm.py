@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from typing import Protocol, Self
 
@@ -49,7 +50,7 @@ class StreamConnections(HasLink, Protocol):
         ...
 
 
-class StreamedArm:
+class StreamedArm(ABC):
     """Part of an arm that its stream defines; a driver adds how it connects, starts and recovers."""
 
     notices: tuple[str, ...] = ()
@@ -63,21 +64,21 @@ class StreamedArm:
     _watching: StreamWatch
 
     @property
+    @abstractmethod
     def operating_mode(self) -> OperatingMode:
         """Operating mode of the running stream, or the last reported mode."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _stream_mode(self) -> OperatingMode:
         """Return the operating mode in which the stream was started."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         """Read the measured joint angles."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _switch_drives_off(self, timeout_s: float) -> None:
         """Ask the controller to switch its drives off."""
-        raise NotImplementedError
 
     @property
     def name(self) -> str:

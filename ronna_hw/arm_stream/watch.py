@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.flight_record import attach_flight_record
-from ronna_hw.arm_stream.records import NOTHING_AROUND, LinkState, StopOrder
+from ronna_hw.arm_stream.records import LinkState, StopOrder
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 
@@ -26,7 +27,7 @@ class HasLink(Protocol):
         ...
 
 
-class StreamWatch:
+class StreamWatch(ABC):
     """Fault monitor of one arm's stream. A driver adds what its other channels report."""
 
     def __init__(
@@ -93,14 +94,9 @@ class StreamWatch:
             )
         return error
 
+    @abstractmethod
     def _state_error(self, state: LinkState) -> RonnaError | None:
         """Build the error for a fault of the real-time process, if any."""
-        link = self._link_of.open_link
-        return self._faults.error(state, self._mode(), NOTHING_AROUND if link is None else link.surroundings)
-
-    def _mode(self) -> str:
-        """Return the operating mode in the driver's words."""
-        raise NotImplementedError
 
     def _stop_for(self, error: RonnaError) -> None:
         link = self._link_of.open_link

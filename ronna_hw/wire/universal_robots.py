@@ -282,14 +282,14 @@ class ScriptSettings(NamedTuple):
 
 
 class ScriptOrder(IntEnum):
-    """What our script is told to do."""
+    """Order to our script."""
 
     STREAM = 0
     END = 1  # at rest: leave the program
 
 
 class ScriptState(IntEnum):
-    """What our script reports."""
+    """State reported by our script."""
 
     NONE = 0
     WAITING = 1  # for the first set-point

@@ -38,7 +38,7 @@ STARTED, STOPPED, PAUSED, RESUMED = "STARTED", "STOPPED", "PAUSED", "RESUMED"  #
 
 
 class News:
-    """What the client interfaces report; each is a list of functions to call."""
+    """Listeners of the client interfaces: functions to call for each kind of report."""
 
     def __init__(self) -> None:
         self.program: list[Callable[[str, str], None]] = []  # what happened, name

@@ -1,1 +1,1 @@
-"""What the controller runs: our URScript, with its settings at the head."""
+"""URScript that the controller runs, with its settings at the head."""

@@ -21,7 +21,7 @@ _HANDOVER = struct.Struct("<BBi")
 
 
 class Handover(NamedTuple):
-    """What comes with a connection: our recipes, and the random number of this session."""
+    """Recipes of a connection, and the random number of its session."""
 
     output_recipe: int
     input_recipe: int

@@ -69,7 +69,7 @@ class Cause(IntEnum):
 
 
 class ControllerWord(NamedTuple):
-    """What the controller reports, packed into one number of the link state."""
+    """State reported by the controller, packed into one number of the link state."""
 
     robot_mode: int
     safety_mode: int

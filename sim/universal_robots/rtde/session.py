@@ -30,7 +30,7 @@ DATA = PackageType.DATA.value
 
 
 class Exchange(Protocol):
-    """What the server does for each session."""
+    """Services of the server for each session."""
 
     parameters: ControllerParameters
     model: Model
