@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import LimitError, RefusedError
 
 
@@ -54,8 +55,8 @@ class BothArmsHalted(RefusedError):
 
     code = "DUAL-001"
     action = (
-        "Find out why, take any instrument out of the guide by hand, and recover the arms; a named person "
-        "then acknowledges. Nothing retreats by itself."
+        "Find out why, and take any instrument out of the guide by hand: nothing retreats by itself. Where "
+        f"an arm has a fault, {ACKNOWLEDGE}. Then a named person releases both."
     )
 
 
