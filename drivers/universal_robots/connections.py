@@ -40,7 +40,7 @@ from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
 from drivers.universal_robots.realtime.settings import LinkSettings
 from drivers.universal_robots.rtde import RtdeSetup, Version
-from drivers.universal_robots.safety import RESTART_MODES, safety_refusal
+from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from drivers.universal_robots.watch import UrWatch
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.universal_robots import UniversalRobot, UrModel, universal_robot
@@ -63,10 +63,11 @@ LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote co
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the connections; doubled each time
 LONGEST_PAUSE_S = 2.0
 SHORTEST_TRY_S = 0.2
-POLL_S = 0.05  # theatre time between two looks at the controller's modes
+POLL_S = 0.05  # host time between two looks at the controller's modes
+PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
 POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
 END_LIMIT_S = 1.0  # host time for the script to end on our order
-UNLOCK_PAUSE_S = 0.5
+UNLOCK_PAUSE_S = 0.25
 ASK_LIMIT_S = 1.0
 T = TypeVar("T")
 
@@ -254,9 +255,10 @@ class Connections:
     def acknowledge(self, person: str, deadline: float) -> None:
         """End any program and release what a person has to release; moves nothing.
 
-        Raises URD-007, URD-009 or URD-010 for what remains.
+        Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
         """
         dashboard = self.dashboard
+        self._require_remote()
         dashboard.require("stop", "Stopped", ASK_LIMIT_S)
         safety = dashboard.safety_mode(ASK_LIMIT_S)
         if safety is SafetyMode.PROTECTIVE_STOP:
@@ -264,12 +266,9 @@ class Connections:
         elif safety in RESTART_MODES:
             dashboard.ask("close safety popup", ASK_LIMIT_S)
             dashboard.require("restart safety", "Restarting safety", ASK_LIMIT_S)
-        self._await(
-            lambda: safety_refusal(self._name, dashboard.safety_mode(ASK_LIMIT_S)) is None or None, deadline
-        )
-        refusal = safety_refusal(self._name, dashboard.safety_mode(ASK_LIMIT_S))
-        if refusal is not None:
-            raise refusal
+        if safety in (SafetyMode.PROTECTIVE_STOP, *RESTART_MODES):
+            self._await(lambda: dashboard.safety_mode(ASK_LIMIT_S) in NORMAL_MODES or None, deadline)
+        self._require_safe()
 
     def switch_off(self, timeout_s: float) -> None:
         """Switch the arm off."""
@@ -375,11 +374,8 @@ class Connections:
     def _require_ready(self) -> None:
         """Raise what prevents a start before anything is switched on or sent."""
         dashboard, name = self.dashboard, self._name
-        if self.is_remote(ASK_LIMIT_S) is False:
-            raise LocalMode(f"{name}: the controller is in local control", expected="remote control")
-        refusal = safety_refusal(name, dashboard.safety_mode(ASK_LIMIT_S))
-        if refusal is not None:
-            raise refusal
+        self._require_remote()
+        self._require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
             raise AnotherProgramRuns(f"{name}: the controller is running another program")
         reported = self.reported
@@ -425,7 +421,8 @@ class Connections:
     def _start_error(self, what: str, timeout_s: float) -> RonnaError:
         """Build the error for a stream that does not start, with what the controller says about it."""
         try:
-            self._require_control()
+            self._require_remote()
+            self._require_safe()
         except RonnaError as error:
             return error
         texts = [m.text for m in self.primary.messages if m.kind == MessageKind.RUNTIME_EXCEPTION and m.text]
@@ -436,9 +433,11 @@ class Connections:
             got=word.text,
         )
 
-    def _require_control(self) -> None:
+    def _require_remote(self) -> None:
         if self.is_remote(ASK_LIMIT_S) is False:
             raise LocalMode(f"{self._name}: the controller is in local control", expected="remote control")
+
+    def _require_safe(self) -> None:
         refusal = safety_refusal(self._name, self.dashboard.safety_mode(ASK_LIMIT_S))
         if refusal is not None:
             raise refusal
@@ -455,15 +454,23 @@ class Connections:
                 return
             if remaining_s(deadline) <= UNLOCK_PAUSE_S:
                 raise ProtectivelyStopped(f"{self._name}: the protective stop remains", got=answer)
-            self._clock.sleep(UNLOCK_PAUSE_S)
+            self._pause(UNLOCK_PAUSE_S)
 
     def _await(self, find: Callable[[], T | None], deadline: float) -> T | None:
-        """Poll in theatre time until a host time; returns None if nothing was found by then."""
+        """Poll until a host time; returns None if nothing was found by then."""
         while (found := find()) is None:
             if remaining_s(deadline) <= 0.0:
                 return None
-            self._clock.sleep(POLL_S)
+            self._pause(POLL_S)
         return found
+
+    def _pause(self, host_s: float) -> None:
+        """Wait, and let theatre time pass: the controller may need it."""
+        self._clock.let_pass(PASSING_SHARE * host_s)
+        try:
+            time.sleep(host_s)
+        finally:
+            self._clock.hold_back()
 
     def _operating_mode(self, safety: SafetyMode) -> OperatingMode:
         return OperatingMode.REDUCED_SPEED if safety is SafetyMode.REDUCED else OperatingMode.AUTOMATIC

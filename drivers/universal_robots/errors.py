@@ -20,7 +20,7 @@ class BadOptions(ConfigurationError):
     """The arm options in the theatre file are invalid."""
 
     code = "URD-001"
-    action = "Correct the listed options; docs/reference/robot-options.md describes them."
+    action = "Correct the listed options; docs/reference/ur-options.md describes them."
 
 
 class ControllerNotFound(ConnectError):

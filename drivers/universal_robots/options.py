@@ -19,6 +19,7 @@ from ronna_hw.arm.motion.limits import (
 )
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.calibration import Strict
+from ronna_hw.wire import universal_robots as wire
 from ronna_hw.wire.universal_robots import ScriptSettings
 
 CYCLE_S = {UrModel.UR5: 0.008, UrModel.UR5E: 0.002}  # of the controller: CB3, e-Series
@@ -36,7 +37,7 @@ STOP_DECELERATION_RAD_S2 = (
 )
 LOOKAHEAD_S = 0.03  # the least: the arm follows within 34 ms
 GAIN = 1000.0
-TOOL_INPUTS = (0, 1, 2, 3)  # standard digital inputs, the least significant bit first
+TOOL_INPUTS = tuple(wire.TOOL_INPUTS)
 LAST_DIGITAL_INPUT = 17
 
 DigitalInput = Annotated[int, Field(ge=0, le=LAST_DIGITAL_INPUT)]

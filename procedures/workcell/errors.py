@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import LimitError, RefusedError
 
 
@@ -55,8 +54,8 @@ class BothArmsHalted(RefusedError):
 
     code = "DUAL-001"
     action = (
-        "Find out why, and take any instrument out of the guide by hand: nothing retreats by itself. Where "
-        f"an arm has a fault, {ACKNOWLEDGE}. Then a named person releases both."
+        "Find out why, take any instrument out of the guide by hand, then let a named person acknowledge "
+        "both arms. Nothing retreats by itself."
     )
 
 

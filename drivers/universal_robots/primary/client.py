@@ -168,7 +168,7 @@ class PrimaryClient:
         try:
             while data := self._receive():
                 received += data
-                while (size := _package_size(received)) is not None and len(received) >= size:
+                while (size := package_size(received)) is not None and len(received) >= size:
                     self._handle(received[:size])
                     received = received[size:]
             failure = self._lost_error(" closed the connection")
@@ -240,7 +240,7 @@ class PrimaryClient:
         return ControllerLost(f"{self.where}{how}")
 
 
-def _package_size(received: bytes) -> int | None:
+def package_size(received: bytes) -> int | None:
     """Return the size of the package that begins here; None as long as it is unknown. Raises URD-016."""
     if len(received) < HEADER.size:
         return None

@@ -9,8 +9,8 @@ import time
 from typing import NamedTuple
 
 from drivers.universal_robots.realtime.line import RtdeLine, is_output
-from drivers.universal_robots.realtime.packages import OUTPUT, START_REQUEST, STATUS, TIMESTAMP, Output
-from drivers.universal_robots.realtime.session import PreparedReply, RtdeSession
+from drivers.universal_robots.realtime.packages import OUTPUT, START_REQUEST, Output
+from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
@@ -123,7 +123,7 @@ class LinkLoop(StreamLoop):
         if values is None:  # a message, or the reply to our start
             self._leave_unanswered(data)
             return
-        ready = self._match_prepared_reply(values)
+        ready = session.match(values, self._mailbox.stop_word())
         if ready is not None:
             self._send(ready.package)
             self._last_data = data
@@ -142,22 +142,10 @@ class LinkLoop(StreamLoop):
             return
         self._finish_cycle(data, session.device_clock, orders)
 
-    def _match_prepared_reply(self, values: Output) -> PreparedReply | None:
-        """Return the prepared reply unless the package has something new, or a stop is ordered."""
-        ready = self._stream.ready
-        if (
-            ready is None
-            or values[STATUS] != ready.status
-            or not ready.earliest_s < values[TIMESTAMP] < ready.latest_s
-            or self._mailbox.stop_word() != ready.stop_word
-        ):
-            return None
-        return ready
-
     def _rehearse(self) -> None:
         """Run the code path from package to reply without effect, to keep the caches warm."""
         if is_output(self._last_data, self._recipe):
-            self._match_prepared_reply(OUTPUT.unpack_from(self._last_data))
+            self._stream.match(OUTPUT.unpack_from(self._last_data), self._mailbox.stop_word())
 
     def _send(self, package: bytes) -> None:
         try:

@@ -114,6 +114,18 @@ class RtdeSession(StreamSession):
         self.choice = choice
         return self._encode(points.at(choice))
 
+    def match(self, values: Output, stop_word: int) -> PreparedReply | None:
+        """Return the prepared reply unless the package has something new, or a stop is ordered."""
+        ready = self.ready
+        if (
+            ready is None
+            or values[STATUS] != ready.status
+            or not ready.earliest_s < values[TIMESTAMP] < ready.latest_s
+            or stop_word != ready.stop_word
+        ):
+            return None
+        return ready
+
     def note_answered(self, values: Output, orders: Orders, now_ns: int) -> None:
         """Update the state as `answer` does, after the prepared reply has been sent."""
         self._previous_ns, self._received_ns = self._received_ns, now_ns
