@@ -437,7 +437,7 @@ def low_cost(
     targets: Annotated[
         int,
         typer.Option("--targets", min=2, max=500, help="Targets, each in three orientations."),
-    ] = 30,
+    ] = 100,
     frames: Annotated[
         int, typer.Option("--frames", min=2, max=1000, help="Tracker frames averaged for one look, at 20 Hz.")
     ] = 60,

@@ -93,11 +93,11 @@ def test_an_interrupted_campaign_reports_the_units_it_kept(
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_low_cost_theatre_positions_its_tool_on_feedback(tmp_path: Path) -> None:
-    arguments = ("low-cost", "--arms", "2", "--targets", "4", "--scans", "1", "--coarse", "--workers", "1")
+    arguments = ("low-cost", "--arms", "2", "--targets", "12", "--scans", "1", "--coarse", "--workers", "1")
     done = in_this_process(app, *arguments, "--out", tmp_path, "--json")
     assert done.returncode == 0, done.stderr
     relations, positioning, *_ = json.loads(done.stdout)["tables"]
-    assert [row[3] for row in relations["rows"]] == ["yes", None, "yes", "yes", "yes"]
+    assert [row[3] for row in relations["rows"]] == ["yes", None, "yes", "yes", "yes", "yes"]
     assert {row[0] for row in positioning["rows"]} == {"0", "1", "all"}
     pictures = {path.name for path in tmp_path.glob("*.png")}
     assert pictures == {"errors.png", "dependence-on-the-arm.png", "rounds.png"}
