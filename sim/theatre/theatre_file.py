@@ -19,6 +19,7 @@ from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
+from sim.theatre.arm_controllers import CONTROLLERS
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
 from sim.world.noise import noise
@@ -55,6 +56,7 @@ def theatre_content(
     not now.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
+    controller = CONTROLLERS[scene.arm.variant]
     content: dict[str, Any] = {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
@@ -66,15 +68,9 @@ def theatre_content(
             "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
-            "master": {
-                "driver": "kuka_rsi",
-                "endpoints": {key: endpoints["kuka"][key] for key in ("rsi", "eki_project")},
-                "options": {
-                    "variant": scene.arm.variant,
-                    "silence_limit_s": silence_limit_s,
-                    **({} if cycle_ms is None else {"cycle_ms": cycle_ms}),
-                },
-            }
+            "master": controller.device_entry(
+                scene.arm.variant, endpoints[controller.device], silence_limit_s, cycle_ms
+            )
         },
         "stereo": {
             "driver": "basler_stereo",

@@ -21,7 +21,7 @@ from sim.errors import BadScene
 from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import DEVICES, read_faults
-from sim.world.options import Carrier
+from sim.world.options import ArmChoice, Carrier
 from sim.world.running import register
 from sim.world.scene.model import ArmResidual, Scene, read_scene
 from sim.world.scene.named_scenes import SCENES, draw_scene
@@ -135,6 +135,7 @@ def load_scene(
     markers: int | None = None,
     targets: int | None = None,
     fiducials: Carrier = Carrier.FREE,
+    arm: ArmChoice = ArmChoice.KR6,
     calibrated: bool = False,
     first_day: bool = False,
     target_balls: bool = False,
@@ -146,9 +147,11 @@ def load_scene(
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
-        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
+        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame, arm=arm)
     elif fiducials is not Carrier.FREE:
         raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
+    elif arm is not ArmChoice.KR6:
+        raise BadScene("a scene file defines its arm: omit --arm")
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

@@ -29,13 +29,8 @@ from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.strategy import Strategy
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
-from sim.world.scene.as_built import (
-    BACKLASH_RAD,
-    JOINT_OFFSET_RAD,
-    LINK_ROTATION_RAD,
-    LINK_TRANSLATION_MM,
-    TOOL_ERROR_MM,
-)
+from sim.world.scene.arm_design import KR6
+from sim.world.scene.as_built import TOOL_ERROR_MM
 from sim.world.scene.model import ArmResidual
 from studies.accuracy.phantom import Markers, Phantom, counts_of, phantom_pose
 from studies.accuracy.postures import ARM, Postures, plan_postures
@@ -142,13 +137,13 @@ class Scenario:
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
-            links=CALIBRATED.angle_rad / LINK_ROTATION_RAD if self.kinematics else 1.0,
+            links=CALIBRATED.angle_rad / KR6.errors.link_rotation_rad if self.kinematics else 1.0,
             backlash=self._remaining_backlash(strategy),
         )
 
     def _remaining_backlash(self, strategy: str) -> float:
         known = self.known and strategy != ANY_APPROACH
-        return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
+        return CALIBRATED_BACKLASH_RAD / KR6.errors.backlash_rad if known else 1.0
 
     def scale(self, arms: RandomArms, strategy: str) -> RandomArms:
         """Scale the arms' errors down to those remaining for a strategy after calibration."""
@@ -158,12 +153,16 @@ class Scenario:
         if not self.kinematics:
             return arms
         turns = Rotation.from_matrix(arms.link_rotation.reshape(-1, 3, 3)).as_rotvec()
-        remaining = Rotation.from_rotvec(turns * CALIBRATED.angle_rad / LINK_ROTATION_RAD).as_matrix()
+        remaining = Rotation.from_rotvec(
+            turns * CALIBRATED.angle_rad / KR6.errors.link_rotation_rad
+        ).as_matrix()
         return replace(
             arms,
-            link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / LINK_TRANSLATION_MM,
+            link_translation_mm=arms.link_translation_mm
+            * CALIBRATED.link_mm
+            / KR6.errors.link_translation_mm,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
-            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / JOINT_OFFSET_RAD,
+            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / KR6.errors.joint_offset_rad,
         )
 
 

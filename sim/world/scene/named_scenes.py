@@ -112,7 +112,9 @@ def _draw_stand(seed: int, head_mm: Point) -> Stand:
     """Draw the stand with independent noise, so that it does not affect the rest of the scene."""
     generator = noise(seed, "stand", 0)
     return Stand(
-        ball_mm=as_point(np.add(head_mm, STAND_FROM_HEAD_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
+        ball_mm=as_point(
+            np.add(head_mm, STAND_FROM_HEAD_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)
+        ),
         divot_from_ball_mm=as_point(generator.normal(0.0, DIVOT_MM, 3)),
         dials_turned_rad=as_point(generator.normal(0.0, DIALS_RAD, 3)),
     )

@@ -18,13 +18,13 @@ from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
-from sim.world.scene.as_built import REPEATABILITY_MM
+from sim.world.scene.arm_design import KR6
 
 MOTION_LINK, COMMAND_LINK = "robot.master.rsi", "robot.master.eki"
 MOVING_COMMAND = re.compile(rb'Name="(RSI_START|DRIVES|PTP_AXIS|PTP_POS|LIN|SELECT)"')
 REACHED_S = 100.0
 # A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
-LARGEST_CHANGE_MM = 4 * REPEATABILITY_MM * 6**0.5
+LARGEST_CHANGE_MM = 4 * KR6.errors.repeatability_mm * 6**0.5
 
 
 @dataclass(frozen=True)
