@@ -17,11 +17,11 @@ import time
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError
-from ronna_hw.host.shared_memory import MemoryMap
+from ronna_hw.host.shared_memory import MemoryMap, Word
 
 WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
 
@@ -85,17 +85,27 @@ class HostClock:
 
 
 # Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
-LAYOUT_VERSION = 4
+LAYOUT_VERSION = 5
 CLOCK = MemoryMap(b"RONNACLK")
 VERSION = CLOCK.word("I")
 PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
 TIME_NS = CLOCK.word("q")  # meaningful when not paced
 EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful when paced
-STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 if none
 WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
 UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
 ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although nobody waits for it
-RESTING = CLOCK.word("I")  # what a cyclic device sleeps for; 0 while it does not
+
+
+class StreamRow(NamedTuple):
+    """Words of one cyclic device, each written by that device only."""
+
+    host_ns: Word  # host monotonic time of its last cycle, 0 if it does not stream
+    time_ns: Word  # theatre time at the end of its last cycle
+    resting: Word  # what it sleeps for; 0 while it does not
+
+
+CYCLIC_DEVICES = 2  # the arms of a theatre
+STREAMS = tuple(StreamRow(CLOCK.word("q"), CLOCK.word("q"), CLOCK.word("I")) for _ in range(CYCLIC_DEVICES))
 FOR_TIME_TO_PASS, FOR_READER = 1, 2
 ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
 # The longest time that a process asks for at once: one that was killed keeps time passing no longer.
@@ -108,12 +118,13 @@ STREAM_SILENCE_NS = 2_500_000_000
 class SharedClock:
     """Clock shared by several processes, at the start of a `shm://` block.
 
-    While a cyclic device streams (the correction stream of the robot), only its cycles advance the time and
+    While a cyclic device streams (the correction stream of a robot), only its cycles advance the time and
     everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
-    the lock.
+    the lock. Two devices that stream keep step: the time is that of the slower one.
     """
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, device: int = 0) -> None:
+        """Open the clock; `device` is the number of the cyclic device, if this process is one."""
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except (OSError, ValueError) as error:  # the latter for what is no path at all
@@ -132,6 +143,8 @@ class SharedClock:
         self._thread_lock = threading.Lock()
         found = os.fstat(self._file)
         self._alarm_address = f"\0ronna-clock-{found.st_dev}-{found.st_ino}"
+        self._device = device
+        self._stream = STREAMS[device]
         self._paced = bool(PACED.read(self._memory))
 
     @staticmethod
@@ -141,7 +154,7 @@ class SharedClock:
         VERSION.write(memory, LAYOUT_VERSION)
         PACED.write(memory, int(paced))
         TIME_NS.write(memory, begins_ns)
-        for word in (STREAM_HOST_NS, WANTED_NS, UNREAD_NS, ALLOWED_NS, RESTING):
+        for word in (WANTED_NS, UNREAD_NS, ALLOWED_NS, *(word for row in STREAMS for word in row)):
             word.write(memory, 0)
         EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
@@ -181,7 +194,7 @@ class SharedClock:
                         return
                     if WANTED_NS.read(self._memory) < wanted_ns:
                         WANTED_NS.write(self._memory, wanted_ns)
-                self._wake_device()
+                self._wake_devices()
             time.sleep(WAIT_STEP_S)
 
     def let_pass(self, duration_s: float) -> None:
@@ -194,7 +207,7 @@ class SharedClock:
         moment_ns = self.now_ns() + round(duration_s * 1e9)
         if ALLOWED_NS.read(self._memory) < moment_ns:
             ALLOWED_NS.write(self._memory, moment_ns)
-        self._wake_device()
+        self._wake_devices()
 
     def hold_back(self) -> None:
         """Have a streaming device rest as soon as nobody waits; another thread's `let_pass` ends as well."""
@@ -214,7 +227,7 @@ class SharedClock:
         """Open the socket that becomes readable when a resting device is to go on."""
         alarm = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         with contextlib.suppress(OSError):  # the device then looks by itself from time to time
-            alarm.bind(self._alarm_address)
+            alarm.bind(f"{self._alarm_address}-{self._device}")
         return alarm
 
     @staticmethod
@@ -230,51 +243,89 @@ class SharedClock:
 
         What it sleeps for, `may_pass` or the end of `must_wait_for_reader`, is to be checked within first.
         """
-        RESTING.write(self._memory, FOR_READER if for_reader else FOR_TIME_TO_PASS)
+        self._stream.resting.write(self._memory, FOR_READER if for_reader else FOR_TIME_TO_PASS)
         try:
             yield
         finally:
-            RESTING.write(self._memory, 0)
+            self._stream.resting.write(self._memory, 0)
 
-    def _wake_device(self) -> None:
-        if not RESTING.read(self._memory):
+    def _wake_devices(self) -> None:
+        resting = [number for number, row in enumerate(STREAMS) if row.resting.read(self._memory)]
+        if not resting:
             return
-        caller = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        with caller, contextlib.suppress(OSError):  # its alarm is already ringing, or it has ended
-            caller.sendto(b"", self._alarm_address)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as caller:
+            for number in resting:
+                with contextlib.suppress(OSError):  # its alarm is already ringing, or it has ended
+                    caller.sendto(b"", f"{self._alarm_address}-{number}")
 
     def is_streaming(self) -> bool:
         """Whether a cyclic device controls the pace of time."""
-        last = STREAM_HOST_NS.read(self._memory)
+        return any(self._streams(row) for row in STREAMS)
+
+    def _streams(self, row: StreamRow) -> bool:
+        last = row.host_ns.read(self._memory)
         return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
-        """Advance by one cycle of the cyclic device and return the new time. No effect when paced."""
+        """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
+
+        With another device that streams, the time stands until its cycles have come as far: then this device
+        is to wait while `must_wait_for_device`.
+        """
         if self._paced:
             return self.now_ns()
+        memory, own = self._memory, self._stream
         with self.hold_lock():
-            STREAM_HOST_NS.write(self._memory, time.monotonic_ns())
-            moment = TIME_NS.read(self._memory) + duration_ns
-            TIME_NS.write(self._memory, moment)
-            return moment
+            ends_ns = self._cycle_start_ns() + duration_ns
+            own.time_ns.write(memory, ends_ns)
+            own.host_ns.write(memory, time.monotonic_ns())
+            self._keep_step()
+            if TIME_NS.read(memory) < ends_ns and WANTED_NS.read(memory) < ends_ns:
+                WANTED_NS.write(memory, ends_ns)
+        self._wake_devices()
+        return self.now_ns()
+
+    def must_wait_for_device(self) -> bool:
+        """Whether another cyclic device has not come as far as this one."""
+        memory = self._memory
+        if self._paced or TIME_NS.read(memory) >= self._stream.time_ns.read(memory):
+            return False
+        with self.hold_lock():  # it may have ended or fallen silent
+            self._stream.host_ns.write(memory, time.monotonic_ns())
+            self._keep_step()
+        return TIME_NS.read(memory) < self._stream.time_ns.read(memory)
+
+    def _cycle_start_ns(self) -> int:
+        """Return the theatre time at which this device's next cycle begins."""
+        now_ns = TIME_NS.read(self._memory)
+        return max(now_ns, self._stream.time_ns.read(self._memory)) if self._streams(self._stream) else now_ns
+
+    def _keep_step(self) -> None:
+        """Let the time follow the slowest device that streams."""
+        reached = [row.time_ns.read(self._memory) for row in STREAMS if self._streams(row)]
+        if reached and min(reached) > TIME_NS.read(self._memory):
+            TIME_NS.write(self._memory, min(reached))
 
     def expect_reader(self, moment_ns: int) -> None:
         """Set when the next individually read measurement is due; 0 clears it."""
         UNREAD_NS.write(self._memory, moment_ns)
-        if RESTING.read(self._memory) == FOR_READER:
-            self._wake_device()
+        if any(row.resting.read(self._memory) == FOR_READER for row in STREAMS):
+            self._wake_devices()
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
         """Whether the next cycle would reach a measurement that no reader is waiting for yet."""
         due_ns = UNREAD_NS.read(self._memory)
         if due_ns == 0 or self._paced or self.has_waiters():
             return False
-        return TIME_NS.read(self._memory) + duration_ns >= due_ns
+        return self._cycle_start_ns() + duration_ns >= due_ns
 
     def end_stream(self) -> None:
         """Mark the cyclic stream as ended, so that it no longer paces theatre time."""
         with self.hold_lock():
-            STREAM_HOST_NS.write(self._memory, 0)
+            self._stream.host_ns.write(self._memory, 0)
+            if not self._paced:
+                self._keep_step()
+        self._wake_devices()
 
     @contextmanager
     def hold_lock(self) -> Iterator[None]:

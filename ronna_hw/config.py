@@ -16,6 +16,7 @@ from ronna_hw.arm.catalogue import BUILT_IN
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
+    BaseCalibration,
     Dated,
     DatedRecord,
     Numbers3,
@@ -74,6 +75,18 @@ def require_own_patient_frame(theatre: TheatreFile) -> None:
         )
 
 
+def require_separate_arms(theatre: TheatreFile) -> None:
+    """Raise ValueError if two arms share an address: then both roles would be played by one arm."""
+    owners: dict[Endpoint, str] = {}
+    for name, robot in theatre.robot.items():
+        for text in (robot.endpoint, *robot.endpoints.values()):
+            if text is not None and (owner := owners.setdefault(parse_endpoint(text), name)) != name:
+                raise ValueError(
+                    f"[robot.{name}] and [robot.{owner}] are the same arm: both have {text}; give each arm "
+                    "its own addresses"
+                )
+
+
 def require_outside_hand(theatre: TheatreFile) -> None:
     """Raise ValueError if a tool or guide axis is inside the arm's hand, a sign of wrong units."""
     if theatre.calibration is None:
@@ -105,6 +118,7 @@ def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = 
 
 SLIMMEST_HAND_MM = min(arm.radii.hand_mm for arm in BUILT_IN.values())
 MASTER = "master"  # name of the arm that carries stereo head and guide
+ASSISTANT = "assistant"  # name of the arm that carries the instrument
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
@@ -198,6 +212,10 @@ class Calibrations(Strict):
     )
     arm: ArmCalibration | None = Field(
         default=None, description="Deviations of the arm; without it the arm is taken as nominal."
+    )
+
+    assistant_base: BaseCalibration | None = Field(
+        default=None, description="Where the assistant stands; without it, the assistant does not move."
     )
 
     @property
@@ -307,7 +325,8 @@ class TheatreFile(Strict):
     clock: ClockConfig = Field(default=ClockConfig(), description="Source of theatre time.")
     tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
     robot: dict[str, DeviceConfig] = Field(
-        default_factory=dict, description="Name = arm; the procedure uses `master`."
+        default_factory=dict,
+        description="Name = arm; the procedure uses `master`, with two arms also `assistant`.",
     )
     stereo: DeviceConfig | None = Field(default=None, description="The stereo head.")
     device: dict[str, DeviceConfig] = Field(
@@ -345,6 +364,7 @@ class TheatreFile(Strict):
         require_expiry(self)
         require_outside_hand(self)
         require_own_patient_frame(self)
+        require_separate_arms(self)
         return self
 
     @property

@@ -107,6 +107,7 @@ class RonnaError(Exception):
 
 def _restore_error(kind: type[RonnaError], line: tuple[str], content: dict[str, Any]) -> RonnaError:
     error = kind.__new__(kind, *line)
+    error.args = line  # `OSError`, of which a time-out is one, takes them in its own constructor only
     vars(error).update(content)
     return error
 

@@ -12,12 +12,13 @@ import sys
 import threading
 
 from drivers.kuka_rsi.connections import link_settings
-from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
+from ronna_hw.arm_stream.client import LinkClient
+from ronna_hw.arm_stream.records import CommandKind, Phase, Result
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.vectors import JointVector
@@ -35,7 +36,7 @@ def main() -> None:
     options = KukaOptions.model_validate({"silence_limit_s": PATIENCE_S, "heartbeat_limit_s": PATIENCE_S})
     if "unrehearsed" in sys.argv:
         options = options.model_copy(update={"rehearsal_lead_us": 0})
-    link = LinkClient(link_settings(parse_endpoint(endpoint), load_context(), options))
+    link = start_link(link_settings(parse_endpoint(endpoint), load_context(), options))
     try:
         model = kr6_r900(options.variant)
         limits = working_limits(model, options.speed_fraction)

@@ -19,7 +19,7 @@ from statistics import median
 
 from benchmarks.figures import Figure, compare_samples, family_cpu_s, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
-from drivers.kuka_rsi.realtime.link_state import RecordedCycle
+from ronna_hw.arm_stream.records import RecordedCycle
 from ronna_hw.vectors import JointVector
 
 ETHERNET_FILE = (

@@ -10,14 +10,14 @@ from math import inf
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.figures import Figure, compare_samples, measure_cpu_s, run_contest
-from drivers.kuka_rsi.realtime.link_state import Choice
-from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm_stream.records import Choice
+from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.preview import with_speed_steps
 

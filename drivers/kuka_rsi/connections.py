@@ -7,21 +7,22 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient, Listener
 from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
 from drivers.kuka_rsi.errors import CommandRefused, ControllerLost, ControllerNotFound, NoTelegram, Unverified
 from drivers.kuka_rsi.fault_errors import fault_error, start_error
-from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, Fault, LinkSettings, Phase
-from drivers.kuka_rsi.realtime.mailbox import KeptCycle
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.client import LinkClient, TrafficHandler, pass_traffic
+from ronna_hw.arm_stream.records import CommandKind, Fault, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
+from ronna_hw.devices.capabilities import ByteSink, Direction
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -32,7 +33,6 @@ BytesPassed = Callable[[Direction, bytes], None]
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 SHORTEST_TRY_S = 0.2
-NO_DESCRIPTOR = -1
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
@@ -90,7 +90,7 @@ class Connections:
         first reopen. Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or
         set-up.
         """
-        self.close_eki()
+        self.close_control()
         deadline, pause_s = time.monotonic() + timeout_s, FIRST_PAUSE_S
         limit_s = max(timeout_s, SHORTEST_TRY_S) if retry else timeout_s
         while True:
@@ -110,7 +110,7 @@ class Connections:
         """Start the real-time process, which binds the RSI port; raises RSI-001."""
         self.close_link()
         settings = link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink, self._clock)
+        self.open_link = start_link(settings, timeout_s, self.recorder.rsi_sink, self._clock)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
         """Switch on the drives, start the RSI program and its stream, and wait until corrections take effect.
@@ -192,7 +192,7 @@ class Connections:
         number = link.command(CommandKind.CLOSE)
         link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
 
-    def close_eki(self) -> None:
+    def close_control(self) -> None:
         """Close the EKI connection, if open."""
         if self.open_eki is not None:
             self.open_eki.close()
@@ -242,8 +242,6 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
         host=rsi.host,
         port=rsi.port,
         parent_pid=os.getpid(),
-        mailbox_fd=NO_DESCRIPTOR,
-        event_fd=NO_DESCRIPTOR,
         variant=options.variant.value,
         cycle_ms=context.program.cycle_ms,
         sentype=context.ethernet.sentype,
@@ -276,25 +274,10 @@ class LinkRecorder:
         return lambda direction, data: sink.on_bytes(link, direction, data)
 
     @property
-    def rsi_sink(self) -> Callable[[list[KeptCycle], int], None] | None:
+    def rsi_sink(self) -> TrafficHandler | None:
         """Recorder callback for RSI traffic, or None without a recorder."""
         sink, link = self.sink, f"{self._arm}.rsi"
-        if sink is None:
-            return None
-
-        def pass_on(cycles: list[KeptCycle], lost: int) -> None:
-            sink.on_earlier_bytes(link, list(_iterate_traffic(cycles)))
-            if lost:
-                sink.note(link, lost_bytes=lost)
-
-        return pass_on
-
-
-def _iterate_traffic(cycles: list[KeptCycle]) -> Iterator[PassedBytes]:
-    for cycle in cycles:
-        yield PassedBytes(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
-        if cycle.reply:
-            yield PassedBytes(cycle.sent_ns, Direction.SENT, cycle.reply)
+        return None if sink is None else pass_traffic(sink, link)
 
 
 def remaining_s(deadline: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
 from ronna_hw.errors import (
     ConfigurationError,
@@ -255,3 +256,22 @@ class ControllerStopped(LimitError):
 
     code = "EKI-010"
     action = f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}."
+
+
+STREAM_ERRORS = StreamErrors(
+    not_started=LinkNotStarted,
+    died=LinkProcessDied,
+    stalled=LinkProcessStalled,
+    silent=LinkSilent,
+    heartbeat_late=HeartbeatLate,
+    tripped=MotionTripped,
+    path_failed=PathFailed,
+    unusable=LinkUnusable,
+    protective_stop=ProtectiveStop,
+    link_stopped=LinkStopped,
+    drives_off=DrivesOff,
+    stopped=MotionStopped,
+    not_finished=MotionNotFinished,
+    refused=MotionRefused,
+    clock_name="IPOC",
+)

@@ -15,13 +15,14 @@ from typing import NamedTuple
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
-from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
-from drivers.kuka_rsi.fault_errors import attach_flight_record, fault_error
-from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.errors import ControllerStopped, NoAnswer
+from drivers.kuka_rsi.fault_errors import fault_error, stream_faults
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
 from ronna_hw.arm.clearance.live_watch import ViolationKind
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
+from ronna_hw.arm_stream.client import LinkClient
+from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
+from ronna_hw.arm_stream.watch import StreamWatch
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
@@ -37,35 +38,29 @@ class _Inquiry(NamedTuple):
     until_s: float
 
 
-class FaultWatch:
+class FaultWatch(StreamWatch):
     """Fault monitor for one arm, and listener on its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
     ) -> None:
+        # The same patience as that process has with this program and with the controller.
+        stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
+        super().__init__(guard, connections, stream_faults(name, options), stall_limit_s)
         self._name = name
-        self._guard = guard
         self._connections = connections
         self._options = options
-        # The same patience as that process has with this program and with the controller.
-        self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
-        self._raised_fault: RonnaError | None = None  # the fault that was already raised to a caller
         self._inquiry: _Inquiry | None = None  # why the axes no longer follow
         self._inquiry_lock = threading.Lock()
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
     def check(self) -> None:
         """Latch any fault of the real-time process or the EKI channel."""
-        eki = self._connections.open_eki
         if self._guard.state not in RUNNING:
-            idle_link = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
-            if eki is not None and eki.failure and self._guard.state in READABLE:
-                self._guard.latch(eki.failure)
-            elif idle_link is not None and not idle_link.alive:
-                self._guard.latch(idle_link.death_error())
+            self._check_idle()
             return
-        link = self._connections.link
+        eki, link = self._connections.open_eki, self._connections.link
         state = link.state
         error = self._state_error(state)
         is_lagging = state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR
@@ -75,13 +70,7 @@ class FaultWatch:
                 return
         else:
             self._inquiry = None
-        if error is None and not link.alive:
-            error = link.death_error()
-        if error is None and link.stalled_s > self._stall_limit_s:
-            error = LinkProcessStalled(
-                f"{self._name}: the real-time process has not run for {link.stalled_s:.1f} s",
-                limit=f"{self._stall_limit_s:g} s",
-            )
+            error = self._stream_error(link, state)
         if error is not None:
             self._latch_with_record(error, link)
         elif eki is not None and eki.failure is not None:
@@ -99,30 +88,6 @@ class FaultWatch:
             with contextlib.suppress(RonnaError):  # with a broken channel the following error is latched
                 eki.await_reply(inquiry.number, max(0.0, inquiry.until_s - time.monotonic()))
             self.check()
-
-    def latch(self, error: RonnaError) -> None:
-        """Latch an error that the caller is about to raise."""
-        link = self._connections.open_link
-        if link is not None and self._guard.state in RUNNING:
-            self._latch_with_record(error, link)
-        self._guard.latch(error)
-        self._raised_fault = self._guard.fault
-
-    def raise_new(self) -> None:
-        """Raise a latched fault that no call has raised yet."""
-        self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None and fault is not self._raised_fault:
-            self._raised_fault = fault
-            raise fault
-
-    def raise_any(self) -> None:
-        """Raise a latched fault, if any."""
-        self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None:
-            self._raised_fault = fault
-            raise fault
 
     def on_state(self, state: ControllerState) -> None:
         """Check a requested or unsolicited controller state; called on the EKI reader thread."""
@@ -175,17 +140,15 @@ class FaultWatch:
             return self._controller_stop_error(state) or tripped
         return tripped if time.monotonic() > inquiry.until_s else None
 
-    def _stop_for(self, error: RonnaError) -> None:
-        link = self._connections.open_link
-        if link is None or self._guard.state not in RUNNING:
-            return
-        self._latch_with_record(error, link)
-        link.stop(StopOrder.PROTECTIVE)
+    def _check_idle(self) -> None:
+        eki = self._connections.open_eki
+        if eki is not None and eki.failure and self._guard.state in READABLE:
+            self._guard.latch(eki.failure)
+        else:
+            super()._check_idle()
 
     def _latch_with_record(self, error: RonnaError, link: LinkClient) -> None:
-        if self._guard.state is not Lifecycle.FAULT:
-            attach_flight_record(error, self._name, link.recorded_cycles())
-        self._guard.latch(error)
+        super()._latch_with_record(error, link)
         self._inquiry = None  # last: a thread that sees no inquiry then sees the fault
 
     def _state_error(self, state: LinkState) -> RonnaError | None:

@@ -11,11 +11,12 @@ from math import degrees, dist, radians
 from typing import NoReturn
 
 from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, LinkState, Result, StopOrder
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
+from ronna_hw.arm_stream.client import LinkClient
+from ronna_hw.arm_stream.records import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.vectors import JointVector
 
 LARGEST_SHIFT_MM = 0.05

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from ipaddress import IPv4Address
-from math import degrees
+from math import degrees, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
 from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
-from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from drivers.theatre_options import parse_options
-from ronna_hw.arm.kr6_r900 import ArmVariant
-from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, REDUCED_SPEED_MM_S, WORKING_SPEED_FRACTION
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.motion.limits import (
+    RANGE_MARGIN_RAD,
+    REDUCED_SPEED_MM_S,
+    WORKING_SPEED_FRACTION,
+    MotionLimits,
+    working_limits,
+)
 from ronna_hw.calibration import Strict
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
@@ -97,6 +104,17 @@ class KukaOptions(Strict):
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     """Parse the arm options; raises RSI-013 listing every mistake."""
     return parse_options(KukaOptions, options, f"{device}: options", BadOptions)
+
+
+def planning_limits(options: KukaOptions, cycle_s: float) -> MotionLimits:
+    """Return the limits of automatic operation that these options ask for."""
+    limits = working_limits(kr6_r900(options.variant), options.speed_fraction)
+    return replace(
+        limits,
+        cycle_s=cycle_s,
+        range_margin_rad=radians(options.range_margin_deg),
+        line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
+    )
 
 
 def load_usable_context(device: str, options: KukaOptions) -> RsiContext:

@@ -2,80 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
-import time
 from collections.abc import Iterator
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.realtime.link_state import LinkState
-from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.readings import StreamReadings
 from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
-from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
-STALE_S = 0.5  # host time: age at which a measured pose is called stale
 MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
 MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
 MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
-class ArmReadings:
+class ArmReadings(StreamReadings):
     """Numbered readings from one arm, with the latest kept for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
+        super().__init__(connections, clock, silence_limit_s)
         self._connections = connections
-        self._clock = clock
-        self._stale_s = max(STALE_S, silence_limit_s)
-        self._sequence = 0
-        self._newest: ArmReading | None = None
-
-    def stamp(self, device_clock: int = 0) -> Stamp:
-        """Return the stamp for a new reading."""
-        self._sequence += 1
-        return Stamp(self._sequence, device_clock, self._clock.now_s())
-
-    def from_stream(self, state: LinkState) -> ArmReading:
-        """Build a reading from the last telegram's joint angles."""
-        self._newest = self._make_stream_reading(state, self.stamp(state.IPOC))
-        return self._newest
 
     def from_controller(self, state: ControllerState) -> ArmReading:
         """Build a reading from the joint angles in a controller `State`."""
         self._newest = self._make_controller_reading(state, self.stamp())
         return self._newest
 
-    def newest(self, *, streaming: bool) -> ArmReading | None:
-        """Return the latest reading, requested or unsolicited; never raises, in any thread."""
-        eki, link = self._connections.open_eki, self._connections.open_link
-        # Another thread may be closing the link or the clock: then the previous reading is the latest.
-        with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
-            now_s, host_s = self._clock.now_s(), time.monotonic()
-            if streaming and link is not None:
-                state = link.state
-                age_s = host_s - state.received_ns / 1e9
-                self._newest = self._make_stream_reading(
-                    state, Stamp(self._sequence, state.IPOC, now_s - age_s)
-                )
-            elif eki is not None and eki.latest is not None:
-                age_s = host_s - eki.latest.received_s
-                self._newest = self._make_controller_reading(
-                    eki.latest, Stamp(self._sequence, 0, now_s - age_s)
-                )
-        return self._newest
-
-    def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:
-        age_s = (time.monotonic_ns() - state.received_ns) / 1e9
-        return ArmReading(
-            stamp,
-            Validity.OK if age_s <= self._stale_s else Validity.STALE,
-            state.measured_rad,
-            state.commanded_rad,
-            state.moving or not state.settled,
-        )
+    def _reported_reading(self, now_s: float, host_s: float) -> ArmReading | None:
+        eki = self._connections.open_eki
+        if eki is None or eki.latest is None:
+            return None
+        stamp = Stamp(self._sequence, 0, now_s - (host_s - eki.latest.received_s))
+        return self._make_controller_reading(eki.latest, stamp)
 
     def _make_controller_reading(self, state: ControllerState, stamp: Stamp) -> ArmReading:
         return ArmReading(

@@ -152,3 +152,27 @@ class ArmOlderThanHead(RefusedError):
 
     code = "CAL-021"
     action = "Run ronna-arm calibrate; no motion until then."
+
+
+class BasesDisagree(DataError):
+    """Tracker and stereo head disagree about where the assistant's base is."""
+
+    code = "CAL-022"
+    action = (
+        "Check that both carts are locked, that the frames on both arms are those of the records and screwed "
+        "tight, and that the ball is the assistant's; then calibrate the bases again."
+    )
+
+
+class PlatformMoved(RefusedError):
+    """The bases of the two arms are no longer where they were calibrated."""
+
+    code = "CAL-023"
+    action = "Lock both carts, then calibrate the bases again; the assistant does not move until then."
+
+
+class BasesOfOtherArms(RefusedError):
+    """The calibration of the bases belongs to other arms than those in the theatre file."""
+
+    code = "CAL-024"
+    action = "Calibrate the bases of these two arms; the assistant does not move until then."

@@ -47,3 +47,27 @@ class AnotherArm(RefusedError):
 
     code = "CAL-013"
     action = "Name this arm's own record in [calibration.arm], or calibrate it with ronna-arm calibrate."
+
+
+class BothArmsHalted(RefusedError):
+    """Both arms are held at rest, because something stopped one of them."""
+
+    code = "DUAL-001"
+    action = (
+        "Find out why, take any instrument out of the guide by hand, and recover the arms; a named person "
+        "then acknowledges. Nothing retreats by itself."
+    )
+
+
+class OtherArmMoving(RefusedError):
+    """An arm was to move while another motion is under way."""
+
+    code = "DUAL-002"
+    action = "Wait for the other motion, or have both paths checked and driven together."
+
+
+class OtherArmUnknown(RefusedError):
+    """An arm was to move while the state of the other one is unknown, or known no more."""
+
+    code = "DUAL-003"
+    action = "Connect and start both arms; check the link of the named one."

@@ -69,3 +69,10 @@ class CalibrationOfAnotherArm(ConfigurationError):
 
     code = "ARM-010"
     action = "Check the arm's model in the theatre file, and that the controller belongs to this arm."
+
+
+class ArmsTooClose(LimitError):
+    """Two arms would come, or have come, too close to each other."""
+
+    code = "ARM-011"
+    action = "Move one arm out of the way first, or choose another path for one of them."

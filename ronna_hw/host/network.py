@@ -62,13 +62,14 @@ def find_interface(local_address: str) -> Interface | None:
 FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which start at 32768
 
 
-def own_address() -> str:
-    """Return a loopback address unique among running processes: no race for free ports.
+def own_address(number: int = 0) -> str:
+    """Return a loopback address unique among running processes and per `number`, 0 or 1.
 
-    The process id, at most 22 bits, determines it: Linux answers on all of 127.0.0.0/8.
+    No race for free ports: the process id, at most 22 bits, determines it, and Linux answers on all of
+    127.0.0.0/8.
     """
     process = os.getpid()
-    return f"127.{64 + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
+    return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
 
 
 def own_udp_endpoint(number: int = 0) -> str:

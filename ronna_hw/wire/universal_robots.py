@@ -83,6 +83,8 @@ FIELD_TYPES: Final = {
 
 REGISTERS: Final = 48  # integers and doubles each
 CLIENT_REGISTERS: Final = range(24, REGISTERS)  # those below belong to fieldbuses
+# The tool changer states the number of the mounted tool, 0 for none, on standard inputs from DI0 on.
+TOOL_INPUTS: Final = range(4)  # bits of the digital inputs, the lowest first
 BIT_REGISTERS: Final = range(64, 128)  # as single fields; those below come in two words
 
 
@@ -145,6 +147,27 @@ OUTPUTS: Final[dict[str, FieldType]] = {
     "payload": DOUBLE,
     "payload_cog": VECTOR3D,
     "payload_inertia": VECTOR6D,
+    "analog_io_types": UINT32,
+    "io_current": DOUBLE,
+    "elbow_position": VECTOR3D,
+    "elbow_velocity": VECTOR3D,
+    "tool_mode": UINT32,
+    "tool_analog_input_types": UINT32,
+    "tool_analog_input0": DOUBLE,
+    "tool_analog_input1": DOUBLE,
+    "tool_output_voltage": INT32,
+    "tool_output_current": DOUBLE,
+    "tool_temperature": DOUBLE,
+    "tool_output_mode": UINT8,
+    "tool_digital_output0_mode": UINT8,
+    "tool_digital_output1_mode": UINT8,
+    "tcp_force_scalar": DOUBLE,
+    "euromap67_input_bits": UINT32,
+    "euromap67_output_bits": UINT32,
+    "euromap67_24V_voltage": DOUBLE,
+    "euromap67_24V_current": DOUBLE,
+    "actual_current_window": VECTOR6D,
+    "script_control_line": UINT32,
     **_registers("output"),
     **_registers("input"),  # any client may read inputs back
 }

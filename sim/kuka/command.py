@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.options import ArmRole
 
 if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
 
 RSI_DEFAULT = "udp://127.0.0.1:59152"
 FAULTS_OF = ("robot",)  # devices whose faults this simulator can have alone
+MASTER = ArmRole.MASTER
 
 
 class Corrections(StrEnum):
@@ -68,6 +70,7 @@ def kuka(
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
+    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated.
 
@@ -85,6 +88,7 @@ def kuka(
     from sim.kuka.rsi.telegrams import TelegramWriter
     from sim.named_parameters import rows
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
+    from sim.world.true_arm import arm_seed
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
@@ -103,10 +107,13 @@ def kuka(
     eki_address, project_address = (
         parse_endpoint(text, listening=True).require("tcp") for text in (eki, eki_project)
     )
-    room = open_world(world, scene, faults, FAULTS_OF)
-    last_state = room.arm() if room.has_arm else None
-    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, last_state)
-    controller = Controller(context, arm, room.mounted_tool, parameters)
+    room = open_world(world, scene, faults, FAULTS_OF, role=role)
+    last_state = room.arm(role) if room.has_arm(role) else None
+    arm = Manipulator(
+        room.scene.arm_of(role), arm_seed(room.scene.seed, role), room.publish_arm, parameters, last_state
+    )
+    tool = room.mounted_tool if role is ArmRole.MASTER else _no_tool
+    controller = Controller(context, arm, tool, parameters)
     # In lock-step theatre time stands still while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
     sdk_server = EkiServer(eki_address, SUBMIT_CYCLE_S)
@@ -122,6 +129,10 @@ def kuka(
         **_describe_link(context, inferred=rsi_config is not None and rsi_context is None),
     )
     cycle_loop.run()
+
+
+def _no_tool() -> int:
+    return 0
 
 
 def _read_context(

@@ -239,7 +239,10 @@ class CycleLoop:
             self._clock.end_stream()
 
     def _advance(self, cycle_ns: int) -> None:
-        """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame."""
+        """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame.
+
+        The other arm, if it streams, then comes as far.
+        """
         limit_s = time.monotonic() + READER_WAIT_S
         while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
             if time.monotonic() > limit_s:
@@ -250,6 +253,10 @@ class CycleLoop:
                     select.select([self._alarm], (), (), IDLE_WAIT_S)
                     self._clock.silence(self._alarm)
         self._clock.advance_cycle(cycle_ns)
+        while self._clock.must_wait_for_device() and not self._ending:
+            with self._clock.rest(self._alarm):
+                if self._clock.must_wait_for_device() and self._wait_once(IDLE_WAIT_S, self._alarm):
+                    self._clock.silence(self._alarm)
 
     def _update_display(self) -> None:
         run = self._controller.run

@@ -11,6 +11,8 @@ from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
 from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
 from sim.world import nominal_arm, universal_robots_arm
+from sim.world.options import ArmRole
+from sim.world.scene.model import Scene
 
 FREE = "tcp://127.0.0.1:0"
 
@@ -27,7 +29,7 @@ class ArmController:
     driver: str
     roles: tuple[str, ...]
     model_option: str
-    addresses: Callable[[str], tuple[str, ...]]  # options of the command, given the arm's name
+    addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
     parse_parameters: Callable[[tuple[str, ...]], object]
     cycles_ms: tuple[int, ...] = ()  # to choose from
 
@@ -40,10 +42,10 @@ class ArmController:
                 action="Omit --cycle-ms with this arm.",
             )
 
-    def arguments(self, variant: str, cycle_ms: int | None) -> tuple[str, ...]:
-        """Return the options of the command in a theatre of its own."""
+    def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
+        """Return the options of the command in a theatre."""
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
-        return (*cycle, *self.addresses(variant))
+        return (*cycle, *self.addresses(variant, role.number), "--role", role.value)
 
     def device_entry(
         self, variant: str, endpoints: Mapping[str, str], silence_limit_s: float, cycle_ms: int | None
@@ -62,20 +64,25 @@ KUKA = ArmController(
     driver="kuka_rsi",
     roles=("rsi", "eki_project"),
     model_option="variant",
-    addresses=lambda _: ("--rsi", own_udp_endpoint(), "--eki", FREE, "--eki-project", FREE),
+    addresses=lambda _, number: ("--rsi", own_udp_endpoint(number), "--eki", FREE, "--eki-project", FREE),
     parse_parameters=parse_kuka_parameters,
     cycles_ms=(4, 12),
 )
-# Its ports are fixed, so each theatre has an address of its own.
+# Its ports are fixed, so each arm of each theatre has an address of its own.
 UNIVERSAL_ROBOTS = ArmController(
     device="ur",
     driver="universal_robots",
     roles=("rtde", "dashboard", "primary"),
     model_option="model",
-    addresses=lambda variant: ("--address", own_address(), "--model", variant),
+    addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),
     parse_parameters=parse_ur_parameters,
 )
 CONTROLLERS: dict[str, ArmController] = {
     **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),
     **dict.fromkeys(universal_robots_arm.DESCRIPTIONS, UNIVERSAL_ROBOTS),
 }
+
+
+def device_name(scene: Scene, role: ArmRole) -> str:
+    """Return the name of an arm in the READY line of a theatre: that of its controller, or `assistant`."""
+    return CONTROLLERS[scene.arm.variant].device if role is ArmRole.MASTER else role.value

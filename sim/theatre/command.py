@@ -85,6 +85,9 @@ def theatre(
     target_balls: Annotated[
         bool, typer.Option("--target-balls", help="Put a ball at each target, as on a phantom.")
     ] = False,
+    dual: Annotated[
+        bool, typer.Option("--dual", help="Add a second arm, the assistant, on a cart of its own.")
+    ] = False,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -139,6 +142,7 @@ def theatre(
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
+        dual=dual,
     )
     records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""

@@ -20,10 +20,11 @@ from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
-from sim.theatre.arm_controllers import CONTROLLERS, ArmController
+from sim.theatre.arm_controllers import CONTROLLERS, ArmController, device_name
 from sim.theatre.records import refer_to_tip
 from sim.theatre.theatre_file import identity_of, read_calibration_time, theatre_content, write_theatre_file
 from sim.world.control_port import ControlPort, Room
+from sim.world.options import ArmRole
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
 from sim.world.truth import SCENE_FILE
@@ -51,7 +52,7 @@ POLARIS = "polaris"
 
 
 class Theatre:
-    """A running theatre: world, control port and three device processes."""
+    """A running theatre: world, control port and a process per device."""
 
     def __init__(
         self,
@@ -95,7 +96,8 @@ class Theatre:
                 calibrated,
             )
             if not paced:
-                content["robot"]["master"]["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
+                for robot in content["robot"].values():
+                    robot["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
             content["calibration"] |= records
             refer_to_tip(content)
             save_world(self.world, folder)  # from here on it can be continued, also if it is killed
@@ -132,35 +134,45 @@ class Theatre:
         self._control.close()
 
     def _save_world(self) -> None:
-        """Save the world, first allowing a moving arm time to come to rest."""
+        """Save the world, first allowing moving arms time to come to rest."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
-        while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
+        roles = [role for role in ArmRole if self.world.has_arm(role)]
+        while (
+            alive and not all(self.world.arm(role).at_rest for role in roles) and time.monotonic() < limit_s
+        ):
             time.sleep(REST_LOOK_S)
         with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
             save_world(self.world, self.folder)
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
-        variant = self.world.scene.arm.variant
-        controller = CONTROLLERS[variant]
-        arguments = {
-            "polaris": world,
-            controller.device: (*world, *controller.arguments(variant, cycle_ms)),
-            "basler": world,
+        scene = self.world.scene
+
+        def robot(role: ArmRole) -> tuple[str, ...]:
+            variant = scene.arm_of(role).variant
+            controller = CONTROLLERS[variant]
+            return (controller.device, *world, *controller.arguments(variant, role, cycle_ms))
+
+        commands: dict[str, tuple[str, ...]] = {
+            "polaris": ("polaris", *world),
+            device_name(scene, ArmRole.MASTER): robot(ArmRole.MASTER),
+            "basler": ("basler", *world),
         }
+        if scene.assistant is not None:
+            commands[device_name(scene, ArmRole.ASSISTANT)] = robot(ArmRole.ASSISTANT)
         self._children = [
             ChildProcess(
                 f"ronna-sim {name}",
-                command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
+                command("sim.cli", *more, *(f"--set={one}" for one in parameters.get(more[0], ()))),
                 timeout_s=None,
                 on_message=_pass_on_pendant,
             )
-            for name, more in arguments.items()
+            for name, more in commands.items()
         ]
         endpoints: dict[str, Any] = {}
         began = time.monotonic()
-        for name, child in zip(arguments, self._children, strict=True):
+        for name, child in zip(commands, self._children, strict=True):
             ready = child.await_ready(DEVICES_READY_LIMIT_S, STOP_LIMIT_S, began, DEVICE_IDLE_LIMIT_S)
             endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints

@@ -19,10 +19,11 @@ from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
-from sim.theatre.arm_controllers import CONTROLLERS
+from sim.theatre.arm_controllers import CONTROLLERS, device_name
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
 from sim.world.noise import noise
+from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
@@ -56,7 +57,6 @@ def theatre_content(
     not now.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
-    controller = CONTROLLERS[scene.arm.variant]
     content: dict[str, Any] = {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
@@ -68,9 +68,11 @@ def theatre_content(
             "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
-            "master": controller.device_entry(
-                scene.arm.variant, endpoints[controller.device], silence_limit_s, cycle_ms
+            role.value: CONTROLLERS[scene.arm_of(role).variant].device_entry(
+                scene.arm_of(role).variant, endpoints[device], silence_limit_s, cycle_ms
             )
+            for role in ArmRole
+            if (device := device_name(scene, role)) in endpoints
         },
         "stereo": {
             "driver": "basler_stereo",

@@ -9,8 +9,10 @@ from typing import Annotated
 import typer
 
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.options import ArmChoice, ArmRole
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
+MASTER = ArmRole.MASTER
 
 
 class ModelName(StrEnum):
@@ -44,18 +46,24 @@ def ur(
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
+    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
 ) -> None:
     """Simulate a Universal Robots controller and its arm, for any client, until terminated.
 
     It serves RTDE (30004), the dashboard (29999) and the client interfaces (30001 to 30003) on its address,
     powered and in remote control.
     """
+    from math import radians
+
     from sim.named_parameters import rows
+    from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
     from sim.universal_robots.controller import Controller
     from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
     from sim.universal_robots.cycle_loop import CycleLoop
+    from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.model import MODELS, ArmName
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
+    from sim.world.true_arm import arm_seed
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
@@ -65,9 +73,20 @@ def ur(
         start_in_background("ur")
         return
     parameters = parse_parameters(parameter or ())
-    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step)
-    controller = Controller(MODELS[ArmName(model.value)], parameters)
-    cycle_loop = CycleLoop(controller, room, _require_loopback(address))
+    place = require_loopback(address)
+    chosen = ArmChoice(model.value)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)
+    described, truth = MODELS[ArmName(model.value)], room.scene.arm_of(role)
+    require_arm(truth, described)
+    seed = arm_seed(room.scene.seed, role)
+    last = room.arm(role) if room.has_arm(role) else None
+    start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
+    kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
+    controller = Controller(described, parameters, kinematics, start_rad)
+    drives = controller.robot.drives
+    arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
+    tool = room.mounted_tool if role is MASTER else _no_tool
+    cycle_loop = CycleLoop(controller, arm, tool, room, place)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
@@ -81,7 +100,11 @@ def ur(
     cycle_loop.run()
 
 
-def _require_loopback(address: str) -> str:
+def _no_tool() -> int:
+    return 0
+
+
+def require_loopback(address: str) -> str:
     """Return an address of this computer alone; raises URC-002 for any other."""
     from ipaddress import IPv4Address
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import selectors
+import select
 import socket
 from collections.abc import Callable
 from typing import Protocol
@@ -14,6 +14,36 @@ from sim.errors import EndpointTaken
 READ_BYTES = 65536
 MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
 ANOTHER_ADDRESS = "Stop that program, or give an address of its own: --address 127.0.0.9."
+
+
+class Poll:
+    """Sockets to wait on, each with what to do when it is readable."""
+
+    def __init__(self) -> None:
+        self._epoll = select.epoll()
+        self._actions: dict[int, Callable[[], None]] = {}
+
+    def register(self, one: socket.socket, action: Callable[[], None]) -> None:
+        """Wait for a socket too."""
+        self._actions[one.fileno()] = action
+        self._epoll.register(one, select.EPOLLIN)
+
+    def unregister(self, one: socket.socket) -> None:
+        """Wait for a socket no more; without effect for one that was not waited for."""
+        if self._actions.pop(one.fileno(), None) is not None:
+            self._epoll.unregister(one)
+
+    def serve(self, timeout_s: float) -> None:
+        """Wait once, and do what is to be done."""
+        actions = self._actions
+        for number, _ in self._epoll.poll(timeout_s):
+            action = actions.get(number)
+            if action is not None:  # else closed a moment ago
+                action()
+
+    def close(self) -> None:
+        """Wait for nothing any more."""
+        self._epoll.close()
 
 
 class Handler(Protocol):
@@ -37,14 +67,14 @@ class HangUp(Exception):
 class Connection:
     """A client. What it does not read in time closes it."""
 
-    def __init__(self, client: socket.socket, poll: selectors.BaseSelector) -> None:
+    def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[Connection], None]) -> None:
         self.socket = client
-        self._poll = poll
+        self._poll, self._forget = poll, forget
         self.handler: Handler | None = None
         self.open = True
         self._held: list[bytes] | None = None  # what waits while nothing passes
         self._held_bytes = 0
-        poll.register(client, selectors.EVENT_READ, self.serve)
+        poll.register(client, self.serve)
 
     def serve(self) -> None:
         """Read what has arrived, and answer."""
@@ -92,7 +122,7 @@ class Connection:
             self._poll.unregister(self.socket)
             return
         waiting, self._held, self._held_bytes = self._held or [], None, 0
-        self._poll.register(self.socket, selectors.EVENT_READ, self.serve)
+        self._poll.register(self.socket, self.serve)
         if waiting:
             self.send(b"".join(waiting))
 
@@ -113,9 +143,9 @@ class Connection:
         if not self.open:
             return
         self.open = False
-        with contextlib.suppress(KeyError, ValueError):
-            self._poll.unregister(self.socket)
+        self._poll.unregister(self.socket)
         self.socket.close()
+        self._forget(self)
         if self.handler is not None:
             self.handler.closed()
 
@@ -127,28 +157,23 @@ class Listener:
         self,
         address: str,
         port: int,
-        poll: selectors.BaseSelector,
+        poll: Poll,
         connect: Callable[[Connection], Handler | None],
         *,
         send_buffer_bytes: int = 0,
     ) -> None:
         self._poll, self._connect = poll, connect
         self._send_buffer_bytes = send_buffer_bytes
-        self._connections: list[Connection] = []
+        self.connections: tuple[Connection, ...] = ()  # open ones
         self._holds = False
         self._socket = _listen(address, port)
-        poll.register(self._socket, selectors.EVENT_READ, self._accept)
+        poll.register(self._socket, self._accept)
 
     @property
     def endpoint(self) -> str:
         """Endpoint of the clients."""
         host, port = self._socket.getsockname()[:2]
         return f"tcp://{host}:{port}"
-
-    @property
-    def connections(self) -> list[Connection]:
-        """Open connections."""
-        return [connection for connection in self._connections if connection.open]
 
     def hold(self, *, holds: bool) -> None:
         """Let nothing pass, and nobody connect, or everything again."""
@@ -160,7 +185,7 @@ class Listener:
         if holds:
             self._poll.unregister(self._socket)
         else:
-            self._poll.register(self._socket, selectors.EVENT_READ, self._accept)
+            self._poll.register(self._socket, self._accept)
 
     def drop_all(self) -> None:
         """Close all connections."""
@@ -170,8 +195,7 @@ class Listener:
     def close(self) -> None:
         """Close all connections and stop listening."""
         self.drop_all()
-        with contextlib.suppress(KeyError):
-            self._poll.unregister(self._socket)
+        self._poll.unregister(self._socket)
         self._socket.close()
 
     def _accept(self) -> None:
@@ -181,13 +205,14 @@ class Listener:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._send_buffer_bytes:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._send_buffer_bytes)
-            self._connections = self.connections
-            connection = Connection(client, self._poll)
+            connection = Connection(client, self._poll, self._forget)
+            self.connections = (*self.connections, connection)
             connection.handler = self._connect(connection)
             if connection.handler is None:
                 connection.close()
-                return
-            self._connections.append(connection)
+
+    def _forget(self, connection: Connection) -> None:
+        self.connections = tuple(one for one in self.connections if one is not connection)
 
 
 def _listen(address: str, port: int) -> socket.socket:

@@ -5,14 +5,15 @@ It owns neither socket nor clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from ronna_hw.wire.universal_robots import RobotMode, RobotStatus, RuntimeState, SafetyMode
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Kinematics
-from sim.universal_robots.model import JOINTS, Model
+from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.modes import BROKEN, EMERGENCY, Modes
+from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.programs.program import Program
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import (
@@ -55,11 +56,15 @@ class Controller:
     """Universal Robots controller with one arm and at most one program."""
 
     def __init__(
-        self, model: Model, parameters: ControllerParameters, kinematics: Kinematics | None = None
+        self,
+        model: Model,
+        parameters: ControllerParameters,
+        kinematics: Kinematics | None = None,
+        start_rad: Sequence[float] = HOME_RAD,
     ) -> None:
         self.model = model
         self.parameters = parameters
-        self.robot = Robot(model, parameters, kinematics or Kinematics(model))
+        self.robot = Robot(model, parameters, kinematics or Kinematics(model), start_rad)
         self.modes = Modes(parameters, model.cycle_s)
         self.news = News()
         self.program: Program | None = None
@@ -94,6 +99,11 @@ class Controller:
         """Whether a program runs, or is changing from or to that."""
         return self.runtime_state not in (RuntimeState.STOPPED, RuntimeState.PAUSED)
 
+    @property
+    def links(self) -> list[Outgoing]:
+        """Connections that the program has opened."""
+        return self.program.links if self.program else []
+
     def start(self, program: Program) -> str:
         """Start a program in place of the present one; returns why not, or an empty string."""
         forbidden = self.may_run
@@ -114,6 +124,8 @@ class Controller:
         if program is None:
             return
         program.awaits_client = False
+        for link in program.links:
+            link.close()
         self.runtime_state = RuntimeState.STOPPING
         if program.failure:
             for tell in self.news.failure:
@@ -131,8 +143,9 @@ class Controller:
 
     def resume(self) -> bool:
         """Resume a paused program; returns whether that is possible."""
-        if self.program is None or self.may_run or self.is_running:
+        if self.may_run or self.runtime_state not in (RuntimeState.PAUSING, RuntimeState.PAUSED):
             return False
+        assert self.program is not None
         self.runtime_state = RuntimeState.RESUMING
         self.news.tell_program(RESUMED, self.program.name)
         return True
@@ -218,6 +231,9 @@ class Controller:
         try:
             next(steps)
         except StopIteration:
+            self.stop()
+        except (ArithmeticError, ValueError) as error:  # numbers of a client with which it cannot compute
+            program.failure = str(error)
             self.stop()
 
     def _watchdog_allows(self, program: Program) -> bool:

@@ -27,7 +27,7 @@ class ControllerParameters:
     ] = "running"
     programs: Annotated[
         str, "Programs on the controller that the dashboard can load, separated by commas."
-    ] = "external_control.urp"
+    ] = "external_control.urp,wait_program.urp"
     serial_number: Annotated[int, "Serial number, the digits that the dashboard states."] = 20265500001
 
     # power and safety
@@ -73,6 +73,15 @@ class ControllerParameters:
         float, "Lag of servoj beyond its lookahead time; 34 ms in all were seen at a lookahead of 0.03 s."
     ] = 0.004
     slider_slows_servoj: Annotated[bool, "The speed slider slows servoj too."] = False
+
+    # the arm itself
+    factory_calibration: Annotated[
+        Literal["linearised", "exact", "none"],
+        "Denavit-Hartenberg parameters in the controller: fitted to this arm with small changes, fitted "
+        "exactly (axes nearly parallel meet hundreds of metres away), or those of the model.",
+    ] = "linearised"
+    reversal_deg: Annotated[float, "Reversal after which a joint rests on its other flank."] = 0.0005
+    motion_speed_deg_s: Annotated[float, "Speed of a joint at which a new motion begins."] = 0.3
 
     # RTDE
     send_buffer_bytes: Annotated[

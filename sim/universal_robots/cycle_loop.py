@@ -11,11 +11,13 @@ clients that only watch could not follow faster ones.
 
 from __future__ import annotations
 
-import selectors
 import time
+from collections.abc import Callable
 
 from ronna_hw.wire.universal_robots import SEQUENCE_INPUT
-from sim.universal_robots.controller import POSES, Controller
+from sim.universal_robots.arm_in_world import ArmInWorld
+from sim.universal_robots.connections import Poll
+from sim.universal_robots.controller import Controller
 from sim.universal_robots.faults import ControllerFaults
 from sim.universal_robots.interfaces.clients import ClientInterfaces
 from sim.universal_robots.interfaces.dashboard import Dashboard
@@ -36,10 +38,19 @@ IDLE_WAIT_S = 0.02
 class CycleLoop:
     """Runs a controller cycle by cycle until `end` is called."""
 
-    def __init__(self, controller: Controller, world: World, address: str) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        arm: ArmInWorld,
+        mounted_tool: Callable[[], int],
+        world: World,
+        address: str,
+    ) -> None:
         self._controller = controller
+        self._arm = arm
+        self._mounted_tool = mounted_tool
         self._clock = world.clock
-        self._poll = selectors.EpollSelector()
+        self._poll = Poll()
         self.rtde = RtdeServer(controller.robot, address, self._poll, world.scene.seed)
         controller.watched = lambda: self.rtde.watched_writes
         self.clients = ClientInterfaces(controller, address, self._poll)
@@ -48,7 +59,7 @@ class CycleLoop:
         board = FaultBoard(world, "ur", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self.rtde, self.clients, self.dashboard, log)
         self._alarm = self._clock.open_alarm()
-        self._poll.register(self._alarm, selectors.EVENT_READ, self._ring)
+        self._poll.register(self._alarm, self._ring)
         self._cycle_s = controller.model.cycle_s
         self._cycle_ns = round(self._cycle_s * 1e9)
         self._lock_step = not self._clock.paced
@@ -85,6 +96,7 @@ class CycleLoop:
             for listener in (self.rtde.listener, self.dashboard.listener, *self.clients.listeners):
                 listener.close()
             self._alarm.close()
+            self._poll.close()
 
     def _cycle_number(self) -> int:
         """Return the number of the next cycle."""
@@ -103,9 +115,11 @@ class CycleLoop:
         controller, program = self._controller, self._controller.program
         watchdog = None if program is None else program.watchdog
         self.rtde.watched = -1 if watchdog is None else watchdog.place
-        controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants(POSES)
+        controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants_poses
         self.rtde.store_late()
+        controller.robot.set_mounted_tool(self._mounted_tool())
         controller.step()
+        self._arm.follow()
         self.rtde.send_outputs()
         self.clients.send_state()
         streamer = self._streamer()
@@ -114,7 +128,7 @@ class CycleLoop:
         elif self.rtde.awaits(streamer):
             self._await_set_point(streamer)
         else:
-            self._serve(0.0)
+            self._poll.serve(0.0)
         if self._lock_step:
             self._advance(streams=streamer is not None)
 
@@ -128,11 +142,6 @@ class CycleLoop:
 
     # -- waiting
 
-    def _serve(self, timeout_s: float) -> None:
-        """Wait once for clients, and serve them."""
-        for key, _ in self._poll.select(timeout_s):
-            key.data()
-
     def _pace(self) -> None:
         """Wait for the next cycle of an absolute schedule; after a stall of the host it begins anew."""
         self._deadline_s += self._cycle_s
@@ -140,7 +149,7 @@ class CycleLoop:
         if now_s - self._deadline_s > LATE_CYCLES * self._cycle_s:
             self._deadline_s = now_s
         while not self._ending:
-            self._serve(max(0.0, self._deadline_s - now_s))
+            self._poll.serve(max(0.0, self._deadline_s - now_s))
             now_s = time.monotonic()
             if now_s >= self._deadline_s:
                 return
@@ -150,17 +159,17 @@ class CycleLoop:
         began_s = time.monotonic()
         limit_s = began_s + (self._cycle_s if self._silent else REPLY_WAIT_S)
         packages = streamer.packages
-        poll = self._poll
+        wait_s = limit_s - began_s
         while True:
-            for key, _ in poll.select(max(0.0, limit_s - time.monotonic())):
-                key.data()
+            self._poll.serve(wait_s)
             if streamer.packages != packages:
                 self._silent = False
                 break
             now_s = time.monotonic()
             if self._ending or self._streamer() is not streamer:
                 break
-            if now_s >= limit_s:
+            wait_s = limit_s - now_s
+            if wait_s <= 0.0:
                 self._silent = True
                 break
         self._rest(streamer, began_s + REST_CYCLE_S)
@@ -182,7 +191,7 @@ class CycleLoop:
                 and not self._clock.may_pass()
                 and (remaining_s := next_s - time.monotonic()) > 0.0
             ):
-                self._serve(remaining_s)
+                self._poll.serve(remaining_s)
 
     def _ring(self) -> None:
         self._clock.silence(self._alarm)
@@ -202,5 +211,9 @@ class CycleLoop:
                 break
             with self._clock.rest(self._alarm, for_reader=True):
                 if self._clock.must_wait_for_reader(self._cycle_ns):
-                    self._serve(IDLE_WAIT_S)
+                    self._poll.serve(IDLE_WAIT_S)
         self._clock.advance_cycle(self._cycle_ns)
+        while self._clock.must_wait_for_device() and not self._ending:  # until the other arm comes as far
+            with self._clock.rest(self._alarm):
+                if self._clock.must_wait_for_device():
+                    self._poll.serve(IDLE_WAIT_S)

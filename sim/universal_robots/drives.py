@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import copysign, exp, sqrt
+from math import copysign, exp, isfinite, sqrt
 
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.model import FULL_SPEED_RAD_S, JOINT_RANGE_RAD, JOINTS, LARGEST_ACCELERATION_RAD_S2
 
+IMPOSSIBLE_RAD_S = 100.0  # sum over the joints beyond which a set-point is not followed at all
 ARRIVED_RAD = 1e-7  # from where the servo goes to its goal exactly
 STILL: list[float] = [0.0] * JOINTS
 
@@ -49,6 +50,10 @@ class Drives:
         """Move towards a goal with a lag, within the accelerations of the drives."""
         if goal == self.target and self.target_speed is STILL:
             self._finish(self.target, STILL)
+            return
+        if not isfinite(sum(goal)):
+            self.trip = "a target that is not finite"
+            self.coast()
             return
         if lag_s != self._servo_lag_s:
             self._servo_lag_s = lag_s
@@ -114,6 +119,10 @@ class Drives:
         self.served += 1
         if speeds is not STILL:
             cycle_s = self._cycle_s
+            if not sum(map(abs, speeds)) <= IMPOSSIBLE_RAD_S:  # nor if one is no number
+                self.trip = "a set-point that no joint can follow"
+                speeds = self.target_speed
+                joints = [angle + speed * cycle_s for angle, speed in zip(self.target, speeds, strict=True)]
             self.target_acceleration = [
                 (new - old) / cycle_s for new, old in zip(speeds, self.target_speed, strict=True)
             ]

@@ -76,6 +76,8 @@ class ControllerFaults:
         self.is_cut = "ur_cable" in present
         for listener in self._listeners:
             listener.hold(holds=self.is_cut or self.frozen)
+        for link in controller.links:
+            link.cut = self.is_cut
         for kind in MOMENTARY:
             for fault in self._board.happened(kind):
                 self._log.happened(fault)
@@ -121,3 +123,5 @@ class ControllerFaults:
         else:
             for listener in self._listeners:
                 listener.drop_all()
+            for link in controller.links:
+                link.close()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
+from ronna_hw.wire.universal_robots import TOOL_INPUTS
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.kinematics import (
@@ -18,6 +20,7 @@ from sim.universal_robots.kinematics import (
 )
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.variables import (
+    DIGITAL_INPUTS,
     INITIAL_VALUES,
     INPUT_DOUBLES,
     INPUT_INTS,
@@ -35,12 +38,18 @@ _TCP_OFFSET, _COG = PLACES["tcp_offset"], PLACES["payload_cog"]
 class Robot:
     """One arm with its controller's variables. Programs move it, once per cycle."""
 
-    def __init__(self, model: Model, parameters: ControllerParameters, kinematics: Kinematics) -> None:
+    def __init__(
+        self,
+        model: Model,
+        parameters: ControllerParameters,
+        kinematics: Kinematics,
+        start_rad: Sequence[float] = HOME_RAD,
+    ) -> None:
         self.model = model
         self.parameters = parameters
         self.kinematics = kinematics
         self.cycle_s = model.cycle_s
-        self.drives = Drives(HOME_RAD, model.cycle_s, parameters)
+        self.drives = Drives(start_rad, model.cycle_s, parameters)
         self.values: list[Any] = list(INITIAL_VALUES)
         self.values[SPEED_SCALING] = self.values[TARGET_SPEED_FRACTION] = 1.0
         self.tcp = IDENTITY
@@ -78,15 +87,23 @@ class Robot:
         self.values[TARGET_SPEED_FRACTION] = max(0.0, min(1.0, fraction))
 
     def set_tcp(self, pose: Sequence[float]) -> None:
-        """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad)."""
+        """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad); raises ValueError."""
+        _require_finite(*pose)
         self.tcp = frame_of_pose(pose)
         self.values[_TCP_OFFSET] = pose
 
     def set_payload(self, mass_kg: float, centre_m: Sequence[float] | None) -> None:
-        """Set the payload, at its former centre of gravity if None."""
+        """Set the payload, at its former centre of gravity if None; raises ValueError."""
+        _require_finite(mass_kg, *(centre_m or ()))
         self.values[PAYLOAD] = mass_kg
         if centre_m is not None:
             self.values[_COG] = centre_m
+
+    def set_mounted_tool(self, number: int) -> None:
+        """Set what the tool changer states."""
+        mask = (1 << len(TOOL_INPUTS)) - 1
+        inputs = self.values[DIGITAL_INPUTS] & ~(mask << TOOL_INPUTS.start)
+        self.values[DIGITAL_INPUTS] = inputs | (number & mask) << TOOL_INPUTS.start
 
     # -- kinematics
 
@@ -101,3 +118,8 @@ class Robot:
     def joints_at(self, tool: Frame, near_rad: Sequence[float]) -> list[float] | None:
         """Return the joints that bring the tool centre point there, or None if none are found."""
         return self.kinematics.joints_at(compose(tool, inverted(self.tcp)), near_rad)
+
+
+def _require_finite(*numbers: float) -> None:
+    if not isfinite(sum(map(abs, numbers))):
+        raise ValueError("a number that is not finite")

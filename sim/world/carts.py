@@ -2,7 +2,7 @@
 
 A move is a line of the theatre's script (`room move cart`), so that it survives the theatre and can be
 scheduled like a fault. The cart rolls straight and turns on its wheels at an even pace. It carries its arm,
-calibration stand and gauge; head and tracker stay in the room.
+the master's also calibration stand and gauge; head and tracker stay in the room.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ import numpy as np
 from sim.errors import BadCartMove
 from sim.world.faults.fault import Fault, join_choices
 from sim.world.faults.room import DEVICE, LARGEST_MOVE_MM, LARGEST_TURN_DEG, MOVE, cart_numbers
+from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, matrix_from, rotation_from_vector
 from sim.world.scene.model import Scene
 
 # Of a heavy cart that one person pushes and another steers: a slow walk. An assumption, not a measurement.
 PACE_MM_S, PACE_DEG_S = 500.0, 30.0
+CART_OF = {ArmRole.MASTER: "1", ArmRole.ASSISTANT: "2"}  # as in a script
 SCRIPT_STEP_S = 0.001  # times are written with six decimals
 DONE_S = "0"  # time that a finished move still takes
 
@@ -67,13 +69,15 @@ class CartMove:
         return f"{DEVICE} move {MOVE.phrase.split()[1]} {self.number} {x} {y} {z} mm {turn} deg in {time} s"
 
 
-def cart_pose(moves: Iterable[tuple[Fault, float]], now_s: float) -> Matrix:
-    """Return the pose (4, 4) of a moved cart's base in the base before all moves, given their onsets.
+def cart_pose(moves: Iterable[tuple[Fault, float]], now_s: float, role: ArmRole) -> Matrix:
+    """Return the pose (4, 4) of an arm's base in that base before all moves.
 
-    Each move is along the axes at its onset; of moves with the same one, the earlier line goes first.
+    `moves` are those of all carts, with their onsets. Each is along the axes at its onset; of moves with the
+    same one, the earlier line goes first.
     """
     pose = np.eye(4)
-    for move, onset_s in sorted(moves, key=itemgetter(1)):
+    own = [one for one in moves if one[0].argument == CART_OF[role]]
+    for move, onset_s in sorted(own, key=itemgetter(1)):
         *by_mm, turn_deg, duration_s = (float(argument) for argument in move.arguments[1:])
         share = min(1.0, (now_s - onset_s) / duration_s) if duration_s > 0.0 else 1.0
         turn = rotation_from_vector((0.0, 0.0, math.radians(share * turn_deg)))

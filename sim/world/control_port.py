@@ -45,11 +45,11 @@ from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import InstrumentInGuide
 from sim.world.carts import CartMove
 from sim.world.faults import (
-    DEVICES,
     FaultBoard,
     begin_now,
     begin_with_step,
     check_faults,
+    devices_of,
     parse_faults,
     parse_request,
     without_fault,
@@ -185,22 +185,22 @@ class _HangUp(Exception):
 class Room:
     """Executes requests in a world, and stores the truth at each target in `folder` if given.
 
-    `devices` are simulated here: faults of others are refused. `loaded` returns the tools that a client
-    has loaded into the tracker, if the tracker is in this process.
+    `devices` are simulated here, by default all: faults of others are refused. `loaded` returns the tools
+    that a client has loaded into the tracker, if the tracker is in this process.
     """
 
     def __init__(
         self,
         world: World,
         folder: Path | None,
-        devices: Sequence[str] = DEVICES,
+        devices: Sequence[str] | None = None,
         loaded: Callable[[], Sequence[str]] | None = None,
         identity: str = "",
     ) -> None:
         self._world = world
         self._folder = folder
         self._identity = identity
-        self._devices = devices
+        self._devices = devices_of(world.scene) if devices is None else devices
         self._loaded = loaded
         self._staff = Staff(world, folder)
         self._board = FaultBoard(world, DEVICE)
@@ -283,7 +283,7 @@ class Room:
         self._world.mount_tool(int(number))
 
     def _move(self, request: dict[str, Any]) -> dict[str, Any]:
-        if set(self._devices) < set(DEVICES):  # a simulator alone
+        if set(self._devices) < set(devices_of(self._world.scene)):  # a simulator alone
             raise TaskRefused("there is no arm on a cart here", "Give the control port of a theatre.")
         x, y, z = (_require_number(value) for value in request["by_mm"])
         number, turn_deg = _require_number(request["cart"]), _require_number(request["turn_deg"])

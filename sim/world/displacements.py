@@ -29,6 +29,7 @@ from sim.world.faults.room import (
     UNLOCKED,
 )
 from sim.world.noise import noise
+from sim.world.options import ArmRole
 from sim.world.rigid import (
     Matrix,
     Point,
@@ -45,6 +46,7 @@ from sim.world.world import World
 
 Array = NDArray[np.float64]
 STILL: Point = (0.0, 0.0, 0.0)
+IDENTITY = np.eye(4)
 SECONDS_PER_MINUTE = 60.0
 SEATING = "seating"  # noise key; each screw draws independently of the others
 
@@ -62,6 +64,8 @@ class RoomShift:
     tracker_rad: Point = STILL
     guide_mm: Point = STILL  # of the mounted tool, by a hand
     guide_rad: Point = STILL  # about the tracked frame
+    assistant_mm: Point = STILL  # of the assistant's base, as of the head
+    assistant_rad: Point = STILL
     spheres_mm: tuple[tuple[int, Point], ...] = ()
 
     def displace_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
@@ -84,6 +88,16 @@ class ShiftedRoom:
         self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
         head = world.scene.head
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
+        assistant = world.scene.assistant
+        self._assistant_base = IDENTITY if assistant is None else matrix_of(assistant.robot_from_base)
+
+    def robot_from_assistant(self, room: RoomShift) -> Matrix:
+        """Return ROBOT <- base of the assistant (4, 4) with a displacement of the room."""
+        return rigid_move(room.assistant_rad, room.assistant_mm) @ self._assistant_base
+
+    def _assistant_move(self, in_base: Matrix) -> Matrix:
+        """Return a move of the assistant's cart, given in its base, as one in the robot frame."""
+        return self._assistant_base @ in_base @ inverse(self._assistant_base)
 
     def now(self) -> RoomShift:
         """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
@@ -95,9 +109,11 @@ class ShiftedRoom:
         cart_mm = _add_up([_sum_arguments(shifts, CART), *list_cart_rolls_mm(self._board, now_s)])
         push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
         knocked = matrix_from(cart_mm, rotation_from_vector(np.radians(_sum_arguments(turns, CART))))
-        wheeled = cart_pose([one for one in self._board.acting_since() if one[0].kind is MOVE], now_s)
+        moves = [one for one in self._board.acting_since() if one[0].kind is MOVE]
+        wheeled = cart_pose(moves, now_s, ArmRole.MASTER)
         # Relative to a moved cart, all else moves back.
         from_cart = inverse(knocked @ wheeled)
+        assistant = from_cart @ self._assistant_move(cart_pose(moves, now_s, ArmRole.ASSISTANT))
         back = from_cart[:3, :3]
         head_turn = rotation_from_vector(np.radians(_sum_arguments(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
@@ -109,6 +125,8 @@ class ShiftedRoom:
             tracker_rad=as_point(vector_from_rotation(back)),
             guide_mm=as_point(back @ np.divide(push_N, self._stiffness_N_mm)),
             guide_rad=as_point(back @ np.radians(_sum_arguments(turns, GUIDE))),
+            assistant_mm=as_point(assistant[:3, 3]),
+            assistant_rad=as_point(vector_from_rotation(assistant[:3, :3])),
             spheres_mm=tuple(
                 (int(number), as_point(back @ np.array(_sum_arguments(loose, number))))
                 for number in sorted({one.argument for one in loose})

@@ -26,3 +26,15 @@ class Carrier(StrEnum):
 
     FREE = "free"
     XFRAME = "xframe"
+
+
+class ArmRole(StrEnum):
+    """Role of an arm, as the theatre file names it."""
+
+    MASTER = "master"  # carries stereo head and guide; its base is the robot frame
+    ASSISTANT = "assistant"  # carries the instrument
+
+    @property
+    def number(self) -> int:
+        """Number from 0, also that of its cycles in the clock."""
+        return tuple(ArmRole).index(self)

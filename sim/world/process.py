@@ -20,9 +20,10 @@ from ronna_hw.host.process import PARENT, resume_garbage_collection
 from sim.errors import BadScene
 from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
-from sim.world.faults import DEVICES, read_faults
-from sim.world.options import ArmChoice, Carrier
+from sim.world.faults import read_faults
+from sim.world.options import ArmChoice, ArmRole, Carrier
 from sim.world.running import register
+from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, Scene, read_scene
 from sim.world.scene.named_scenes import SCENES, draw_scene
 from sim.world.world import World
@@ -103,17 +104,20 @@ def open_world(
     world: str | None,
     scene: str,
     faults: Path | None = None,
-    devices: Sequence[str] = DEVICES,
+    devices: Sequence[str] | None = None,
     *,
     paced: bool = True,
+    arm: ArmChoice = ArmChoice.KR6,
+    role: ArmRole = ArmRole.MASTER,
 ) -> World:
     """Open the theatre's world, or create one for a standalone simulator, on the host's clock if `paced`.
 
-    `scene` is a built-in name or a file; `devices` are those simulated in a world of its own.
+    `scene` is a built-in name, drawn with `arm`, or a file; `devices` are those simulated in a world of its
+    own. In a theatre, `role` is that of the arm that this process simulates.
     """
     if world is not None:
-        return World.open(world)
-    truth = load_scene(scene)
+        return World.open(world, role)
+    truth = load_scene(scene, arm=arm if scene in SCENES else ArmChoice.KR6)
     script = read_faults(faults, truth, devices) if faults else ""
     own = World.create(truth, paced=paced)
     if script:
@@ -139,11 +143,12 @@ def load_scene(
     calibrated: bool = False,
     first_day: bool = False,
     target_balls: bool = False,
+    dual: bool = False,
 ) -> Scene:
     """Draw a named scene, or read a scene file; raises SIM-001.
 
     `calibrated`: the arm has a calibration record. `first_day`: frame and tip have no valid one.
-    `target_balls`: a ball at each target.
+    `target_balls`: a ball at each target. `dual`: a second arm, unless the scene has one.
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
@@ -157,6 +162,8 @@ def load_scene(
     if target_balls:
         head = drawn.head.model_copy(update={"target_balls": True})
         drawn = drawn.model_copy(update={"head": head})
+    if dual:
+        drawn = add_assistant(drawn)
     error = drawn.calibration_error
     if calibrated and error.arm is None:
         error = error.model_copy(update={"arm": ArmResidual()})

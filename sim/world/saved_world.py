@@ -33,6 +33,7 @@ from sim.world.faults.camera import TWIST
 from sim.world.faults.room import CART, MOVE, PUSH, ROOM_FAULTS
 from sim.world.faults.room import DEVICE as ROOM
 from sim.world.faults.tracker import DISPLACED_TOOLS
+from sim.world.options import ArmRole
 from sim.world.scene.model import Numbers6, Scene
 from sim.world.world import ArmState, World
 
@@ -52,6 +53,19 @@ class SavedArm(Strict):
     motion_number: Count = Field(description="Number of motions so far.")
     moved_s: Annotated[float, Field(ge=0)] = Field(description="Time in motion so far.")
 
+    @classmethod
+    def from_world(cls, world: World, role: ArmRole) -> SavedArm | None:
+        """Capture the present state of an arm, or return None before it has started."""
+        if not world.has_arm(role):
+            return None
+        arm = world.arm(role)
+        return cls(
+            joints_rad=arm.joints_rad,
+            flanks=arm.flanks,
+            motion_number=arm.motion_number,
+            moved_s=arm.moved_s,
+        )
+
 
 class SavedWorld(Strict):
     """All mutable state of a world."""
@@ -63,6 +77,7 @@ class SavedWorld(Strict):
         default=None, description="Trajectory at which an instrument is in the guide."
     )
     arm: SavedArm | None = Field(description="None until the robot has started.")
+    assistant: SavedArm | None = Field(default=None, description="The second arm; None without one.")
     standing_faults: str = Field(
         default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
     )
@@ -70,20 +85,13 @@ class SavedWorld(Strict):
     @classmethod
     def from_world(cls, world: World) -> SavedWorld:
         """Capture the present state of a world."""
-        arm = world.arm() if world.has_arm else None
         return cls(
             theatre_time_ns=world.clock.now_ns(),
             mounted_tool=world.mounted_tool(),
             mountings=world.mountings(),
             inserted=world.inserted(),
-            arm=None
-            if arm is None
-            else SavedArm(
-                joints_rad=arm.joints_rad,
-                flanks=arm.flanks,
-                motion_number=arm.motion_number,
-                moved_s=arm.moved_s,
-            ),
+            arm=SavedArm.from_world(world, ArmRole.MASTER),
+            assistant=SavedArm.from_world(world, ArmRole.ASSISTANT),
             standing_faults=standing_faults(world),
         )
 
@@ -93,11 +101,13 @@ class SavedWorld(Strict):
         world.mount_tool(self.mounted_tool, self.mountings)
         world.put_in_guide(self.inserted)
         world.set_fault_script(self.standing_faults)
-        if (arm := self.arm) is not None:
-            # The robot simulator publishes the flange's true pose before anyone can read it.
-            world.publish_arm(
-                ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s)
-            )
+        for role, arm in ((ArmRole.MASTER, self.arm), (ArmRole.ASSISTANT, self.assistant)):
+            if arm is not None:
+                # The robot simulator publishes the flange's true pose before anyone can read it.
+                world.publish_arm(
+                    ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s),
+                    role,
+                )
         return world
 
 

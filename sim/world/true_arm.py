@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES, RobotDescription
+from sim.world.options import ArmRole
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
 
@@ -35,6 +36,11 @@ DEVICE = "arm"  # noise key
 DRIFT = "arm warmth"  # noise key of the direction of thermal displacement
 # The backlash of a joint is the full play on a reversal: it rests half of it to either side.
 FLANK_SHARE = 0.5
+
+
+def arm_seed(scene_seed: int, role: ArmRole) -> int:
+    """Return the seed of an arm's own random errors: two arms share none."""
+    return scene_seed if role is ArmRole.MASTER else int(noise(scene_seed, role.value, 0).integers(2**31))
 
 
 class TrueArm:

@@ -110,11 +110,8 @@ def axes_of_branch(
     axes are parallel: the arm is solved in the plane across them, in which `u` points ahead and `v` up.
     """
     upper_mm, fore_mm = arm.joints[2].origin_mm[0], arm.joints[3].origin_mm[0]
-    beside_mm, wrist_mm, flange_mm = (
-        -arm.joints[4].origin_mm[1],
-        -arm.joints[5].origin_mm[2],
-        -arm.flange_mm[1],
-    )
+    beside_mm, wrist_mm = -arm.joints[4].origin_mm[1], -arm.joints[5].origin_mm[2]
+    flange_mm = -arm.flange_mm[1]
     x_axis, y_axis, z_axis = flange[:3, 0].tolist(), flange[:3, 1].tolist(), flange[:3, 2].tolist()
     x_mm, y_mm, z_mm = (flange[:3, 3] - flange_mm * flange[:3, 2]).tolist()
     out_mm = hypot(x_mm, y_mm)

@@ -24,6 +24,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.shared_memory import MemoryMap, text
 from ronna_hw.wire.room_tasks import OnStand
 from sim.errors import WorldUnavailable
+from sim.world.options import ArmRole
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Numbers6, Scene, parse_scene_json
 
@@ -64,8 +65,8 @@ class InstrumentRow(NamedTuple):
 
 _MAP = MemoryMap(b"RONNAWLD")
 _CLOCK = _MAP.rows(ClockRow)
-_ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
-_ARM = _MAP.rows(ArmRow)
+_ARM_SEQUENCES = tuple(_MAP.word() for _ in ArmRole)  # odd while that arm is being written
+_ARMS = _MAP.rows(ArmRow, len(ArmRole))
 _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
 _MOUNTINGS = _MAP.word()
 _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
@@ -78,7 +79,7 @@ _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 
 class ArmState(NamedTuple):
-    """True arm state: encoder angles, and flange pose in the robot frame."""
+    """True arm state: encoder angles, and flange pose in the base of the arm."""
 
     joints_rad: Numbers6
     robot_from_flange: NDArray[np.float64]  # (4, 4)
@@ -91,9 +92,10 @@ class ArmState(NamedTuple):
 class World:
     """View of the shared memory block; the owning process calls `create`, all others call `open`."""
 
-    def __init__(self, path: str, scene: Scene | None = None) -> None:
+    def __init__(self, path: str, scene: Scene | None = None, role: ArmRole = ArmRole.MASTER) -> None:
         self._path = path
-        self._kept_arm: tuple[ArmRow, ArmState] | None = None
+        self.role = role
+        self._kept_arms: dict[ArmRole, tuple[ArmRow, ArmState]] = {}
         try:
             file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
             try:
@@ -105,7 +107,7 @@ class World:
         if not self._is_world():
             raise WorldUnavailable(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
-        self.clock = SharedClock(self._clock_path)
+        self.clock = SharedClock(self._clock_path, role.number)
         if scene is None:
             end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
             scene = parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {path}")
@@ -134,9 +136,12 @@ class World:
         return world
 
     @classmethod
-    def open(cls, endpoint: str) -> World:
-        """Open a theatre's world by its `shm://` endpoint; raises SIM-001, SIM-002, CLK-001, INP-001."""
-        return cls(parse_endpoint(endpoint).require("shm").path)
+    def open(cls, endpoint: str, role: ArmRole = ArmRole.MASTER) -> World:
+        """Open a theatre's world by its `shm://` endpoint; raises SIM-001, SIM-002, CLK-001, INP-001.
+
+        `role` is that of the arm whose cycles this process may stream.
+        """
+        return cls(parse_endpoint(endpoint).require("shm").path, role=role)
 
     @property
     def endpoint(self) -> str:
@@ -148,36 +153,40 @@ class World:
         """Endpoint of the world's clock alone."""
         return f"shm://{self._clock_path}"
 
-    def publish_arm(self, state: ArmState) -> None:
-        """Publish the arm's state; for use by the robot simulator only."""
-        memory = self._memory
-        sequence = _ARM_SEQUENCE.read(memory)
-        _ARM_SEQUENCE.write(memory, sequence + 1)
+    def publish_arm(self, state: ArmState, role: ArmRole | None = None) -> None:
+        """Publish an arm's state, by default that of this process' own; for use by its simulator only."""
+        role = role or self.role
+        memory, count = self._memory, _ARM_SEQUENCES[role.number]
+        sequence = count.read(memory)
+        count.write(memory, sequence + 1)
         rows = tuple(state.robot_from_flange[:3].ravel().tolist())
         row = ArmRow(state.joints_rad, rows, state.motion_number, state.at_rest, state.flanks, state.moved_s)
-        _ARM.write(memory, row)
-        _ARM_SEQUENCE.write(memory, sequence + 2)
+        _ARMS.write(memory, row, role.number)
+        count.write(memory, sequence + 2)
 
-    def arm(self) -> ArmState:
-        """Read a consistent true arm state (seqlock), even if its writer died while writing."""
+    def arm(self, role: ArmRole = ArmRole.MASTER) -> ArmState:
+        """Read a consistent true arm state (seqlock), even if its writer died while writing.
+
+        The flange is in the arm's own base, which for the master is the robot frame.
+        """
+        count = _ARM_SEQUENCES[role.number]
         for _ in range(READ_ATTEMPTS):
-            before = _ARM_SEQUENCE.read(self._memory)
-            row = _ARM.read(self._memory)
-            if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
+            before = count.read(self._memory)
+            row = _ARMS.read(self._memory, role.number)
+            if before % 2 == 0 and before == count.read(self._memory):
                 break
-        kept = self._kept_arm
+        kept = self._kept_arms.get(role)
         if kept is None or kept[0] != row:
             matrix = np.eye(4)
             matrix[:3] = np.reshape(row.flange_rows, (3, 4))
             matrix.flags.writeable = False  # shared by all who ask until the arm changes
             state = ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest, row.flanks, row.moved_s)
-            kept = self._kept_arm = (row, state)
+            kept = self._kept_arms[role] = (row, state)
         return kept[1]
 
-    @property
-    def has_arm(self) -> bool:
-        """Whether the arm's pose has been set."""
-        return _ARM_SEQUENCE.read(self._memory) > 0
+    def has_arm(self, role: ArmRole = ArmRole.MASTER) -> bool:
+        """Return whether the arm's pose has been set."""
+        return _ARM_SEQUENCES[role.number].read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
         """Return the true pose (4, 4) of the stereo head's tool centre point, carried by the arm."""

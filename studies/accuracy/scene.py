@@ -37,6 +37,7 @@ from studies.accuracy.postures import ARM, Postures, plan_postures
 from studies.accuracy.random_arms import RandomArms, Source, centre_on_spheres, reach_positions
 from studies.campaign.study import Sums
 
+AS_BUILT = KR6.errors
 CALIBRATED = ArmResidual()
 # Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
 CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
@@ -137,13 +138,13 @@ class Scenario:
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
-            links=CALIBRATED.angle_rad / KR6.errors.link_rotation_rad if self.kinematics else 1.0,
+            links=CALIBRATED.angle_rad / AS_BUILT.link_rotation_rad if self.kinematics else 1.0,
             backlash=self._remaining_backlash(strategy),
         )
 
     def _remaining_backlash(self, strategy: str) -> float:
         known = self.known and strategy != ANY_APPROACH
-        return CALIBRATED_BACKLASH_RAD / KR6.errors.backlash_rad if known else 1.0
+        return CALIBRATED_BACKLASH_RAD / AS_BUILT.backlash_rad if known else 1.0
 
     def scale(self, arms: RandomArms, strategy: str) -> RandomArms:
         """Scale the arms' errors down to those remaining for a strategy after calibration."""
@@ -154,15 +155,13 @@ class Scenario:
             return arms
         turns = Rotation.from_matrix(arms.link_rotation.reshape(-1, 3, 3)).as_rotvec()
         remaining = Rotation.from_rotvec(
-            turns * CALIBRATED.angle_rad / KR6.errors.link_rotation_rad
+            turns * CALIBRATED.angle_rad / AS_BUILT.link_rotation_rad
         ).as_matrix()
         return replace(
             arms,
-            link_translation_mm=arms.link_translation_mm
-            * CALIBRATED.link_mm
-            / KR6.errors.link_translation_mm,
+            link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / AS_BUILT.link_translation_mm,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
-            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / KR6.errors.joint_offset_rad,
+            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / AS_BUILT.joint_offset_rad,
         )
 
 

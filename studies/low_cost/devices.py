@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw import patient_frame
+from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
+from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
@@ -20,6 +23,9 @@ from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
 from ronna_hw.vectors import JointVector, joint_vector
+from sim.universal_robots.controller_parameters import ControllerParameters
+from sim.universal_robots.factory_calibration import calibrate
+from sim.universal_robots.model import MODELS, ArmName
 from sim.world.rigid import Matrix, inverse, matrix_of
 from sim.world.scene.model import ArmTruth, Scene
 from sim.world.true_arm import TrueArm
@@ -30,8 +36,24 @@ Array = NDArray[np.float64]
 TOOL_FRAME, PHANTOM_FRAME = "robot_frame", patient_frame.NAME  # definitions shipped with the driver
 VICRA_HZ = 20
 NO_TOOL = 0  # the pointer is no tool of the theatre's: it hides nothing
-START_LIMIT_S = 60.0  # host time, as a safeguard
+# Host time, as safeguards: in lock-step a busy computer only makes a frame late.
+START_LIMIT_S, FRAME_LIMIT_S = 60.0, 30.0
 AT_REST = (0.0,) * 6
+
+
+def factory_kinematics(truth: ArmTruth, seed: int) -> CalibratedUniversalRobot:
+    """Return the kinematics that an arm's controller states: as the factory measured this arm."""
+    arm = DIMENSIONS[UrModel(truth.variant)]
+    stated = calibrate(
+        MODELS[ArmName(truth.variant)], truth, seed, ControllerParameters().factory_calibration
+    )
+    a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
+    return CalibratedUniversalRobot(
+        arm,
+        FactoryCalibration.from_parameters(
+            arm, joint_vector(stated.theta_rad), a_mm, d_mm, joint_vector(stated.alpha_rad)
+        ),
+    )
 
 
 class PositionedArm(Protocol):
@@ -105,6 +127,7 @@ def open_room(scene: Scene) -> Iterator[tuple[World, OpticalTracker]]:
                 "tools": [{"name": name, "rom": f"{name}.rom"} for name in (TOOL_FRAME, PHANTOM_FRAME)],
                 "expected_model": "vicra",
                 "illuminator_rate_hz": VICRA_HZ,
+                "time_limits_s": {"BX": FRAME_LIMIT_S},
             },
         )
         clock = open_clock(world.clock_endpoint)

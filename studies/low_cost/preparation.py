@@ -36,7 +36,7 @@ from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT
 from studies.errors import LedgerUnreadable, OtherStudy, PhantomFailed, TrackerNotSimulated
 from studies.low_cost.calibration import fit_pivot
-from studies.low_cost.devices import PHANTOM_FRAME, Hand, open_room
+from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room
 from studies.low_cost.room import draw_room, drawn_marker_in_tip, phantom_centre_mm
 from studies.low_cost.sight import require_look
 from studies.low_cost.targets import REFERENCE
@@ -191,7 +191,7 @@ def _scan(scene: Scene, number: int, protocol: CtProtocol) -> Array:
 
 def _read_spheres(tracker: OpticalTracker) -> Array:
     """Return the mean positions (n, 3) of the phantom's spheres in its frame, without the tool in view."""
-    read = list(new_frames(tracker, REGISTRATION_FRAMES))
+    read = list(new_frames(tracker, REGISTRATION_FRAMES, timeout_s=FRAME_LIMIT_S))
     phantom = mean_pose(read, PHANTOM_FRAME, REGISTRATION_FRAMES // 2)
     if phantom is None:
         raise TrackerNotSimulated("the tracker does not see the phantom's frame")

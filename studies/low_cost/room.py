@@ -1,7 +1,7 @@
 """The room of the experiment: phantom with its frame, tracker, tool, and UR5 arms with errors.
 
-PAPER 2 (IROS 2015, pp. 3785-3790) was not found: places and shapes are our own. Arm errors are drawn as
-parameter set S, with links and joint offsets scaled to what the vendor says of arms without a calibration.
+PAPER 2 (IROS 2015, pp. 3785-3790) was not found: places and shapes are our own. Arms are drawn as a
+theatre's are, with links and joint offsets scaled to what the vendor says of arms without a calibration.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.arm.pose import degrees6
-from ronna_hw.arm.universal_robots.kinematics import HOME_RAD
 from ronna_hw.frames import Frame, Transform
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES
+from sim.world.options import ArmChoice
 from sim.world.rigid import (
     apply,
     as_point,
@@ -26,6 +25,7 @@ from sim.world.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
+from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, LEFT_CT
 from sim.world.scene.model import ArmTruth, LinkError, Mount, Scene, TrackerTruth
@@ -35,7 +35,7 @@ from studies.low_cost.targets import REFERENCE
 
 Array = NDArray[np.float64]
 
-MODEL = "ur5"
+MODEL = ArmChoice.UR5.value
 SPHERES = 8
 PHANTOM_MM = (470.0, -60.0, 60.0)  # centre of the head on the table, in reach without a stretched arm
 CAP_TOWARDS = (0.2, 0.4, 1.0)  # spheres are around this direction: upwards, and somewhat to the tracker
@@ -51,7 +51,6 @@ BUILT_MM, BUILT_RAD = 0.5, math.radians(0.05)  # deviation of the tool's frame f
 # sigma per axis that is 2 sqrt(2 / pi) sigma + 3 sqrt(3 - 8 / pi) sigma.
 REPEATABILITY_MM = 0.1  # UR5, data sheet
 REPEATABILITY_SIGMAS = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
-LOST_MOTION_RAD = math.radians(0.005)  # of a strain wave gear, which has no play (U)
 # Error of an arm with nominal parameters, rms over the workspace. The vendor: stretched arms differ from
 # their model by up to "multiple millimeters". The arms of a study are spread over this range.
 NOMINAL_ERRORS_MM = (2.0, 5.0)
@@ -112,7 +111,8 @@ def drawn_marker_in_tip() -> Transform:
 
 def draw_ur5(seed: int, number: int, arms: int) -> ArmTruth:
     """Draw a true UR5 by its number. Of `arms`, the first errs least and the last most."""
-    drawn = draw_arm(np.random.default_rng(np.random.SeedSequence([seed, *ARM_KEY.encode(), number])))
+    random = np.random.default_rng(np.random.SeedSequence([seed, *ARM_KEY.encode(), number]))
+    drawn = draw_arm(random, DESIGNS[ArmChoice.UR5])
     as_drawn = _scaled(drawn, 1.0)
     least, largest = NOMINAL_ERRORS_MM
     wanted_mm = np.geomspace(least, largest, arms)[number]
@@ -120,7 +120,7 @@ def draw_ur5(seed: int, number: int, arms: int) -> ArmTruth:
 
 
 def _scaled(drawn: ArmTruth, scale: float) -> ArmTruth:
-    """Return a UR5 with links and joint offsets of that share, and gears as such arms have."""
+    """Return a UR5 with links and joint offsets of that share, and the data sheet's repeatability."""
     links = tuple(
         LinkError(
             translation_mm=as_point(scale * np.array(link.translation_mm)),
@@ -130,11 +130,8 @@ def _scaled(drawn: ArmTruth, scale: float) -> ArmTruth:
     )
     return drawn.model_copy(
         update={
-            "variant": MODEL,
-            "home_deg": degrees6(HOME_RAD),
             "links": links,
             "joint_offset_rad": tuple(scale * offset for offset in drawn.joint_offset_rad),
-            "backlash_rad": (LOST_MOTION_RAD,) * AXES,
             "repeatability_mm": REPEATABILITY_MM / REPEATABILITY_SIGMAS,
         }
     )

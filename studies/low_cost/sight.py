@@ -10,7 +10,7 @@ from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
 from ronna_hw.frames import Transform
 from studies.errors import TrackerNotSimulated
-from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME
+from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, TOOL_FRAME
 
 LEAST_SHARE = 0.5  # of the frames that must show a tool
 
@@ -30,7 +30,7 @@ class Sight:
 
 def look(tracker: OpticalTracker, frames: int) -> Sight | None:
     """Average `frames` measurements, or return None where either frame is hidden."""
-    read = list(new_frames(tracker, frames))
+    read = list(new_frames(tracker, frames, timeout_s=FRAME_LIMIT_S))
     tool, phantom = (_mean_pose(read, name) for name in (TOOL_FRAME, PHANTOM_FRAME))
     return None if tool is None or phantom is None else Sight(tool, as_patient(phantom))
 

@@ -21,8 +21,7 @@ from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
 from studies.campaign.study import Sums, Unit
 from studies.low_cost.calibration import FrameCalibration, calibrate, take_looks
-from studies.low_cost.devices import InstantArm, open_room
-from studies.low_cost.factory import calibrate_in_factory
+from studies.low_cost.devices import InstantArm, factory_kinematics, open_room
 from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation
@@ -74,7 +73,7 @@ class LowCostStudy:
         number = int(unit.condition.split()[1])
         scene, truth = draw_room(self.seed), draw_ur5(self.seed, number, self.arms)
         noise_seed = self.seed * self.arms + number
-        models = {NOMINAL: universal_robot(MODEL), FACTORY: calibrate_in_factory(truth, noise_seed)}
+        models = {NOMINAL: universal_robot(MODEL), FACTORY: factory_kinematics(truth, noise_seed)}
         sums: Sums = {"nominal error|mm": nominal_error_mm(truth)}
         with open_room(scene) as (world, tracker):
             arm, judge = InstantArm(truth, world, noise_seed), Judge(scene, world)

@@ -15,10 +15,10 @@ import pytest
 from rsi_tap import RsiTap
 from waiting import eventually
 
-from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import SPEED_MARGIN
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
+from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.errors import RonnaError
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
+import sys
 from collections.abc import Mapping
 from types import ModuleType
 
@@ -37,6 +38,7 @@ from conformance import robot, stereo, tracker
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
+from drivers.universal_robots.options import UrOptions
 from procedures.engine.machine import state_chart_mermaid
 from procedures.exchange import allowed_fields
 from procedures.journal.results import StepResult
@@ -96,6 +98,7 @@ def tables() -> dict[str, str]:
         "scanner-faults.md": scanner_faults(),
         "state-chart.md": f"```mermaid\n{state_chart_mermaid(CASE_STEPS)}```\n\n{_tabulate_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
+        "ur-options.md": model_tables({"Options": UrOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
@@ -130,11 +133,11 @@ def list_errors_with_code() -> list[type[RonnaError]]:
 
 
 def _tabulate_error_codes() -> str:
-    raised = {
-        str(path.relative_to(ROOT)): set(_RAISED.findall(path.read_text(encoding="utf-8")))
-        for package in PACKAGES
-        for path in sorted((ROOT / package.__name__).rglob("*.py"))
-    }
+    raised: dict[str, tuple[set[str], str]] = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package.__name__).rglob("*.py")):
+            text = path.read_text(encoding="utf-8")
+            raised[str(path.relative_to(ROOT))] = set(_RAISED.findall(text)), text
     return table(
         ("code", "what it means", "what to do", "raised in", "exit code"),
         [
@@ -150,9 +153,19 @@ def _tabulate_error_codes() -> str:
     )
 
 
-def _name_places(error: type[RonnaError], raised: Mapping[str, set[str]]) -> str:
-    """Name the modules that raise an error, at most `MOST_PLACES`."""
-    places = [f"`{name}`" for name, errors in raised.items() if error.__name__ in errors]
+def _name_places(error: type[RonnaError], raised: Mapping[str, tuple[set[str], str]]) -> str:
+    """Name the modules that raise an error, at most `MOST_PLACES`.
+
+    Those of two drivers may have the same name: only modules that import this one count, and its own.
+    """
+    own = f"{error.__module__.replace('.', '/')}.py"
+    places = [
+        f"`{name}`"
+        for name, (errors, text) in raised.items()
+        if error.__name__ in errors and (name == own or f"from {error.__module__} import" in text)
+    ]
+    if error in vars(getattr(sys.modules[error.__module__], "STREAM_ERRORS", None) or object).values():
+        places.append("`ronna_hw/arm_stream`")
     more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
     return ", ".join(places[:MOST_PLACES]) + more
 

@@ -1,9 +1,4 @@
-"""Link sockets and telegram reception with warm caches.
-
-A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
-controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
-reply without any effect, and goes back to sleep. Not immediately before: the sender may need this processor.
-"""
+"""Link sockets: one that listens for any controller, one connected to the stream's."""
 
 from __future__ import annotations
 
@@ -12,25 +7,15 @@ import select
 import socket
 import struct
 import termios
-import time
-from collections.abc import Callable
 from fcntl import ioctl
 
 from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
+from ronna_hw.arm_stream.pace import limit_receiving
 
-IDLE_POLL_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
 ANY_HOST = "0.0.0.0"
 Address = tuple[str, int]
 Received = tuple[bytes, Address]
-STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
-NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
-MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
-# Shares of a deviation applied to the schedule's phase and interval: two clocks never run alike.
-EARLY_GAINS = (1.0, 1.0 / 32.0)
-LATE_GAINS = (1.0 / 16.0, 1.0 / 256.0)
 _NO_BYTES = struct.pack("i", 0)
-_TIMEVAL = struct.Struct("ll")
-_NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -41,7 +26,7 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError:
         link.close()
         raise
-    _set_receive_timeout(link)
+    limit_receiving(link)
     return link
 
 
@@ -75,7 +60,7 @@ class LinkSockets:
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             line.bind(own)
             line.connect(peer)
-            _set_receive_timeout(line)
+            limit_receiving(line)
         except OSError:
             line.close()
         else:
@@ -125,104 +110,6 @@ class LinkSockets:
     def processor(self) -> int:
         """Return the processor that received the last telegram, or -1 if unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
-
-
-def _set_receive_timeout(link: socket.socket) -> None:
-    seconds, fraction_s = divmod(IDLE_POLL_S, 1.0)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(fraction_s * 1e6)))
-
-
-class TelegramReceiver:
-    """Receiver that keeps caches warm between telegrams."""
-
-    def __init__(
-        self,
-        sockets: LinkSockets,
-        *,
-        lead_ns: int,
-        rehearse: Callable[[], None],
-        now_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        """Create a receiver; `rehearse` runs `lead_ns` before each telegram is due, or never if 0."""
-        self._sockets = sockets
-        self._lead_ns = lead_ns
-        self._rehearse = rehearse
-        self._now_ns = now_ns
-        self._pace = Pace()
-        self._keeps_pace = False
-        self._lock_steps = 0  # consecutive
-        self.received_ns = 0  # arrival of the last telegram
-        self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
-
-    def next(self) -> Received | None:
-        """Receive the next datagram from any sender, or return None on time-out."""
-        try:
-            # A controller that waits for each reply has sent nothing else: that saves a system call.
-            alone = self._lock_steps > STEADY_ARRIVALS and self._sockets.is_connected
-            self.was_queued = not alone and self._sockets.has_datagram()
-            if self._lead_ns and not self.was_queued:
-                self._sleep_until_rehearsal()
-            received = self._sockets.receive()
-        except OSError:  # timed out, or the network reported something about an earlier reply
-            return None
-        self.received_ns = self._now_ns()
-        return received
-
-    def note_paced(self) -> bool:
-        """Record a datagram sent at the controller's pace; returns whether the pace is known.
-
-        Once the controller's schedule is known this stays true through a pause, until it hurries.
-        """
-        self._lock_steps = 0
-        self._pace.note_arrival(self.received_ns)
-        self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
-        return self._keeps_pace
-
-    def note_lock_step(self) -> None:
-        """Record a datagram sent in immediate response to a reply, and discard the schedule."""
-        self._lock_steps += 1
-        self._pace.forget()
-        self._keeps_pace = False
-
-    def _sleep_until_rehearsal(self) -> None:
-        pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
-        if 0.0 < pause_s < IDLE_POLL_S and not self._sockets.sleep(pause_s):
-            self._rehearse()
-
-
-class Pace:
-    """Estimator of the controller's sending schedule; host times in ns.
-
-    The pace is learnt from arrivals alone. A telegram may be delayed on its way, but never arrives before it
-    was sent: an early one corrects the schedule at once, a late one only slightly.
-    """
-
-    def __init__(self) -> None:
-        self._scheduled_ns = 0.0  # scheduled time of the last arrival
-        self._interval_ns = 0.0
-        self._steady = 0
-
-    @property
-    def due_ns(self) -> int:
-        """Expected time of the next telegram if not delayed, ns; 0 without a known schedule."""
-        return int(self._scheduled_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
-
-    def note_arrival(self, now_ns: int) -> None:
-        """Record the arrival of a telegram."""
-        gap_ns, interval_ns = now_ns - self._scheduled_ns, self._interval_ns
-        steps = round(gap_ns / interval_ns) if interval_ns else 0
-        off_ns = gap_ns - steps * interval_ns
-        if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
-            self._steady, self._scheduled_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
-            return
-        self._steady += 1
-        phase_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
-        self._scheduled_ns = now_ns - (1.0 - phase_gain) * off_ns
-        self._interval_ns += interval_gain * off_ns / steps
-
-    def forget(self) -> None:
-        """Discard the schedule."""
-        self._steady, self._interval_ns = 0, 0.0
 
 
 class Rehearsal:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.vectors import JointVector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire

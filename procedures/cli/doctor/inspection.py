@@ -17,7 +17,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tools import MountedTool, ToolMount, calibrated_arm, require_this_arm
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import MASTER, Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -226,7 +226,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 def _check_records(
     name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
-    """Check that the records belong to this device and, on an arm, that the stereo head is mounted."""
+    """Check that the records belong to this device and, on the master, that the stereo head is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
         yield from frame_diagnostics(subject, device, calibrations, theatre)
@@ -236,7 +236,7 @@ def _check_records(
             camera_subject = f"{subject}calibration of the {side} camera"
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
-    if isinstance(device, RobotArm):
+    if isinstance(device, RobotArm) and name == f"robot.{MASTER}":
         kinematics, arm = device.kinematics, calibrations.arm
 
         def check_arm() -> None:

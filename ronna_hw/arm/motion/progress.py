@@ -155,6 +155,8 @@ class _Leg(NamedTuple):
         """Return the state at a time; a braking leg continues at its reduced speed."""
         if self.leads_to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
+        if not self.velocity and time_s >= self.profile.duration_s:
+            return State.resting(self.profile.sample(time_s).position)
         return State(*self.profile.raw.at_time(time_s))
 
 
@@ -233,7 +235,10 @@ class PathProgress:
         return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly. No effect during a stop."""
+        """Continue at `fraction` of the planned speed, braking smoothly; at 0, to rest until it rises again.
+
+        No effect during a stop.
+        """
         if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None
@@ -257,7 +262,7 @@ class PathProgress:
         while True:
             leg, time_s = self._leg, self._time_s + self._cycle_s
             has_braked = not leg.leads_to_end and self._time_s >= leg.profile.duration_s
-            if velocity != leg.velocity or has_braked:
+            if velocity != leg.velocity or (has_braked and velocity):
                 leg, time_s = self._choose_leg(velocity)
             go = leg.sample(time_s)
             missed = self._find_missed_step(go, velocity)
@@ -271,9 +276,10 @@ class PathProgress:
 
         If the end is too close to slow down first, the present leg is kept.
         """
-        if _peak_speed(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
+        if velocity and _peak_speed(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
             return self._plan_leg(velocity), self._cycle_s
-        braking = _Leg(self._profiler.brake(self.state, [velocity], self._bounds(velocity)), velocity, False)
+        bounds = self._bounds(velocity) if velocity else self._stop_bounds
+        braking = _Leg(self._profiler.brake(self.state, [velocity], bounds), velocity, False)
         slow = braking.sample(braking.profile.duration_s)
         if self._leg.leads_to_end and self._stop_position(slow) + slow.velocity[0] * self._cycle_s > 1.0:
             return self._leg._replace(velocity=velocity), self._time_s + self._cycle_s

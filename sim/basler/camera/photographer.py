@@ -98,7 +98,12 @@ class Photographer:
         """Return everything the image depends on, in comparable form, and the pose of the head."""
         pose = self._view.pose()
         position = None if pose is None else pose.tobytes()
-        in_view = (self._view.head_mounted, self._view.stand_has_ball)
+        assistant = self._view.assistant_flange()
+        in_view = (
+            self._view.head_mounted,
+            self._view.stand_has_ball,
+            None if assistant is None else assistant.tobytes(),
+        )
         return (frame, position, in_view, self._disturbances.now(), self._faults.light_faults()), pose
 
 

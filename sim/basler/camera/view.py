@@ -16,6 +16,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, spheres_in_theatre
 from sim.world.faults import Fault, FaultBoard
 from sim.world.noise import noise
+from sim.world.options import ArmRole
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
 from sim.world.world import World
@@ -45,6 +46,8 @@ class View:
         self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._fiducials])
         self._stand_mm = np.array(world.scene.stand.ball_mm)
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
+        self._assistant = world.scene.assistant
+        self._room = ShiftedRoom(world)
 
     def pose(self) -> Pose | None:
         """Return the true head pose (4, 4) in the robot frame, or None before an arm has published it."""
@@ -55,6 +58,12 @@ class View:
     def head_mounted(self) -> bool:
         """Whether the stereo head is mounted."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
+
+    def assistant_flange(self) -> Pose | None:
+        """Return the assistant's true flange (4, 4) in its base, or None without one."""
+        if self._assistant is None or not self._world.has_arm(ArmRole.ASSISTANT):
+            return None
+        return self._world.arm(ArmRole.ASSISTANT).robot_from_flange
 
     @property
     def stand_has_ball(self) -> bool:
@@ -86,6 +95,11 @@ class View:
             centre = apply(camera_from_robot, self._stand_mm)
             upright = camera_from_robot[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))
             seen.append(Sphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
+        if self._assistant is not None and (base := self.assistant_flange()) is not None:
+            pose = camera_from_robot @ self._room.robot_from_assistant(room) @ base
+            centre = apply(pose, self._assistant.flange_from_ball_mm)
+            along = pose[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))  # the post, from the flange
+            seen.append(Sphere(centre, self._assistant.ball_radius_mm, along, self._stand_number + 1))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
     def _twist_pose(self, angle_rad: float) -> Pose:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS
+from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState
@@ -158,12 +159,12 @@ def _share(values: Vectors) -> Vectors:
 
 
 class ArmBody:
-    """Occluding body of the arm with any of its tools."""
+    """Occluding body of an arm with any of its tools; the assistant's holder is too slim to count."""
 
-    def __init__(self, scene: Scene) -> None:
-        mount = scene.mount
-        self._corners = DESCRIPTIONS[scene.arm.variant].corners
-        joints = DESCRIPTIONS[scene.arm.variant].joints[: self._corners[-1].joint + 1]
+    def __init__(self, scene: Scene, role: ArmRole = ArmRole.MASTER) -> None:
+        mount, variant = scene.mount, scene.arm_of(role).variant
+        self._corners = DESCRIPTIONS[variant].corners
+        joints = DESCRIPTIONS[variant].joints[: self._corners[-1].joint + 1]
         radii_mm = [corner.radius_mm for corner in self._corners]
         self._origins_mm = [np.array(joint.origin_mm, dtype=float) for joint in joints]
         terms = [_rodrigues_terms(joint.axis) for joint in joints]
@@ -179,12 +180,12 @@ class ArmBody:
             )
         }
 
-    def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix) -> Capsules:
+    def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_base: Matrix) -> Capsules:
         """Return the arm's capsules in the tracker frame."""
         flange = arm.robot_from_flange
-        joints = apply(tracker_from_robot, np.array([*self._corners_mm(arm), flange[:3, 3]]))
+        joints = apply(tracker_from_base, np.array([*self._corners_mm(arm), flange[:3, 3]]))
         limbs = self._carried.get(mounted_tool, self._bare)
-        on_tool = apply(tracker_from_robot @ flange @ self._flange_from_tool, limbs.ends_mm)
+        on_tool = apply(tracker_from_base @ flange @ self._flange_from_tool, limbs.ends_mm)
         return Capsules(
             np.concatenate([joints[:-1], on_tool[0::2]]),
             np.concatenate([joints[1:], on_tool[1::2]]),
@@ -193,7 +194,7 @@ class ArmBody:
         )
 
     def _corners_mm(self, arm: ArmState) -> list[Vector]:
-        """Return the positions of the corners in the robot frame, mm."""
+        """Return the positions of the corners in the base of the arm, mm."""
         angles = arm.joints_rad[: len(self._origins_mm)]
         sines = np.array([math.sin(angle) for angle in angles])[:, None, None]
         versines = np.array([1.0 - math.cos(angle) for angle in angles])[:, None, None]

@@ -22,14 +22,21 @@ from sim.world.displacements import (
     yielding_flange,
 )
 from sim.world.faults import Fault, FaultBoard
+from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.scene.model import TrackerTool
-from sim.world.scene.parts import GUIDE_FRAME_MARKERS_MM, GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER
+from sim.world.scene.model import AssistantTruth, TrackerTool
+from sim.world.scene.parts import (
+    ASSISTANT_FRAME_PART_NUMBER,
+    GUIDE_FRAME_MARKERS_MM,
+    GUIDE_FRAME_NAME,
+    GUIDE_FRAME_PART_NUMBER,
+)
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]
 Vectors = NDArray[np.float64]
+NO_TOOL = 0
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,9 @@ class TrueScene:
         )
         self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
         self._arm_body = ArmBody(scene)
+        self._assistant = scene.assistant
+        self._assistant_body = None if scene.assistant is None else ArmBody(scene, ArmRole.ASSISTANT)
+        self._room = ShiftedRoom(world)
         on_guide = scene.mount.guide.tip_from_frame
         self._tip_from_frame = None if on_guide is None else matrix_of(on_guide)
         on_clamp = scene.head.robot_from_patient_frame
@@ -75,9 +85,9 @@ class TrueScene:
         self._guide = TrueGuide(world)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
-    def arm(self) -> ArmState | None:
-        """Return the arm's state, or None if the world has no arm."""
-        arm = self._world.arm()
+    def arm(self, role: ArmRole = ArmRole.MASTER) -> ArmState | None:
+        """Return an arm's state, or None if the world has no such arm."""
+        arm = self._world.arm(role)
         return arm if arm.robot_from_flange[:3].any() else None
 
     def mounted_tool(self) -> int:
@@ -95,9 +105,14 @@ class TrueScene:
     ) -> tuple[Body, ...]:
         """Return the opaque bodies: the head at its scene position, and the arm."""
         head = self._head if self.fiducial_numbers else ()
-        if arm is None:
-            return head
-        return (*head, self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room)))
+        tracker_from_robot = self._tracker_from(room)
+        bodies = (
+            head if arm is None else (*head, self._arm_body.capsules(arm, mounted_tool, tracker_from_robot))
+        )
+        if self._assistant_body is None or (second := self.arm(ArmRole.ASSISTANT)) is None:
+            return bodies
+        base = tracker_from_robot @ self._room.robot_from_assistant(room)
+        return (*bodies, self._assistant_body.capsules(second, NO_TOOL, base))
 
     def is_mount_frame(self, definition: ToolDefinition) -> bool:
         """Return whether the definition is the reference frame M and an arm is present to carry it."""
@@ -115,6 +130,8 @@ class TrueScene:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
             return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
+        if definition.part_number == ASSISTANT_FRAME_PART_NUMBER and self._assistant is not None:
+            return self._frame_on_assistant(self._assistant, disturbance)
         if self.is_head_frame(definition):
             return self._frame_on_head(disturbance)
         if definition.part_number == PATIENT_FRAME_PART_NUMBER:
@@ -176,6 +193,16 @@ class TrueScene:
         pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
         names = frozenset({GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER})
         return _disturb(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
+
+    def _frame_on_assistant(self, assistant: AssistantTruth, disturbance: Disturbance) -> TrueTool | None:
+        arm, room = self.arm(ArmRole.ASSISTANT), disturbance.room
+        if arm is None:
+            return None
+        base = self._tracker_from(room) @ self._room.robot_from_assistant(room)
+        pose = base @ arm.robot_from_flange @ matrix_of(assistant.flange_from_frame)
+        tool = self._tools[ASSISTANT_FRAME_PART_NUMBER]
+        names = frozenset({tool.name, tool.part_number})
+        return _disturb(names, pose, np.array(tool.markers_mm), disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
         """Return TRACKER <- ROBOT (4, 4), with the tracker displaced by the room's faults."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import selectors
 from collections.abc import Callable
 
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
-from sim.universal_robots.connections import Connection, HangUp, Listener
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -20,7 +19,7 @@ LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
 class ClientInterfaces:
     """The three ports that take scripts."""
 
-    def __init__(self, controller: Controller, address: str, poll: selectors.BaseSelector) -> None:
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self._packages = StatePackages(controller)
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
@@ -44,10 +43,10 @@ class ClientInterfaces:
         connection.send(self._packages.version())
         connection.send(self._packages.safety_mode(self._controller.modes.safety_mode))
         connection.send(self._packages.state())
-        return ScriptHandler(self._controller.parameters.longest_script_bytes, self._take)
+        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
 
     def _connect_realtime(self, _connection: Connection) -> ScriptHandler:
-        return ScriptHandler(self._controller.parameters.longest_script_bytes, self._take)
+        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
 
     def _tell(self, message: bytes) -> None:
         for listener in (self.primary, self.secondary):
@@ -72,7 +71,8 @@ class ClientInterfaces:
 
     # -- scripts
 
-    def _take(self, text: str) -> None:
+    def take(self, text: str) -> None:
+        """Carry out a script or a command."""
         controller = self._controller
         if controller.modes.local:
             for tell in controller.news.error:
@@ -82,7 +82,11 @@ class ClientInterfaces:
         if command is not None:
             command(controller)
         elif text.lstrip().startswith("sec"):
-            run_at_once(controller.robot, text)
+            try:
+                run_at_once(controller.robot, text)
+            except (ArithmeticError, ValueError) as error:
+                for report in controller.news.failure:
+                    report(str(error))
         else:
             delay = round(controller.parameters.script_start_s / controller.model.cycle_s)
             self._waiting.append((delay, text))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import selectors
 from collections.abc import Callable
 from typing import Final
 
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
-from sim.universal_robots.connections import Connection, HangUp, Listener
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
 from sim.universal_robots.programs.recognition import endless
@@ -33,7 +32,7 @@ STATES: Final = {
 class Dashboard:
     """Carries out the commands of any number of clients."""
 
-    def __init__(self, controller: Controller, address: str, poll: selectors.BaseSelector) -> None:
+    def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self.silent = False  # fault: nothing is answered
         self._commands: dict[str, Callable[[str], str]] = {
@@ -60,7 +59,10 @@ class Dashboard:
             "pause": self._pause,
             "stop": self._stop,
             "load": self._load,
+            "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
+            "get operational mode": lambda _: "NONE",
             "addtolog": self._add_to_log,
+            "savelog": lambda _: "Log saved to disk",
         }
         self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
 
@@ -129,7 +131,7 @@ class Dashboard:
     def _play(self, _: str) -> str:
         controller = self._controller
         if controller.program is not None:
-            started = controller.is_running or controller.resume()
+            started = controller.resume() or controller.is_running
         else:
             started = bool(controller.loaded) and not controller.start(endless(controller.loaded))
         return "Starting program" if started else "Failed to execute: play"
@@ -162,6 +164,8 @@ QUERIES: Final = frozenset(
         "running",
         "programstate",
         "get loaded program",
+        "isprogramsaved",
+        "get operational mode",
         "addtolog",
     }
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import dist, hypot, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -81,12 +81,16 @@ def movel(robot: Robot, pose: Sequence[float], speed_m_s: float, acceleration_m_
         spun = compose(frame_of_pose((0.0, 0.0, 0.0, *(share * angle for angle in turn))), start)
         x, y, z = (a + share * b for a, b in zip((start.x, start.y, start.z), way, strict=True))
         joints = robot.joints_at(spun._replace(x=x, y=y, z=z), robot.drives.target)
-        if joints is None or dist(joints, robot.drives.target) > FULL_SPEED_RAD_S * robot.cycle_s:
+        if joints is None or _largest_change(joints, robot.drives.target) > FULL_SPEED_RAD_S * robot.cycle_s:
             robot.stop_request = "the joints cannot follow the tool on its line"
             yield
             return
         robot.drives.place(joints)
         yield
+
+
+def _largest_change(one: Sequence[float], other: Sequence[float]) -> float:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
 def speedj(robot: Robot, speeds_rad_s: Sequence[float], acceleration_rad_s2: float) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.robot import Robot
 
 
@@ -26,4 +27,5 @@ class Program:
     watchdog: Watchdog | None = None
     streams: bool = False  # its set-points come from one client, cycle by cycle
     awaits_client: bool = field(default=False, init=False)  # streams now: lock-step waits for each set-point
+    links: list[Outgoing] = field(default_factory=list, init=False)  # closed when the program stops
     failure: str = field(default="", init=False)  # a runtime exception, and why

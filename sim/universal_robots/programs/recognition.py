@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from ronna_hw.wire.universal_robots import SCRIPT_NAME
+from sim.universal_robots.programs.external_control import external_control, read_external_control
 from sim.universal_robots.programs.program import Program, Watchdog
 from sim.universal_robots.programs.register_loop import register_loop
 from sim.universal_robots.programs.statements import run_statements
@@ -39,6 +40,9 @@ def recognise(text: str, cycle_s: float) -> Program:
         offset = _OFFSET.search(text)
         first = int(offset[1]) if offset else 0
         return Program(name, lambda robot, program: register_loop(robot, program, first))
+    settings = read_external_control(text)
+    if settings is not None:
+        return external_control(name, settings)
     return Program(name, lambda robot, program: run_statements(robot, text))
 
 

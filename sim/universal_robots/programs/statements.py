@@ -19,6 +19,7 @@ FIRST_OUTPUT: Final = {  # bit of output 0
     "set_configurable_digital_out": 8,
     "set_tool_digital_out": 16,
 }
+OUTPUTS_OF_A_GROUP: Final = 8
 JOINT_DEFAULTS: Final = (1.05, 1.4)  # v (rad/s), a (rad/s2) of movej
 LINE_DEFAULTS: Final = (0.25, 1.2)  # v (m/s), a (m/s2) of movel
 STOP_DEFAULT: Final = 2.0
@@ -55,7 +56,10 @@ def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
         else:
             plain.append(value)
     if name in FIRST_OUTPUT and len(plain) == 2:
-        bit = 1 << FIRST_OUTPUT[name] + int(plain[0])
+        number = int(plain[0])
+        if not 0 <= number < OUTPUTS_OF_A_GROUP:
+            return
+        bit = 1 << FIRST_OUTPUT[name] + number
         bits = robot.values[DIGITAL_OUTPUTS]
         robot.values[DIGITAL_OUTPUTS] = bits | bit if plain[1] else bits & ~bit
     elif name == "set_tcp" and len(vectors) == 6:

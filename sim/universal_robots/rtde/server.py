@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import selectors
 from collections import deque
 from collections.abc import Iterable
 from random import Random
 from typing import Any
 
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, RTDE_PORT
-from sim.universal_robots.connections import Connection, HangUp, Listener
+from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.controller import POSES
 from sim.universal_robots.model import Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.rtde.recipes import InputRecipe
@@ -48,7 +48,7 @@ class LinkFaults:
 class RtdeServer:
     """Serves any number of clients with the variables of one robot."""
 
-    def __init__(self, robot: Robot, address: str, poll: selectors.BaseSelector, seed: int) -> None:
+    def __init__(self, robot: Robot, address: str, poll: Poll, seed: int) -> None:
         self.parameters = robot.parameters
         self.model: Model = robot.model
         self._robot = robot
@@ -60,6 +60,7 @@ class RtdeServer:
         self.watched = -1  # place of the input that a watchdog looks at
         self.watched_writes = 0
         self._cycle = 0
+        self.wants_poses = False
         self._clients: list[tuple[Connection, Session]] = []
         self.listener = Listener(
             address, RTDE_PORT, poll, self._connect, send_buffer_bytes=self.parameters.send_buffer_bytes
@@ -77,6 +78,7 @@ class RtdeServer:
         """Free all that a client owned."""
         self._clients = [client for client in self._clients if client[1] is not session]
         self._owners = {name: owner for name, owner in self._owners.items() if owner is not session}
+        self.note_recipes()
 
     # -- who may write what
 
@@ -140,12 +142,10 @@ class RtdeServer:
             if mask & 1 << number:
                 values[PLACES[f"standard_analog_output{number}"].start] = fields.get(name, 0.0)
 
-    def wants(self, names: frozenset[str]) -> bool:
-        """Whether any client's output recipe has one of these fields."""
-        return any(
-            session.output is not None and not names.isdisjoint(session.output.names)
-            for _, session in self._clients
-        )
+    def note_recipes(self) -> None:
+        """Look again whether any client reads poses or velocities of the tool."""
+        recipes = [session.output for _, session in self._clients]
+        self.wants_poses = any(recipe and not POSES.isdisjoint(recipe.names) for recipe in recipes)
 
     def send_outputs(self) -> None:
         """Send this cycle's package to each client that is due."""

@@ -44,6 +44,9 @@ class Exchange(Protocol):
     def take(self, names: Iterable[str], session: Session) -> None:
         """Make a client the owner of inputs."""
 
+    def note_recipes(self) -> None:
+        """Look at the output recipes, one of which has changed."""
+
     def store(self, recipe: InputRecipe, payload: bytes) -> None:
         """Take a package of inputs."""
 
@@ -141,6 +144,7 @@ class Session:
         if valid:
             divider = int(self._server.model.rate_hz / rate)
             self.output = OutputRecipe(1, names, divider, with_number=self.version > 1)
+        self._server.note_recipes()
         text = ",".join(types).encode()
         return text if self.version == 1 else bytes([int(valid)]) + text
 

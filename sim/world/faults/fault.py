@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from sim.world.options import ArmRole
 from sim.world.scene.model import Scene
 
 Arguments = tuple[str, ...]
@@ -40,6 +41,7 @@ class Fault:
     after_s: float = 0.0  # delay from the first start of the step
     cycle: int | None = None  # of the robot's controller
     line: int = 1  # of the script
+    of_assistant: bool = False  # of the second arm, not the first
 
     @property
     def argument(self) -> str:
@@ -50,9 +52,10 @@ class Fault:
     def phrase(self) -> str:
         """The fault as written in a script, without its start and duration."""
         words = iter(self.arguments)
+        whose = (ArmRole.ASSISTANT.value,) if self.of_assistant else ()
         return " ".join(
             next(words) if word in TERMINALS else word
-            for word in (self.kind.device, *self.kind.phrase.split())
+            for word in (*whose, self.kind.device, *self.kind.phrase.split())
         )
 
     @property

@@ -6,6 +6,7 @@
     since step == relocalization:T2: room shift cart 0 2 0 mm
     since step == positioning:T1 after 1.5 s: room bent tip 0.5 0 0 mm
     now: tracker occlude tool robot_frame for 1 s
+    at 3 s: assistant robot network cut for 1 s
 
 Times are theatre time. Cycles are telegrams sent by the robot's controller since its start. A fault with
 `when` acts while the step runs, one with `since` from its first start on; `relocalization:T1` is the
@@ -25,13 +26,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
+from sim.world import universal_robots_arm
 from sim.world.faults.camera import CAMERA_FAULTS
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
 from sim.world.faults.universal_robots import UR_FAULTS
-from sim.world.scene.model import Scene
+from sim.world.options import ArmRole
+from sim.world.scene.model import ArmTruth, Scene
 
 if TYPE_CHECKING:
     from lark import Lark
@@ -51,9 +54,10 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
     *ROOM_FAULTS,
 )
 NOW, SINCE = "now", "since"
+OF_ASSISTANT = "of_assistant"  # rule of the grammar
 CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
-DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre
+DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with KUKA arms
 
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
@@ -73,6 +77,7 @@ STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
 GRAMMAR = r"""
 start: statement?
 statement: trigger ":" fault duration?
+         | trigger ":" "assistant" fault duration? -> of_assistant
 ?trigger: "at" NUMBER "s"            -> at
         | "at" "cycle" INT           -> at_cycle
         | "when" "step" "==" STEP    -> when
@@ -90,6 +95,16 @@ COMMENT: /#[^\n]*/
 %ignore WS_INLINE
 %ignore COMMENT
 """
+
+
+def devices_of(scene: Scene) -> tuple[str, ...]:
+    """Return the devices of a theatre, depending on its arms."""
+    arms = (scene.arm,) if scene.assistant is None else (scene.arm, scene.assistant.arm)
+    return ("tracker", *dict.fromkeys(map(_controller_of, arms)), "camera", "room")
+
+
+def _controller_of(arm: ArmTruth) -> str:
+    return "ur" if arm.variant in universal_robots_arm.DESCRIPTIONS else "robot"
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -137,8 +152,8 @@ def has_beginning(line: str) -> bool:
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
-def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Read a script and check it against the scene and present devices; raises SIM-003."""
+def read_faults(path: Path, scene: Scene, devices: Sequence[str] | None = None) -> str:
+    """Read a script and check it against the scene and present devices, by default all; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -158,13 +173,15 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> s
 def check_faults(
     faults: Iterable[Fault],
     scene: Scene,
-    devices: Sequence[str] = DEVICES,
+    devices: Sequence[str] | None = None,
     loaded: Sequence[str] | None = None,
 ) -> None:
     """Raise SIM-003 listing every fault that refers to a missing device, marker or tool.
 
-    `loaded` are the tools that a client has loaded into the tracker, if known.
+    `devices` are all of the theatre by default; `loaded` are the tools that a client has loaded into the
+    tracker, if known.
     """
+    devices = devices_of(scene) if devices is None else devices
     mistakes = []
     for fault in faults:
         found = list(_list_mistakes(fault, scene, devices))
@@ -182,6 +199,14 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         return
     if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
         yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
+    if fault.of_assistant and fault.kind.device not in CYCLES_OF:
+        yield f"expected a fault of the robot, got {fault.phrase!r}: only an arm can be the assistant"
+    elif fault.of_assistant and scene.assistant is None:
+        yield f"expected a fault of the only arm, got {fault.phrase!r}: there is no assistant here"
+    elif fault.kind.device in CYCLES_OF and scene.assistant is not None:
+        role = ArmRole.ASSISTANT if fault.of_assistant else ArmRole.MASTER
+        if (device := _controller_of(scene.arm_of(role))) != fault.kind.device:
+            yield f"expected a fault of the {device}, got {fault.phrase!r}: another arm is the {role}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
@@ -269,6 +294,7 @@ def _build_grammar() -> Lark:
 def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
     """Build the fault from a parsed line, and return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
+    of_assistant = statement.data == OF_ASSISTANT
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
     begin = str(trigger.children[0]) if trigger.children else "0"
@@ -282,6 +308,7 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
         after_s=float(trigger.children[1]) if len(trigger.children) > 1 else 0.0,
         cycle=int(begin) if trigger.data == "at_cycle" else None,
         line=line,
+        of_assistant=of_assistant,
     )
     return fault, bool(ending)
 

@@ -29,9 +29,9 @@ def _check_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from unless_known("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
 
 
-def cart_numbers(_scene: Scene) -> tuple[int, ...]:
-    """Return the numbers of the carts in the room, one per arm."""
-    return (1,)
+def cart_numbers(scene: Scene) -> tuple[int, ...]:
+    """Return the numbers of the carts in the room, one per arm, the master's first."""
+    return (1,) if scene.assistant is None else (1, 2)
 
 
 def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:

@@ -31,9 +31,7 @@ class ArmDesign(NamedTuple):
     """Start of an arm, the place of the patient in front of it, and the sizes of its errors."""
 
     variant: Variant
-    home_deg: (
-        Numbers6  # flange down, stereo head reaching forward: above the head, clear of every singularity
-    )
+    home_deg: Numbers6  # flange down, stereo head forward: above the head, clear of every singularity
     head_mm: Point  # middle of the places of the head's centre, robot frame: clear of singularities
     errors: ErrorSizes
 
@@ -48,8 +46,9 @@ SET_S = ErrorSizes(
     sag_rad=radians(0.03),
     repeatability_mm=0.015,
 )
-# Links: what the factory's calibration leaves (U). The vendor publishes the repeatability alone, 0.03 mm as
-# KUKA does, hence the same size. Strain wave gears have next to no backlash.
+# Before the factory's calibration, which its controller knows: that identifies most of links and offsets (U).
+# The vendor publishes the repeatability alone, 0.03 mm, of which half is taken per axis, as for the other
+# arm (U). Its strain wave gears have next to no backlash.
 UR5E_ERRORS = ErrorSizes(
     link_translation_mm=0.20,
     link_rotation_rad=radians(0.03),
@@ -60,7 +59,7 @@ UR5E_ERRORS = ErrorSizes(
     sag_rad=radians(0.03),
     repeatability_mm=0.015,
 )
-# 0.1 mm of repeatability by ISO 9283, a mean and three standard deviations of the distance.
+# 0.1 mm of repeatability by ISO 9283: a mean and three standard deviations of the distance.
 UR5_ERRORS = UR5E_ERRORS._replace(
     link_translation_mm=0.30,
     link_rotation_rad=radians(0.04),
@@ -90,8 +89,3 @@ DESIGNS = {
         errors=UR5E_ERRORS,
     ),
 }
-
-
-def arm_named(variant: str) -> str:
-    """Return the name under which an arm is chosen, or that of its model if none is."""
-    return next((str(name) for name, design in DESIGNS.items() if design.variant == variant), variant)

@@ -21,7 +21,9 @@ from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text import format_count
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
+from sim.world.options import ArmRole
 from sim.world.scene.parts import (
+    ASSISTANT_FRAME_PART_NUMBER,
     Facing,
     Guide,
     ManualAccuracy,
@@ -244,6 +246,24 @@ class Mount(Strict):
         return self
 
 
+class AssistantTruth(Strict):
+    """The assistant: a second arm on a cart of its own, with a tracked frame and a ball on its holder."""
+
+    robot_from_base: PoseRecord = Field(
+        description="Pose robot <- base of the assistant: where its cart stands."
+    )
+    arm: ArmTruth = Field(description="The true arm.")
+    flange_from_frame: PoseRecord = Field(
+        description="Pose flange <- its tracked frame (tracker tool `assistant_frame`)."
+    )
+    flange_from_ball_mm: Numbers3 = Field(
+        description="Centre of the ball that the stereo head looks at, flange of the assistant."
+    )
+    ball_radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
+        default=SPHERE_RADIUS_MM, description="Radius of that ball."
+    )
+
+
 class CameraTruth(Strict):
     """True camera: pinhole, distortion k1 k2 p1 p2 k3 and pose on the stereo head."""
 
@@ -380,6 +400,9 @@ class Scene(Strict):
     ct: CtProtocol = Field(default=CtProtocol(), description="How the CT is scanned.")
     arm: ArmTruth = Field(description="The true arm.")
     mount: Mount = Field(description="The mount on the flange and its tools.")
+    assistant: AssistantTruth | None = Field(
+        default=None, description="The second arm; without it, there is one."
+    )
     tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
@@ -397,6 +420,26 @@ class Scene(Strict):
         if self.left.serial == self.right.serial:
             raise ValueError(f"left.serial and right.serial are both {self.left.serial!r}")
         return self
+
+    @model_validator(mode="after")
+    def _assistant_frame_is_a_tool(self) -> Self:
+        known = any(tool.part_number == ASSISTANT_FRAME_PART_NUMBER for tool in self.tracker.tools[1:])
+        if self.assistant is not None and not known:
+            raise ValueError(
+                f"assistant needs a tool with part number {ASSISTANT_FRAME_PART_NUMBER} in tracker.tools, "
+                "after the frame on the mount"
+            )
+        return self
+
+    def arm_of(self, role: ArmRole) -> ArmTruth:
+        """Return the true arm in a role; raises SIM-001 for an assistant that is not there."""
+        if role is ArmRole.MASTER:
+            return self.arm
+        if self.assistant is None:
+            raise BadScene(
+                f"{self.name} has no assistant", action="Start ronna-sim theatre --dual, or give it one."
+            )
+        return self.assistant.arm
 
     @model_validator(mode="after")
     def _patient_frame_is_a_tool(self) -> Self:

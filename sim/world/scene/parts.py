@@ -139,3 +139,8 @@ GUIDE_FRAME_PART_NUMBER = "RONNA-G"
 GUIDE_FRAME_MARKERS_MM = ((-49.0, -40.0, 0.0), (-18.0, -6.0, 0.0), (-34.0, 31.0, 0.0), (32.0, 18.0, 0.0))
 # Above the upper end of the bore, beside the mount; it faces up, as M does.
 GUIDE_FRAME_IN_TIP = PoseRecord(translation_mm=(-90.0, 0.0, -215.0), quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
+
+ASSISTANT_FRAME_NAME = "assistant_frame"
+ASSISTANT_FRAME_PART_NUMBER = "RONNA-A"
+# The six distances differ by more than 4 mm from each other and by 1.8 mm from those of other frames.
+ASSISTANT_FRAME_MARKERS_MM = ((13.0, -3.0, 0.0), (61.0, -76.0, 0.0), (-59.0, 38.0, 0.0), (-15.0, 42.0, 0.0))

@@ -6,15 +6,15 @@ import random
 
 import numpy as np
 
-from drivers.kuka_rsi.motion import MotionPlanner
-from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
-from drivers.kuka_rsi.realtime.link_state import Choice
-from drivers.kuka_rsi.realtime.set_points import SetPoints
+from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions, planning_limits
 from procedures.planning.motions import Motion
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.sweep import moving_ends
 from ronna_hw.arm.kr6_r900 import Kr6R900
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.motion import MotionPlanner
+from ronna_hw.arm_stream.records import Choice
+from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.devices import JointMove, LineMove
 from ronna_hw.devices import Motion as DeviceMotion
 from ronna_hw.devices.robot import OperatingMode
@@ -38,7 +38,7 @@ class LimitedDriver:
         self.arm = arm
         self.mode = mode
         cycle_s = (options.cycle_ms or 4) / 1000.0
-        self.planner = MotionPlanner("robot.master", arm, options, cycle_s)
+        self.planner = MotionPlanner("robot.master", arm, planning_limits(options, cycle_s))
         self.limits = self.planner.limits(mode)
 
     def planned(self, motion: Motion) -> MotionPlan:

@@ -7,12 +7,12 @@ from typing import Any
 
 from recording_cell import RecordingArm
 
-from drivers.kuka_rsi.motion import MotionPlanner
-from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.options import KukaOptions, planning_limits
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm_stream.motion import MotionPlanner
 from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -31,7 +31,7 @@ class PlannedArm(RecordingArm):
     plans: list[MotionPlan] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions(), CYCLE_S)
+        self.planner = MotionPlanner(self.name, self.kinematics, planning_limits(KukaOptions(), CYCLE_S))
 
     @property
     def surroundings(self) -> Surroundings:

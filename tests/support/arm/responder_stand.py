@@ -8,20 +8,14 @@ from itertools import pairwise
 from math import degrees, inf
 from typing import Any
 
-from drivers.kuka_rsi.realtime.link_state import (
-    Command,
-    CommandKind,
-    LinkSettings,
-    Orders,
-    Result,
-    StopOrder,
-)
 from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.records import Command, CommandKind, Orders, Result, StopOrder
 from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")

@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.wire.universal_robots import ScriptState
 
 LIMIT_S = 30.0
+RUN = 4711
 SCRIPT = """def ronna_stream():
   CYCLE_S = {cycle_s}
   STARVED_CYCLES = {starved}
@@ -144,3 +146,19 @@ class UrCell:
             text.write(f"{line}\n")
             text.flush()
             return text.readline().strip()
+
+
+def stream(cell: UrCell) -> tuple[RtdeClient, list[float]]:
+    """Start our script, and return a client whose first set-point is used."""
+    client = cell.rtde()
+    client.set_up()
+    home = list(client.state().target_rad)
+    client.put(0, 0, RUN, home)
+    with cell.connect("primary") as primary:
+        primary.sendall(script().encode())
+        while client.state().script != ScriptState.WAITING:
+            pass
+    client.put(1, 0, RUN, home)
+    while client.state().used != 1:
+        pass
+    return client, home

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import re
+import socket
 import struct
 import zipfile
 from collections.abc import Callable
 from math import isfinite
+from typing import cast
 
 from good_inputs import DESCRIPTION, FORMULAS, PACKET_BYTES, REPLIES, STATE, TELEGRAM, Take, packets, zipped
+from handmade_ur import robot_state
+from rtde_stand import IN
+from rtde_stand import streaming as rtde_streaming
 
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
@@ -25,12 +30,20 @@ from drivers.ndi_polaris.measuring_volume import parse_volumes
 from drivers.ndi_polaris.replies import decode_bx, decode_tx
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tool_definition import decode_definition
+from drivers.universal_robots.primary.client import package_size
+from drivers.universal_robots.primary.packages import PackageKind, iterate_parts, read_message
+from drivers.universal_robots.realtime.line import RtdeLine, is_output
+from drivers.universal_robots.realtime.packages import OUTPUT
+from ronna_hw.arm_stream.records import Orders
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import polaris
 from ronna_hw.wire.kuka_context import load_context
 from sim.kuka.rsi.telegrams import ReplyReader
 
+OUTPUT_PACKAGE = rtde_streaming().package()
+PRIMARY_STATE = robot_state()
+PRIMARY_MESSAGE = struct.pack(">iBQbB", 30, 20, 0, -2, 7) + b"PolyScope hello."
 _IN_PIECES = re.compile(rb"&|<[!?]")  # XML in which a text need not be together
 
 
@@ -75,11 +88,68 @@ def driver_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "Polaris .rom": (((SHIPPED_TOOLS / "robot_frame.rom").read_bytes(),), _rom),
         "EKI": ((STATE, STATE + b"\0\r\n" + STATE), _eki),
         "RSI": ((TELEGRAM,), _rsi(TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")))),
+        "RTDE": ((OUTPUT_PACKAGE * 3,), _rtde),
+        "UR primary": ((PRIMARY_STATE, PRIMARY_STATE + PRIMARY_MESSAGE), _primary),
         "RSI reply": (
             tuple(reply.replace(b"RONNA", sentype) for reply in REPLIES),
             _reply(ReplyReader(ours.receive, ours.ethernet.sentype), sentype),
         ),
     }
+
+
+class _Given:
+    """Socket that gives what it was given, then ends."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = memoryview(data)
+
+    def setblocking(self, _blocking: bool) -> None: ...
+
+    def setsockopt(self, *_option: object) -> None: ...
+
+    def close(self) -> None: ...
+
+    def recv_into(self, buffer: memoryview) -> int:
+        part = self._data[: len(buffer)]
+        buffer[: len(part)] = part
+        self._data = self._data[len(part) :]
+        return len(part)
+
+
+def _rtde(data: bytes) -> None:
+    """No package moves an arm that is holding."""
+    line, given = RtdeLine(), cast(socket.socket, _Given(data))
+    line.attach(given)
+    stand = rtde_streaming()
+    session = stand.session
+    held = stand.goal
+    try:
+        while True:
+            package = line.receive()
+            if not is_output(package, 1):
+                continue
+            stand.now_ns += 2_000_000
+            reply = session.answer(
+                OUTPUT.unpack_from(package), Orders(stand.beat, 0, stand.commands), stand.now_ns
+            )
+            if reply is not None:
+                assert IN.unpack(reply)[6:] == held
+                session.finish_cycle(None)
+            if session.fault:
+                return
+    except OSError:
+        if line.broken != "the controller closed the connection":
+            raise InputRefused(line.broken) from None
+
+
+def _primary(data: bytes) -> None:
+    while (size := package_size(data)) is not None and len(data) >= size:
+        payload = data[5:size]
+        if data[4] == PackageKind.MESSAGE:
+            assert read_message(payload).text.isprintable()
+        elif data[4] == PackageKind.ROBOT_STATE:
+            list(iterate_parts(payload))
+        data = data[size:]
 
 
 class _Camera:

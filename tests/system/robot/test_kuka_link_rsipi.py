@@ -22,21 +22,15 @@ import pytest
 from fake_controller import FakeController
 
 from drivers.kuka_rsi import KukaRsiArm
-from drivers.kuka_rsi.connections import NO_DESCRIPTOR
 from drivers.kuka_rsi.controller.generate import render
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.realtime.link_state import (
-    AXIS_NAMES,
-    CommandKind,
-    LinkSettings,
-    LinkState,
-    Phase,
-    Result,
-)
+from drivers.kuka_rsi.link import start_link
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.client import LinkClient
+from ronna_hw.arm_stream.records import NO_DESCRIPTOR, CommandKind, LinkState, Phase, Result
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
@@ -100,7 +94,7 @@ def link(ethernet_file: Path) -> Iterator[LinkClient]:
         settle_tolerance_deg=ECHO_DIGIT_DEG,
         real_time_priority=0,
     )
-    client = LinkClient(settings)
+    client = start_link(settings)
     yield client
     client.close()
 
@@ -149,7 +143,7 @@ def test_the_link_moves_the_arm_of_a_third_party_controller(
     link: LinkClient, ethernet_file: Path, tmp_path: Path
 ) -> None:
     with echo_server(ethernet_file, tmp_path) as end:
-        _wait(link, lambda s: s.IPOC > 0 or s.rejected > 0 or s.received_ns > 0)
+        _wait(link, lambda s: s.device_clock > 0 or s.rejected > 0 or s.received_ns > 0)
         time.sleep(0.05)  # telegrams that nobody answers yet
         link.command(CommandKind.OPEN, limits=working_limits(MODEL))
         first = _wait(link, lambda s: s.phase is Phase.RUNNING and s.settled)

@@ -12,7 +12,7 @@ import typer
 
 from benchmarks import figures, history, run
 from benchmarks.robot import robot_link
-from drivers.kuka_rsi.realtime.link_state import Choice, RecordedCycle
+from ronna_hw.arm_stream.records import Choice, RecordedCycle
 
 ROOT = Path(__file__).resolve().parents[3]
 RUN = ROOT / "benchmarks" / "run.py"

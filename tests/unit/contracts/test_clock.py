@@ -192,3 +192,42 @@ def test_time_that_may_pass_stands_still_while_nothing_streams(path: str) -> Non
     assert clock.now_ns() == 0
     clock.sleep(0.5)
     assert clock.now_s() == 0.5
+
+
+@pytest.fixture
+def arms(path: str) -> tuple[SharedClock, SharedClock]:
+    """Two cyclic devices that have come equally far."""
+    master, assistant = SharedClock(path, 0), SharedClock(path, 1)
+    assistant.advance_cycle(CYCLE_NS)
+    master.advance_cycle(CYCLE_NS)  # it begins at the time of the other
+    assistant.advance_cycle(CYCLE_NS)
+    assert master.now_ns() == 2 * CYCLE_NS
+    return master, assistant
+
+
+def test_two_streaming_devices_keep_step(arms: tuple[SharedClock, SharedClock]) -> None:
+    master, assistant = arms
+    assistant.advance_cycle(CYCLE_NS)
+    assert assistant.must_wait_for_device()
+    master.advance_cycle(CYCLE_NS // 2)
+    assert master.now_ns() == 2 * CYCLE_NS + CYCLE_NS // 2
+    master.advance_cycle(CYCLE_NS // 2)
+    assert not assistant.must_wait_for_device()
+    assert not master.must_wait_for_device()
+
+
+def test_a_device_that_waits_for_another_wakes_it(arms: tuple[SharedClock, SharedClock]) -> None:
+    master, assistant = arms
+    with assistant.open_alarm() as alarm, assistant.rest(alarm):
+        assert not assistant.may_pass()
+        master.advance_cycle(CYCLE_NS)
+        assert select.select([alarm], (), (), 5.0)[0]
+        assert assistant.may_pass()
+
+
+def test_a_device_that_ends_its_stream_holds_no_other_up(arms: tuple[SharedClock, SharedClock]) -> None:
+    master, assistant = arms
+    master.advance_cycle(CYCLE_NS)
+    assert master.must_wait_for_device()
+    assistant.end_stream()
+    assert not master.must_wait_for_device()

@@ -40,6 +40,20 @@ def test_procedure_settings_survive_a_round_trip_through_the_theatre_file(
     assert read_theatre_file(path).procedure == settings
 
 
+def test_both_roles_on_one_arm_are_refused() -> None:
+    def arm(rsi: str, eki: str) -> dict[str, Any]:
+        return {"driver": "kuka_rsi", "endpoints": {"rsi": rsi, "eki_project": eki}}
+
+    master = arm("udp://192.168.1.5:59152", "tcp://192.168.1.2:54602")
+    theatre = {"schema": 1, "theatre": "lab", "robot": {"master": master}}
+    other = arm("udp://192.168.1.5:59153", "tcp://192.168.1.3:54602")
+    theatre["robot"]["assistant"] = other
+    assert list(parse_theatre(theatre, "theatre.toml").robot) == ["master", "assistant"]
+    other["endpoints"]["eki_project"] = "tcp://192.168.1.2:54602"
+    with pytest.raises(BadTheatreFile, match=r"robot.assistant. and .robot.master. are the same arm"):
+        parse_theatre(theatre, "theatre.toml")
+
+
 def test_a_plan_given_as_a_theatre_file_is_recognised() -> None:
     with pytest.raises(BadTheatreFile, match=r"plan\.toml is a plan, not a theatre file"):
         parse_theatre({"schema": 1, "trajectories": [], "implanted": 3}, "plan.toml")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.devices.errors import ACKNOWLEDGE
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import LinkTimeout, RonnaError
 from ronna_hw.text import format_against_limit, format_distinct
 
 TESTS = Path(__file__).resolve().parents[2]
@@ -59,7 +59,7 @@ def test_a_value_without_an_expectation_or_limit_follows_a_colon() -> None:
 
 def test_an_error_survives_pickling_to_another_process() -> None:
     plain = RonnaError("no answer", expected="OKAY", action="Try.", wire=b"\x01")
-    for error in (plain, CommandRejected(1, "TX")):
+    for error in (plain, CommandRejected(1, "TX"), LinkTimeout("no reply", limit="1 s")):
         again = pickle.loads(pickle.dumps(error))
         assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
 

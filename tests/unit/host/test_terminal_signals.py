@@ -30,13 +30,13 @@ def hammer():
 AT_ITS_START = GROUP + "subprocess.Popen = Interrupted\n"
 LINK = """
 from dataclasses import replace
-from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.link import start_link
 from responder_stand import SETTINGS
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 port = parse_endpoint(own_udp_endpoint()).port
 own = replace(SETTINGS, port=port, parent_pid=os.getpid(), heartbeat_limit_s=10.0)
-link = LinkClient(own, 60.0)
+link = start_link(own, 60.0)
 print(link.state.phase.name)
 os.killpg(0, signal.SIGINT)
 time.sleep(0.1)  # nothing to await: the link is to outlive the signal

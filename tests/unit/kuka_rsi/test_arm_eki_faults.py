@@ -19,7 +19,7 @@ from drivers.kuka_rsi.errors import (
     WrongController,
 )
 from drivers.kuka_rsi.fault_watch import FaultWatch
-from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
+from ronna_hw.arm_stream.mailbox import MailboxTorn
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 

@@ -15,8 +15,8 @@ from driven_arm import THERE, configured, largest_step, moving
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkSilent, MotionTripped, NoTelegram, PoseDisagrees
-from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
 
 

@@ -11,9 +11,9 @@ from driven_arm import FAR, THERE, activated, configured, largest_step, moving
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi.errors import DrivesOff, LinkStopped, MotionNotFinished, MotionStopped, ProtectiveStop
-from drivers.kuka_rsi.motion import MotionFollower
-from drivers.kuka_rsi.realtime.link_state import Fault, StopOrder
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.motion import MotionFollower
+from ronna_hw.arm_stream.records import Fault, StopOrder
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LifecycleGuard
@@ -153,7 +153,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
 def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_motion_timeout(
     active_arm: Any, controller: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.kuka_rsi.motion.SETTLE_LIMIT_S", 0.5)
+    monkeypatch.setattr("ronna_hw.arm_stream.motion.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
     with pytest.raises(
         MotionNotFinished,

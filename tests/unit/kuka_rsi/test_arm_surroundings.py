@@ -10,8 +10,6 @@ import pytest
 from drivers.kuka_rsi.errors import MotionTripped
 from drivers.kuka_rsi.fault_errors import fault_error
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Fault
-from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.errors import NotClear, Singular, Unreachable
@@ -19,6 +17,8 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault
+from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.kuka_eki import OperationMode

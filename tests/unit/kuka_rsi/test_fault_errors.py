@@ -14,9 +14,9 @@ from drivers.kuka_rsi.errors import (
     PoseDisagrees,
     ProtectiveStop,
 )
-from drivers.kuka_rsi.fault_errors import fault_error, refusal_error
+from drivers.kuka_rsi.fault_errors import fault_error, stream_faults
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Fault, LinkState, Result
+from ronna_hw.arm_stream.records import NO_STATE, Fault, LinkState, Result
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
@@ -54,8 +54,9 @@ def test_every_fault_and_every_refusal_has_a_message() -> None:
     for fault in Fault:
         made = fault_error("arm", _with(fault), KukaOptions(), OperationMode.EXT)
         assert (made is None) == (fault is Fault.NONE)
+    refusal_error = stream_faults("arm", KukaOptions()).refusal_error
     for result in Result:
         if result.name.startswith("REFUSED"):
-            assert "arm" in str(refusal_error("arm", NO_STATE._replace(result=result)))
-    busy = refusal_error("arm", NO_STATE._replace(result=Result.REFUSED_BUSY))
+            assert "arm" in str(refusal_error(NO_STATE._replace(result=result)))
+    busy = refusal_error(NO_STATE._replace(result=Result.REFUSED_BUSY))
     assert (busy.code, "another motion is running" in str(busy)) == ("RSI-012", True)

@@ -12,7 +12,9 @@ from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
-from drivers.kuka_rsi.realtime.link_state import (
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.live_watch import ViolationKind
+from ronna_hw.arm_stream.records import (
     NO_STATE,
     NOTHING_AROUND,
     Fault,
@@ -21,8 +23,6 @@ from drivers.kuka_rsi.realtime.link_state import (
     RecordedCycle,
     StopOrder,
 )
-from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import selectors
 from collections.abc import Callable, Iterator
 
 import pytest
 from ur_clients import own_address
 
+from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.model import MODELS, ArmName
@@ -32,12 +32,13 @@ def controller(make: MakeController) -> Controller:
 @pytest.fixture
 def serve() -> Iterator[Callable[[Controller], RtdeServer]]:
     servers: list[RtdeServer] = []
-    with selectors.DefaultSelector() as poll:
+    poll = Poll()
 
-        def open_server(controller: Controller) -> RtdeServer:
-            servers.append(RtdeServer(controller.robot, own_address(), poll, seed=1))
-            return servers[-1]
+    def open_server(controller: Controller) -> RtdeServer:
+        servers.append(RtdeServer(controller.robot, own_address(), poll, seed=1))
+        return servers[-1]
 
-        yield open_server
-        for server in servers:
-            server.listener.close()
+    yield open_server
+    for server in servers:
+        server.listener.close()
+    poll.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import selectors
 import struct
 from collections.abc import Callable, Iterator
 
@@ -10,6 +9,7 @@ import pytest
 from ur_clients import own_address, script
 
 from ronna_hw.wire.universal_robots import SafetyMode
+from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.dashboard import Dashboard
 from sim.universal_robots.interfaces.scripts import ScriptText
@@ -23,10 +23,11 @@ MakeController = Callable[..., Controller]
 
 @pytest.fixture
 def ask(controller: Controller) -> Iterator[Callable[[str], str]]:
-    with selectors.DefaultSelector() as poll:
-        dashboard = Dashboard(controller, own_address(), poll)
-        yield dashboard.answer
-        dashboard.listener.close()
+    poll = Poll()
+    dashboard = Dashboard(controller, own_address(), poll)
+    yield dashboard.answer
+    dashboard.listener.close()
+    poll.close()
 
 
 def parts(package: bytes) -> dict[int, bytes]:

@@ -19,8 +19,7 @@ from sim.world.true_arm import TrueArm
 from studies.campaign.study import Sums
 from studies.errors import LedgerUnreadable, OtherStudy
 from studies.low_cost.calibration import fit_pivot
-from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, InstantArm, open_room
-from studies.low_cost.factory import calibrate_in_factory
+from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, InstantArm, factory_kinematics, open_room
 from studies.low_cost.judge import Judge, distance_errors_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation, load_or_prepare
@@ -153,7 +152,7 @@ def test_the_arms_of_a_study_are_spread_over_the_vendors_multiple_millimetres() 
 
 def test_the_factory_describes_an_arm_several_times_better_than_its_model_does() -> None:
     truth = draw_ur5(0, 9, 10)
-    factory, true = calibrate_in_factory(truth, 0), TrueArm(truth, 0)
+    factory, true = factory_kinematics(truth, 0), TrueArm(truth, 0)
     near = np.random.default_rng(2).uniform(-0.3, 0.3, (20, 6)) + ARM.home_rad
     places = np.array([true.moving(joints, (0.0,) * 6)[:3, 3] for joints in near.tolist()])
     nominal_mm, factory_mm = (

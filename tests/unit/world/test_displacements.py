@@ -9,6 +9,7 @@ import pytest
 
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, spheres_in_theatre
 from sim.world.rigid import apply, inverse, matrix_of, rotation_from_vector, vector_from_rotation
+from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import SEATING_ERROR_MM, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import TrueGuide, sample_instrument
@@ -51,6 +52,28 @@ def test_a_cart_that_turns_leaves_head_and_tracker_to_each_other() -> None:
     after = apply(inverse(moved), now.displace_spheres_mm(spheres_mm, (1, 2, 3)))
     assert after == pytest.approx(before, abs=1e-9)
     assert np.linalg.norm(np.subtract(now.displace_spheres_mm(spheres_mm, (1, 2, 3)), spheres_mm)) > 5.0
+
+
+def test_the_assistant_s_cart_rolls_along_its_own_axes_and_nothing_else_moves() -> None:
+    world = World.create(add_assistant(draw_scene("mini")), paced=False)
+    world.set_fault_script("at 0 s: room move cart 2 10 0 0 mm 0 deg in 0 s")
+    room = ShiftedRoom(world)
+    base = matrix_of(world.scene.assistant.robot_from_base)
+    moved = room.robot_from_assistant(room.now())
+    assert moved[:3, 3] - base[:3, 3] == pytest.approx(10.0 * base[:3, 0])
+    assert np.linalg.norm(room.now().head_mm) == 0.0
+
+
+def test_the_master_s_cart_leaves_head_and_assistant_to_each_other() -> None:
+    world = World.create(add_assistant(draw_scene("mini")), paced=False)
+    head = matrix_of(world.scene.head.robot_from_ct)
+    room = ShiftedRoom(world)
+    before = inverse(head) @ room.robot_from_assistant(room.now())
+    world.set_fault_script("at 0 s: room move cart 1 10 -20 0 mm 5 deg in 0 s")
+    now = room.now()
+    after = inverse(rigid_move(now.head_rad, now.head_mm) @ head) @ room.robot_from_assistant(now)
+    assert after == pytest.approx(before, abs=1e-9)
+    assert np.linalg.norm(now.head_mm) > 20.0
 
 
 def test_the_truth_follows_a_turned_head() -> None:

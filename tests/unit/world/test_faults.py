@@ -13,6 +13,8 @@ from sim.world.faults import (
     parse_request,
     read_faults,
 )
+from sim.world.options import ArmRole
+from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -47,11 +49,11 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ),
         (
             "at 3 s: tea for 2 s",
-            "line 2, column 9: expected 'camera', .*, got 'tea'. Write for example: at 12.5 s: ",
+            "line 2, column 9: expected 'assistant', 'camera', .*, got 'tea'. Write for example: at 12.5 s: ",
         ),
         (
             "at 3 s:",
-            "line 2, column 8: expected 'camera', .*, got the end of the line. Write for example: at 12.5",
+            "line 2, column 8: expected 'assistant', 'camera', .*, got the end of the line",
         ),
         (
             "at 3 s: robot dorp 5 %",
@@ -232,3 +234,23 @@ def test_a_fault_since_a_step_may_begin_some_time_after_it() -> None:
     assert begin_with_step(script, "tool_check", 10.0) == script
     assert begin_with_step(script, "positioning:T1", 10.0) == "at 11.500000000 s: room turn head 0 0 1 deg"
     assert "1.5 s after step positioning:T1 begins" in fault.effect
+
+
+def test_a_fault_of_the_assistant_acts_on_no_other_arm() -> None:
+    world = World.create(add_assistant(draw_scene("mini")), paced=False)
+    world.set_fault_script("at 0 s: assistant robot network cut")
+    assert FaultBoard(world, "robot").empty
+    own = FaultBoard(World.open(world.endpoint, ArmRole.ASSISTANT), "robot")
+    assert [fault.phrase for fault in own.acting()] == ["assistant robot network cut"]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("now: assistant robot network cut", "there is no assistant here"),
+        ("now: assistant room shift head 1 0 0 mm", "only an arm can be the assistant"),
+    ],
+)
+def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: str) -> None:
+    with pytest.raises(BadFaultScript, match=said):
+        check_faults(parse_faults(line), draw_scene("mini"))

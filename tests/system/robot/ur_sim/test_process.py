@@ -7,7 +7,7 @@ import subprocess
 import time
 
 import pytest
-from ur_clients import RtdeClient, UrCell, script
+from ur_clients import RUN, RtdeClient, UrCell, stream
 
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.host.child_process import command
@@ -16,24 +16,7 @@ from sim.world.faults import FaultKind
 from sim.world.faults.universal_robots import UR_FAULTS
 
 HANG_S = 60.0
-RUN = 4711
 STEP_RAD = 0.0005
-
-
-def stream(cell: UrCell) -> tuple[RtdeClient, list[float]]:
-    """Start our script, and return a client whose first set-point is used."""
-    client = cell.rtde()
-    client.set_up()
-    home = list(client.state().target_rad)
-    client.put(0, 0, RUN, home)
-    with cell.connect("primary") as primary:
-        primary.sendall(script().encode())
-        while client.state().script != ScriptState.WAITING:
-            pass
-    client.put(1, 0, RUN, home)
-    while client.state().used != 1:
-        pass
-    return client, home
 
 
 def test_it_serves_the_standard_ports_and_says_what_it_is(cell: UrCell) -> None:

@@ -51,15 +51,19 @@ def eventually(holds):
         time.sleep(0.002)
     return False
 
+def near(values, wanted):
+    return max(abs(a - b) for a, b in zip(values, wanted)) < 1e-6
+
 found["robotmode"], found["remote"] = dashboard.robotmode(), dashboard.isInRemoteControl()
 start = receive.getActualQ()
 goal = [start[0] + 0.1, *start[1:]]
 found["moveJ"] = control.moveJ(goal, 2.0, 20.0)
-found["goal"], found["joints"] = goal, receive.getActualQ()
+found["joints"] = eventually(lambda: near(receive.getActualQ(), goal))
 line = receive.getActualTCPPose()
 line[2] += 0.02
 found["moveL"] = control.moveL(line, 1.0, 10.0)
-found["line"], found["pose"] = line, receive.getActualTCPPose()
+found["line"] = eventually(lambda: near(receive.getActualTCPPose()[:3], line[:3]))
+found["pose"] = receive.getActualTCPPose()
 found["inverse"], found["at"] = control.getInverseKinematics(line), receive.getActualQ()
 found["forward"] = control.getForwardKinematics()
 for number in range(40):
@@ -73,12 +77,12 @@ for _ in range(40):
     began = control.initPeriod()
     control.speedJ([0.1, 0, 0, 0, 0, 0], 5.0, 0.002)
     control.waitPeriod(began)
-found["speedJ"] = receive.getTargetQd()[0]
+found["speedJ"] = eventually(lambda: near(receive.getTargetQd()[:1], [0.1]))
 control.speedStop()
 control.moveJ(start, 1.0, 1.0, True)
 found["moves"] = eventually(lambda: receive.getActualQd()[0] < -0.01)
 control.stopJ(10.0)
-found["stopped"] = max(map(abs, receive.getTargetQd()))
+found["stopped"] = eventually(lambda: near(receive.getTargetQd(), [0.0] * 6))
 control.setTcp([0, 0, 0.1, 0, 0, 0])
 found["tcp"] = control.getTCPOffset()
 io.setStandardDigitalOut(1, True)
@@ -131,8 +135,8 @@ def test_its_dashboard_client_reads_mode_and_remote_control(found: dict[str, Any
 def test_it_moves_to_joints_and_along_a_line(found: dict[str, Any]) -> None:
     assert found["moveJ"]
     assert found["moveL"]
-    assert found["joints"] == pytest.approx(found["goal"], abs=ROUNDING)
-    assert found["pose"][:3] == pytest.approx(found["line"][:3], abs=ROUNDING)
+    assert found["joints"]
+    assert found["line"]
 
 
 def test_it_computes_the_kinematics_as_the_arm_moves(found: dict[str, Any]) -> None:
@@ -143,9 +147,9 @@ def test_it_computes_the_kinematics_as_the_arm_moves(found: dict[str, Any]) -> N
 
 def test_it_streams_joints_and_speeds_and_stops(found: dict[str, Any]) -> None:
     assert found["served"]
-    assert found["speedJ"] == pytest.approx(0.1)
+    assert found["speedJ"]
     assert found["moves"]
-    assert found["stopped"] == 0.0
+    assert found["stopped"]
 
 
 def test_it_switches_outputs_by_rtde_and_by_script(found: dict[str, Any]) -> None:

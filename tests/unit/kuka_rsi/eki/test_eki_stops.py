@@ -17,7 +17,7 @@ from waiting import eventually
 
 from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
-from drivers.kuka_rsi.realtime.link_state import Choice
+from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import RonnaError
@@ -45,7 +45,7 @@ def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
     eventually(lambda: arm.connections.link.stop_number > 0)
     controller.silent.clear()
     mover.join(HANG_S)
-    _stopped_at_once(controller.replies, before, {c.IPOC: c.choice for c in arm.recorded_cycles})
+    _stopped_at_once(controller.replies, before, {c.device_clock: c.choice for c in arm.recorded_cycles})
     assert arm.state is Lifecycle.FAULT
     (error,) = caught
     assert isinstance(error, RonnaError)

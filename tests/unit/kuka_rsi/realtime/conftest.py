@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from rsi_loop import InProcessLink
 
-from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from ronna_hw.arm_stream.mailbox import Mailbox
 
 
 @pytest.fixture

@@ -16,8 +16,13 @@ from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_
 from drivers.kuka_rsi.errors import LinkUnusable
 from drivers.kuka_rsi.fault_errors import fault_error
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_health import WINDOW_CYCLES, Losses
-from drivers.kuka_rsi.realtime.link_state import (
+from drivers.kuka_rsi.realtime.link_health import Losses
+from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.telegram import Telegram
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm_stream.losses import WINDOW_CYCLES
+from ronna_hw.arm_stream.records import (
     Choice,
     Command,
     CommandKind,
@@ -27,10 +32,6 @@ from drivers.kuka_rsi.realtime.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.responder import Responder
-from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.pose import Pose
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import OperationMode
 

@@ -7,21 +7,9 @@ from contextlib import closing
 from dataclasses import replace
 
 import pytest
+from responder_stand import SETTINGS
 
-from drivers.kuka_rsi.realtime.link_health import EDGES_US, histogram_bin, percentile_us
-from drivers.kuka_rsi.realtime.link_state import (
-    NO_STATE,
-    Command,
-    CommandKind,
-    Fault,
-    LinkSettings,
-    Orders,
-    Phase,
-    RecordedCycle,
-    Result,
-    StopOrder,
-)
-from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, MailboxTorn
+from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.errors import SurroundingsTooLarge
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -29,6 +17,19 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm_stream.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, MailboxTorn
+from ronna_hw.arm_stream.records import (
+    NO_STATE,
+    Command,
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+    RecordedCycle,
+    Result,
+    StopOrder,
+)
+from ronna_hw.arm_stream.statistics import EDGES_US, histogram_bin, percentile_us
 
 SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 STEP = SpeedStep(0.5, 0.2)
@@ -79,7 +80,7 @@ def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, red
 def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
     state = NO_STATE._replace(
         cycles=7,
-        IPOC=2**40,
+        device_clock=2**40,
         phase=Phase.RUNNING,
         fault=Fault.MONITOR,
         result=Result.STOPPED,
@@ -121,9 +122,7 @@ def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
 
 
 def test_link_settings_survive_a_json_round_trip() -> None:
-    settings_given = LinkSettings(
-        "h", 1, 2, 3, 4, "v", 4, "S", ("a",), ("b", "c"), ("d",), "s", 0.1, 0.2, 0.3, 5
-    )
+    settings_given = replace(SETTINGS, send_tags=("a",), receive_tags=("b", "c"), keeps_bytes=True)
     assert LinkSettings.from_json(settings_given.to_json()) == settings_given
 
 

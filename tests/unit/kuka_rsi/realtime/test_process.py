@@ -16,10 +16,11 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_muta
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.connections import link_settings
-from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime import loop as link_loop
-from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
+from ronna_hw.arm_stream import loop as link_loop
+from ronna_hw.arm_stream.client import LinkClient
+from ronna_hw.arm_stream.records import CommandKind, Phase
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
@@ -91,7 +92,7 @@ def test_mutants_in_a_session_cause_no_motion() -> None:
 def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:
     endpoint = parse_endpoint(own_udp_endpoint())
     options = KukaOptions(silence_limit_s=60.0, heartbeat_limit_s=60.0, real_time_priority=0)
-    link = LinkClient(link_settings(endpoint, load_context(), options))
+    link = start_link(link_settings(endpoint, load_context(), options))
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
             controller.connect((endpoint.host, endpoint.port))

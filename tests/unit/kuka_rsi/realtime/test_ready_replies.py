@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from responder_stand import FAR, LIMITS, MODEL, START
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 
-from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Fault, StopOrder
 from ronna_hw.arm.motion.planning import plan_joint_move
+from ronna_hw.arm_stream.records import Command, CommandKind, Fault, StopOrder
 
 MOVE = Command(0, CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
 

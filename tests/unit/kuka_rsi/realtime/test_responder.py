@@ -19,21 +19,13 @@ from responder_stand import (
 )
 
 from drivers.kuka_rsi.realtime.link_health import Losses
-from drivers.kuka_rsi.realtime.link_state import (
-    STOP_KIND_BITS,
-    CommandKind,
-    Fault,
-    LinkState,
-    Orders,
-    Phase,
-    Result,
-)
-from drivers.kuka_rsi.realtime.responder import SETTLE_CYCLES
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm_stream.records import STOP_KIND_BITS, CommandKind, Fault, LinkState, Orders, Phase, Result
+from ronna_hw.arm_stream.session import SETTLE_CYCLES
 
 CYCLE_S = SETTINGS.cycle_ms / 1000.0
 LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises
@@ -293,7 +285,7 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
     """No two fields of one type have the same value; of the five flags one at a time is true."""
     stand = moving() if told == "moving" else begun()
     responder = stand.responder
-    responder.cycles, responder._ipoc, responder._received_ns = 11, 12, 13
+    responder.cycles, responder.device_clock, responder._received_ns = 11, 12, 13
     responder.phase, responder.fault, responder.result = Phase.ENDING, Fault.BASE, Result.REFUSED_START
     responder._losses.degraded = told == "degraded"
     responder._settled_cycles = SETTLE_CYCLES if told == "settled" else SETTLE_CYCLES - 1
@@ -303,11 +295,12 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
     responder.senders.count, responder.senders.host, responder.senders.disagreeing = 20, "10.0.0.3", 21
     responder._measured, responder._base_rad = FAR, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     responder.violation = Violation(ViolationKind.JERK, 5, 0.7, 0.8)
+    responder._speed, responder.controller_word = 0.9, 22
     assert responder.sent_rad not in (FAR, responder._base_rad)
     assert responder.state(real_time=told == "real_time", locked=told == "locked") == LinkState(
         **{told: True},
         cycles=11,
-        IPOC=12,
+        device_clock=12,
         received_ns=13,
         phase=Phase.ENDING,
         fault=Fault.BASE,
@@ -328,4 +321,6 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
         violation_axis=5,
         violation_value=0.7,
         violation_limit=0.8,
+        speed_share=0.9,
+        controller_word=22,
     )

@@ -19,19 +19,12 @@ from responder_stand import (
     moving,
 )
 
-from drivers.kuka_rsi.realtime.link_state import (
-    CommandKind,
-    Fault,
-    Orders,
-    Phase,
-    Result,
-    StopOrder,
-)
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm_stream.records import CommandKind, Fault, Orders, Phase, Result, StopOrder
 
 
 def test_no_telegram_is_answered_before_a_session_is_open() -> None:

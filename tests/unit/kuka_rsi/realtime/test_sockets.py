@@ -12,17 +12,9 @@ from collections.abc import Iterable, Iterator
 import pytest
 from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
-from drivers.kuka_rsi.realtime.link_state import StopOrder
-from drivers.kuka_rsi.realtime.sockets import (
-    MOST_MISSING,
-    STEADY_ARRIVALS,
-    Address,
-    LinkSockets,
-    Pace,
-    Rehearsal,
-    TelegramReceiver,
-    bind,
-)
+from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Rehearsal, bind
+from ronna_hw.arm_stream.pace import MOST_MISSING, STEADY_ARRIVALS, Pace, PacedReceiver
+from ronna_hw.arm_stream.records import StopOrder
 
 FLOOD = 100
 
@@ -181,8 +173,8 @@ class FakeTime:
     def rehearse(self) -> None:
         self.rehearsed_ns.append(self.now_ns)
 
-    def reception(self, lead_ns: int = LEAD_NS) -> TelegramReceiver:
-        return TelegramReceiver(
+    def reception(self, lead_ns: int = LEAD_NS) -> PacedReceiver:
+        return PacedReceiver(
             self,  # type: ignore[arg-type]
             lead_ns=lead_ns,
             rehearse=self.rehearse,
@@ -198,13 +190,13 @@ def arrivals_ns(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
     return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
 
 
-def pace(reception: TelegramReceiver, count: int) -> None:
+def pace(reception: PacedReceiver, count: int) -> None:
     for _ in range(count):
         reception.next()
         reception.note_paced()
 
 
-def served(world: FakeTime, reception: TelegramReceiver) -> int:
+def served(world: FakeTime, reception: PacedReceiver) -> int:
     """Receive telegrams until nothing has come three times; each after a whole cycle."""
     count = nothing = 0
     while nothing < 3:

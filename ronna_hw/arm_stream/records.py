@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
@@ -16,34 +16,24 @@ from ronna_hw.vectors import JointVector
 
 VIOLATIONS = ("", *ViolationKind)
 NOTHING_AROUND = Surroundings()
+NO_DESCRIPTOR = -1
 STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
 STOP_KIND = (1 << STOP_KIND_BITS) - 1
-AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class LinkSettings:
-    """Settings of the real-time process, passed as one line of JSON on standard input."""
+@dataclass(frozen=True, kw_only=True)
+class StreamSettings:
+    """Settings of the real-time process that every protocol needs; a driver adds its own."""
 
-    host: str
-    port: int
     parent_pid: int
-    mailbox_fd: int
-    event_fd: int
-    variant: str
-    cycle_ms: int
-    sentype: str
-    send_tags: tuple[str, ...]
-    receive_tags: tuple[str, ...]
-    axis_tags: tuple[str, ...]  # which received tags feed AXISCORR A1..A6
-    stop_tag: str  # which one feeds STOP
+    mailbox_fd: int = NO_DESCRIPTOR
+    event_fd: int = NO_DESCRIPTOR
     silence_limit_s: float
     heartbeat_limit_s: float
     settle_tolerance_deg: float
     real_time_priority: int
     rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
-    controller_host: str = ""  # only telegrams from this host open a stream; "" for any
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
@@ -51,11 +41,12 @@ class LinkSettings:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, line: str) -> LinkSettings:
+    def from_json(cls, line: str) -> Self:
         """Decode a line from `to_json`; raises TypeError or ValueError if it is invalid."""
-        values = json.loads(line)
-        for name in ("send_tags", "receive_tags", "axis_tags"):
-            values[name] = tuple(values[name])
+        values: dict[str, Any] = json.loads(line)
+        if not isinstance(values, dict):
+            raise TypeError("the settings are not an object")
+        values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         return cls(**values)
 
 
@@ -104,6 +95,8 @@ class Fault(IntEnum):
     RESTARTED = 8
     BASE = 9  # the first telegram's axes are outside the joint ranges
     LOSSES = 10  # too many cycles without an effective reply
+    CONTROLLER = 11  # the controller reports in its telegrams that it has stopped the arm, or our program
+    BROKEN = 12  # the connection ended, or carried something that is no telegram
 
 
 class Result(IntEnum):
@@ -153,7 +146,7 @@ class LinkState(NamedTuple):
     """State of the real-time process, published once per cycle; angles in rad."""
 
     cycles: Annotated[int, "Q"] = 0
-    IPOC: Annotated[int, "Q"] = 0
+    device_clock: Annotated[int, "Q"] = 0  # of the last telegram, in the controller's own unit
     received_ns: Annotated[int, "q"] = 0
     phase: Annotated[Phase, "B"] = Phase.STARTING
     fault: Annotated[Fault, "B"] = Fault.NONE
@@ -166,7 +159,7 @@ class LinkState(NamedTuple):
     command_number: Annotated[int, "Q"] = 0
     stop_number: Annotated[int, "Q"] = 0  # the last stop order seen
     late: Annotated[int, "Q"] = 0  # the controller's count
-    lost: Annotated[int, "Q"] = 0  # telegrams that never arrived, from the gap in IPOC
+    lost: Annotated[int, "Q"] = 0  # telegrams that never arrived, from the gap in the device clock
     rejected: Annotated[int, "Q"] = 0
     dropped: Annotated[int, "Q"] = 0  # older ones queued up behind a stall
     foreign: Annotated[int, "Q"] = 0  # from senders other than the controller
@@ -179,6 +172,8 @@ class LinkState(NamedTuple):
     violation_axis: Annotated[int, "I"] = 0
     violation_value: Annotated[float, "d"] = 0.0
     violation_limit: Annotated[float, "d"] = 0.0
+    speed_share: Annotated[float, "d"] = 1.0  # of the planned speed, that the controller and losses leave
+    controller_word: Annotated[int, "Q"] = 0  # what the controller reports, as its driver packs it
     errno: Annotated[int, "i"] = 0
 
 
@@ -189,7 +184,7 @@ class RecordedCycle(NamedTuple):
     """Flight recorder entry for one cycle; times are host monotonic."""
 
     cycle: Annotated[int, "Q"]
-    IPOC: Annotated[int, "Q"]
+    device_clock: Annotated[int, "Q"]
     received_ns: Annotated[int, "q"]
     turnaround_us: Annotated[float, "d"]
     measured_rad: Annotated[JointVector, "6d"]

@@ -6,11 +6,6 @@ computed only from the points sent: onwards along the arm's present motion.
 
 from __future__ import annotations
 
-from math import degrees
-from typing import NamedTuple
-
-from drivers.kuka_rsi.realtime.link_state import Choice, LinkSettings
-from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, ReplyWriter
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation
 from ronna_hw.arm.kinematics import Kinematics
@@ -18,10 +13,9 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm_stream.records import Choice
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
-
-NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class SetPoints:
@@ -57,6 +51,14 @@ class SetPoints:
     def moving(self) -> bool:
         """Whether a motion is in progress."""
         return self._motion is not None
+
+    def at(self, choice: Choice) -> JointVector:
+        """Return the point that a choice sends."""
+        if choice is Choice.GO:
+            return self.go_rad
+        if choice is Choice.STOP:
+            return self.stop_rad
+        return self.last_rad if choice is Choice.REPEAT else self.held_rad
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
         """Start a motion from rest, scaled to `speed`; raises the errors of the path and of ruckig.
@@ -149,70 +151,3 @@ class SetPoints:
         state = state_from_history(self.monitor.history_rad, self._cycle_s)
         self._joint_stop = StopMotion(state, self._limits, self._cycle_s)
         self.stop_rad = self._joint_stop.prepare().stop_rad
-
-
-class PreparedReply(NamedTuple):
-    """Complete reply to the next telegram, valid if the telegram contains nothing unexpected."""
-
-    delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
-    stop_word: int  # no new stop
-    choice: Choice
-    reply: bytes
-
-
-class Replies:
-    """Reply encoder for one stream, with corrections relative to the joint angles of `begin`."""
-
-    def __init__(self, settings: LinkSettings) -> None:
-        self._writer = ReplyWriter(
-            settings.sentype, settings.receive_tags, settings.axis_tags, settings.stop_tag
-        )
-        self._cycle_ms = settings.cycle_ms
-        self._base_deg = NO_AXES
-        self._points = (NO_AXES, NO_AXES)  # to continue and to stop
-        self._ending = False
-        self._last_head: tuple[JointVector, bool, bytes] | None = None
-
-    def begin(self, base_deg: JointVector) -> None:
-        """Start a run with these joint angles as the origin of corrections."""
-        self._base_deg = base_deg
-        self._last_head = None
-
-    def prepare(self, points: SetPoints, *, ending: bool) -> None:
-        """Take over the prepared points; with `ending`, also Stop once at rest."""
-        moving = points.moving
-        self._points = (points.go_rad, points.stop_rad) if moving else (points.last_rad, points.last_rad)
-        self._ending = ending and not moving
-
-    def head_for(self, choice: Choice) -> bytes:
-        """Encode a reply up to its IPOC for the prepared point to continue or to stop."""
-        return self.head(self._points[choice], self._ending)
-
-    def complete(
-        self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int
-    ) -> PreparedReply:
-        """Build the complete reply to the next expected telegram."""
-        ipoc = str(last_ipoc + self._cycle_ms).encode()
-        delay = str(reported_late).encode() if reported_late >= 0 else b""
-        return PreparedReply((delay, ipoc), stop_word, choice, self.head_for(choice) + ipoc + REPLY_TAIL)
-
-    def head(self, joints_rad: JointVector, stop: bool) -> bytes:
-        """Encode a reply up to its IPOC; corrections in deg with six decimals."""
-        last = self._last_head
-        if last is not None and last[0] is joints_rad and last[1] is stop:
-            return last[2]
-        base = self._base_deg
-        a, b, c, d, e, f = joints_rad
-        head = self._writer.head(
-            (
-                degrees(a) - base[0],
-                degrees(b) - base[1],
-                degrees(c) - base[2],
-                degrees(d) - base[3],
-                degrees(e) - base[4],
-                degrees(f) - base[5],
-            ),
-            stop,
-        )
-        self._last_head = (joints_rad, stop, head)
-        return head

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied
-from drivers.kuka_rsi.realtime.link_state import (
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.errors import StreamErrors
+from ronna_hw.arm_stream.mailbox import KeptCycle, Mailbox
+from ronna_hw.arm_stream.records import (
     Command,
     CommandKind,
-    LinkSettings,
     LinkState,
     Phase,
     RecordedCycle,
     StopOrder,
+    StreamSettings,
 )
-from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
-from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.clock import Clock, HostClock
+from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
+from ronna_hw.errors import DeviceError
 from ronna_hw.host.process import describe_exit, shield_children
 from ronna_hw.vectors import JointVector
 
@@ -38,11 +39,16 @@ HEARTBEAT_S = 0.05
 PASSING_S = 10.0
 END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and exit, once its input was closed
 LONGEST_MESSAGE = 4000
-ADDRESS_ADVICE = (
-    "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
-    "controller's RSI interface; check that the cable is connected and the interface is up."
-)
 END_CAUSE_ADVICE = "Find out what ends it (a signal, the memory, a resource limit), then start again."
+
+
+class StartRefused(Exception):
+    """The real-time process could not open its link: number of the system's error, or 0."""
+
+    def __init__(self, errno: int) -> None:
+        super().__init__(errno)
+        self.errno = errno
+
 
 Condition = Callable[[LinkState], bool]
 TrafficHandler = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
@@ -53,18 +59,23 @@ class LinkClient:
 
     def __init__(
         self,
-        settings: LinkSettings,
+        settings: StreamSettings,
+        module: str,
+        errors: StreamErrors,
         timeout_s: float = START_TIMEOUT_S,
         on_traffic: TrafficHandler | None = None,
         clock: Clock | None = None,
+        inherited: tuple[int, ...] = (),
     ) -> None:
-        """Start the real-time process; raises RSI-001.
+        """Start the real-time process `module`; raises `errors.not_started`, or `StartRefused` by the system.
 
-        `on_traffic` is called from a thread of this object with the link's traffic. Theatre time passes on
-        `clock` during waits: the controller must go on for what is awaited.
+        `inherited` descriptors are passed on. `on_traffic` is called from a thread of this object with the
+        link's traffic. Theatre time passes on `clock` during waits: the controller must go on for what is
+        awaited.
         """
+        self._errors = errors
         self._clock = HostClock() if clock is None else clock
-        self._memory_fd = os.memfd_create("kuka_rsi")
+        self._memory_fd = os.memfd_create("arm stream")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         Mailbox.initialise(self._memory_fd)
         self.mailbox = Mailbox(self._memory_fd)
@@ -82,15 +93,15 @@ class LinkClient:
         self._closing = threading.Event()
         with shield_children():
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
+                [sys.executable, "-P", "-m", module],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 start_new_session=True,
-                pass_fds=(self._memory_fd, self._event_fd),
+                pass_fds=(self._memory_fd, self._event_fd, *inherited),
             )
         self._heartbeat_thread = threading.Thread(
-            target=self._run_heartbeat, name="rsi heartbeat", daemon=True
+            target=self._run_heartbeat, name="arm heartbeat", daemon=True
         )
         try:
             self._start(timeout_s)
@@ -156,7 +167,7 @@ class LinkClient:
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """Wait for a state that meets a condition; returns None on time-out (host time).
 
-        Raises RSI-007 when the process has ended.
+        Raises the driver's error when the process has ended.
         """
         deadline = time.monotonic() + timeout_s
         lets_time_pass = False
@@ -178,11 +189,11 @@ class LinkClient:
             if lets_time_pass:
                 self._clock.hold_back()
 
-    def death_error(self) -> LinkProcessDied:
+    def death_error(self) -> DeviceError:
         """Build the error for a process that terminated unexpectedly."""
         if self._end_reason is None:
             self._end_reason = self._read_end_reason()
-        return LinkProcessDied(f"the real-time process ended: {self._end_reason}")
+        return self._errors.died(f"the real-time process ended: {self._end_reason}")
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Return the most recent cycles, oldest first; frozen while a fault is latched."""
@@ -220,19 +231,12 @@ class LinkClient:
         self._heartbeat_thread.start()
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
-        except LinkProcessDied as error:
-            raise LinkNotStarted(error.what, action=END_CAUSE_ADVICE) from None
-        endpoint_text = f"udp://{self._settings.host}:{self._settings.port}"
+        except self._errors.died as error:
+            raise self._errors.not_started(error.what, action=END_CAUSE_ADVICE) from None
         if state is None:
-            raise LinkNotStarted(
-                f"the real-time process for {endpoint_text} does not report", limit=f"{timeout_s:g} s"
-            )
+            raise self._errors.not_started("the real-time process does not report", limit=f"{timeout_s:g} s")
         if state.phase is Phase.FAILED:
-            known = os.strerror(state.errno) if state.errno > 0 else "no such address"
-            reason = f"cannot listen on {endpoint_text}: {known}"
-            if state.errno <= 0 or state.errno == errno.EADDRNOTAVAIL:
-                raise LinkNotStarted(reason, expected="an address of this computer", action=ADDRESS_ADVICE)
-            raise LinkNotStarted(reason)
+            raise StartRefused(state.errno)
 
     def _run_heartbeat(self) -> None:
         count = 0
@@ -259,3 +263,21 @@ class LinkClient:
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
         code = self.process.wait()
         return text.splitlines()[-1] if text and code >= 0 else describe_exit(code)
+
+
+def pass_traffic(sink: ByteSink, link: str) -> TrafficHandler:
+    """Return a handler that passes a link's traffic on to a recorder."""
+
+    def pass_on(cycles: list[KeptCycle], lost: int) -> None:
+        sink.on_earlier_bytes(link, list(_iterate_traffic(cycles)))
+        if lost:
+            sink.note(link, lost_bytes=lost)
+
+    return pass_on
+
+
+def _iterate_traffic(cycles: list[KeptCycle]) -> Iterator[PassedBytes]:
+    for cycle in cycles:
+        yield PassedBytes(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
+        if cycle.reply:
+            yield PassedBytes(cycle.sent_ns, Direction.SENT, cycle.reply)

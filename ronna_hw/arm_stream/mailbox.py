@@ -11,7 +11,13 @@ import os
 from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
-from drivers.kuka_rsi.realtime.link_state import (
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.errors import SurroundingsTooLarge
+from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
+from ronna_hw.arm.pose import Pose, Rotation9
+from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND_BITS,
     Command,
@@ -21,16 +27,10 @@ from drivers.kuka_rsi.realtime.link_state import (
     RecordedCycle,
     StopOrder,
 )
-from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import SurroundingsTooLarge
-from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
-from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
-from ronna_hw.arm.pose import Pose, Rotation9
+from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS
 from ronna_hw.host.shared_memory import ByteRing, MemoryMap, RowCodec
 from ronna_hw.vectors import JointVector, Vector3
 
-HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256
 LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
@@ -62,7 +62,7 @@ class CommandRow(NamedTuple):
     speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"]
 
 
-_MAP = MemoryMap(b"RONNARSI")
+_MAP = MemoryMap(b"RONNAARM")
 _HEARTBEAT = _MAP.word()
 _STOP = _MAP.word()  # stop number and StopOrder
 _COMMAND_NUMBER = _MAP.word()  # of the command in the row

@@ -1,0 +1,1 @@
+"""What the controller runs: our URScript, with its settings at the head."""

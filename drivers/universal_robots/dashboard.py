@@ -1,0 +1,140 @@
+"""Dashboard client: one line of text asks, one line answers."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+from drivers.universal_robots.errors import (
+    BadBytes,
+    CommandRefused,
+    ControllerLost,
+    ControllerNotFound,
+    NoAnswer,
+)
+from ronna_hw.devices.capabilities import Direction
+from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
+
+BANNER = "Connected: Universal Robots Dashboard Server"
+LONGEST_LINE_BYTES = 1000
+RECEIVE_BYTES = 1024
+T = TypeVar("T")
+TRUTHS = {"true": True, "false": False}
+
+
+class DashboardClient:
+    """Thread-safe connection to the dashboard server."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        timeout_s: float,
+        on_bytes: Callable[[Direction, bytes], None] | None = None,
+    ) -> None:
+        """Connect; raises URD-002 if no dashboard server answers. `on_bytes` receives all traffic."""
+        self.where = f"tcp://{host}:{port}"
+        self._on_bytes = on_bytes
+        self._asking = threading.Lock()
+        self._received = b""
+        try:
+            self._socket = socket.create_connection((host, port), timeout_s)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise ControllerNotFound(f"nothing answers at {self.where} ({reason})") from error
+        try:
+            banner = self._read_line(time.monotonic() + timeout_s)
+        except (NoAnswer, ControllerLost, BadBytes) as error:
+            self.close()
+            raise ControllerNotFound(
+                f"{self.where} is open, but no dashboard server answers there", expected=BANNER
+            ) from error
+        if not banner.startswith(BANNER):
+            self.close()
+            raise ControllerNotFound(f"{self.where} is no dashboard server", expected=BANNER, got=banner)
+
+    def ask(self, command: str, timeout_s: float) -> str:
+        """Return the answer to a command; raises URD-014 on a broken connection, URD-015 on time-out."""
+        deadline = time.monotonic() + timeout_s
+        with self._asking:
+            self._received = b""
+            self._send(command.encode() + b"\n")
+            try:
+                return self._read_line(deadline)
+            except NoAnswer:
+                self.close()  # a late answer would be taken for that to the next command
+                raise
+
+    def require(self, command: str, expected: str, timeout_s: float) -> None:
+        """Give a command; raises URD-017 unless the answer begins as expected."""
+        answer = self.ask(command, timeout_s)
+        if not answer.lower().startswith(expected.lower()):
+            raise CommandRefused(f"the controller refused {command!r}", expected=expected, got=answer)
+
+    def robot_mode(self, timeout_s: float) -> RobotMode:
+        """Return the robot mode."""
+        return self._value("robotmode", "Robotmode:", RobotMode.__members__, timeout_s)
+
+    def safety_mode(self, timeout_s: float) -> SafetyMode:
+        """Return the safety mode."""
+        return self._value("safetymode", "Safetymode:", SafetyMode.__members__, timeout_s)
+
+    def is_remote(self, timeout_s: float) -> bool:
+        """Return whether the controller is in remote control; e-Series only."""
+        return self._value("is in remote control", "", TRUTHS, timeout_s)
+
+    def is_program_running(self, timeout_s: float) -> bool:
+        """Return whether any program runs."""
+        return self._value("running", "Program running:", TRUTHS, timeout_s)
+
+    def close(self) -> None:
+        """Close the connection; never raises."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def _value(self, command: str, head: str, known: Mapping[str, T], timeout_s: float) -> T:
+        answer = self.ask(command, timeout_s)
+        if answer.lower().startswith(head.lower()):
+            word = answer[len(head) :].strip().lower()
+            for name, value in known.items():
+                if name.lower() == word:
+                    return value
+        raise BadBytes(f"{self.where} answers {command!r} unexpectedly", got=answer)
+
+    def _send(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise self._lost_error(error) from error
+        if self._on_bytes is not None:
+            self._on_bytes(Direction.SENT, data)
+
+    def _read_line(self, deadline: float) -> str:
+        while b"\n" not in self._received:
+            if len(self._received) > LONGEST_LINE_BYTES:
+                raise BadBytes(f"{self.where} sends an endless line", wire=self._received)
+            remaining_s = deadline - time.monotonic()
+            if remaining_s <= 0.0:
+                raise NoAnswer(f"{self.where} does not answer")
+            self._socket.settimeout(remaining_s)
+            try:
+                data = self._socket.recv(RECEIVE_BYTES)
+            except TimeoutError:
+                continue
+            except OSError as error:
+                raise self._lost_error(error) from error
+            if not data:
+                raise ControllerLost(f"{self.where} closed the connection")
+            if self._on_bytes is not None:
+                self._on_bytes(Direction.RECEIVED, data)
+            self._received += data
+        line, _, self._received = self._received.partition(b"\n")
+        return line.decode(errors="replace").strip()
+
+    def _lost_error(self, error: OSError) -> ControllerLost:
+        return ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}")

@@ -1,0 +1,167 @@
+"""Arm options in the theatre file, and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees, radians
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from drivers.theatre_options import parse_options
+from drivers.universal_robots.errors import BadOptions
+from ronna_hw.arm.motion.limits import (
+    RANGE_MARGIN_RAD,
+    REDUCED_SPEED_MM_S,
+    WORKING_SPEED_FRACTION,
+    MotionLimits,
+    working_limits,
+)
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.calibration import Strict
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import ScriptSettings
+
+CYCLE_S = {UrModel.UR5: 0.008, UrModel.UR5E: 0.002}  # of the controller: CB3, e-Series
+SETTLE_TOLERANCE_DEG = 0.0008  # of servoj at rest (U); a tenth of what 0.1 mm of repeatability means
+SILENCE_LIMIT_S = 0.25
+HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
+FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
+REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
+LARGEST_SPEED_FRACTION = 0.25  # a late set-point makes one step of twice that, half of what the script takes
+STARVE_LIMIT_S = 0.02  # without a new set-point, until the script stops the arm
+LEAST_STARVED_CYCLES = 3  # one late set-point is no loss of the link
+LARGEST_STEP_SHARE = 0.5  # of a joint's full speed, between two set-points
+STOP_DECELERATION_RAD_S2 = (
+    8.0  # of stopj: twice the vendor's default, to rest within 50 ms at working speed (U)
+)
+LOOKAHEAD_S = 0.03  # the least: the arm follows within 34 ms
+GAIN = 1000.0
+TOOL_INPUTS = tuple(wire.TOOL_INPUTS)
+LAST_DIGITAL_INPUT = 17
+
+DigitalInput = Annotated[int, Field(ge=0, le=LAST_DIGITAL_INPUT)]
+
+
+class UrOptions(Strict):
+    """Arm options: table `[robot.<name>.options]`, with host times and fractions of full joint speed."""
+
+    model: Annotated[UrModel, Field(strict=False)] = Field(
+        UrModel.UR5E, description="Model of the arm, ur5 or ur5e; the controller must agree."
+    )
+    serial: str = Field("", description="Expected serial number of the arm; empty: any.")
+    calibration: str = Field(
+        "",
+        description="Fingerprint of the factory calibration that this theatre was measured with, as the "
+        "doctor reports it; another arm is refused. Empty: any.",
+    )
+    factory_calibration: bool = Field(
+        True, description="Compute with the factory calibration of this arm, not with its nominal dimensions."
+    )
+    silence_limit_s: float = Field(
+        SILENCE_LIMIT_S,
+        gt=0.02,
+        le=60.0,
+        description="Time without a package after which the arm is in fault.",
+    )
+    heartbeat_limit_s: float = Field(
+        HEARTBEAT_LIMIT_S,
+        ge=0.1,
+        le=60.0,
+        description="The arm is stopped when the program stalls for longer.",
+    )
+    settle_tolerance_deg: float = Field(
+        SETTLE_TOLERANCE_DEG,
+        ge=0.0001,
+        le=1.0,
+        description="A motion has ended when all joints are within this distance of the target.",
+    )
+    speed_fraction: float = Field(
+        WORKING_SPEED_FRACTION,
+        gt=0.0,
+        le=LARGEST_SPEED_FRACTION,
+        description="Working speed of the joints, as a fraction of full speed.",
+    )
+    range_margin_deg: float = Field(
+        degrees(RANGE_MARGIN_RAD),
+        ge=0.0,
+        le=30.0,
+        description="Margin kept from both ends of each joint's range.",
+    )
+    line_speed_mm_s: float | None = Field(
+        None,
+        gt=0.0,
+        le=REDUCED_SPEED_MM_S,
+        description="Largest speed on straight lines, instead of the default.",
+    )
+    tool_inputs: tuple[DigitalInput, ...] = Field(
+        TOOL_INPUTS,
+        max_length=8,
+        description="Digital inputs that carry the number of the mounted tool, least significant bit first: "
+        "0 to 7 standard, 8 to 15 configurable, 16 and 17 on the tool flange.",
+    )
+    payload_kg: float | None = Field(
+        None,
+        ge=0.0,
+        le=5.0,
+        description="Mass on the flange, set by our script; default: what the installation sets.",
+    )
+    starve_limit_s: float = Field(
+        STARVE_LIMIT_S,
+        ge=0.01,
+        le=0.5,
+        description="Time without a new set-point after which the script stops the arm by itself.",
+    )
+    lookahead_s: float = Field(
+        LOOKAHEAD_S, ge=0.03, le=0.2, description="Look-ahead of servoj: longer is smoother and later."
+    )
+    gain: float = Field(GAIN, ge=100.0, le=2000.0, description="Gain of servoj.")
+    stop_deceleration_rad_s2: float = Field(
+        STOP_DECELERATION_RAD_S2,
+        gt=0.0,
+        le=40.0,
+        description="Deceleration with which the script stops the arm when no set-point comes.",
+    )
+    real_time_priority: int = Field(
+        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."
+    )
+    rehearsal_lead_us: int = Field(
+        REHEARSAL_LEAD_US,
+        ge=0,
+        le=1500,
+        description="The reply is rehearsed this long before its package is due; 0: never.",
+    )
+
+    @property
+    def cycle_s(self) -> float:
+        """Cycle of the controller."""
+        return CYCLE_S[self.model]
+
+
+def read_options(device: str, options: dict[str, Any]) -> UrOptions:
+    """Parse the arm options; raises URD-001 listing every mistake."""
+    return parse_options(UrOptions, options, f"{device}: options", BadOptions)
+
+
+def planning_limits(options: UrOptions) -> MotionLimits:
+    """Return the limits of automatic operation that these options ask for."""
+    limits = working_limits(universal_robot(options.model), options.speed_fraction)
+    return replace(
+        limits,
+        cycle_s=options.cycle_s,
+        range_margin_rad=radians(options.range_margin_deg),
+        line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
+    )
+
+
+def script_settings(options: UrOptions) -> ScriptSettings:
+    """Return the settings of our script."""
+    full_speed_rad_s = min(universal_robot(options.model).full_speed_rad_s)
+    return ScriptSettings(
+        CYCLE_S=options.cycle_s,
+        STARVED_CYCLES=max(round(options.starve_limit_s / options.cycle_s), LEAST_STARVED_CYCLES),
+        LARGEST_STEP_RAD=LARGEST_STEP_SHARE * full_speed_rad_s * options.cycle_s,
+        STOP_DECELERATION_RAD_S2=options.stop_deceleration_rad_s2,
+        LOOKAHEAD_S=options.lookahead_s,
+        GAIN=options.gain,
+    )

@@ -1,0 +1,179 @@
+"""Packages of the primary client interface, as far as this driver needs them.
+
+A robot state is a package of parts, each with its size and kind. Controllers of different ages send parts of
+different lengths; what follows the fields known here is skipped.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from hashlib import sha256
+from typing import NamedTuple
+
+from drivers.universal_robots.errors import BadBytes
+from ronna_hw.vectors import JointVector, joint_vector
+
+HEADER = struct.Struct(">iB")
+LONGEST_PACKAGE_BYTES = 1 << 16
+PART_HEADER = struct.Struct(">IB")
+JOINTS = 6
+MM_PER_M = 1000.0
+
+MODE = struct.Struct(">Q7?BBdd")  # until the speed slider's fraction and the speed scaling
+JOINT = struct.Struct(">3d4fB")
+MASTERBOARD = struct.Struct(">iibbddbbddffffB")  # until the safety mode
+KINEMATICS = struct.Struct(">6I24dI")
+MESSAGE = struct.Struct(">QbB")  # time, source, kind
+VERSION_NUMBERS = struct.Struct(">BBii")
+MOVING_RAD_S = 1e-3
+
+
+class PackageKind(IntEnum):
+    """Kind of a package."""
+
+    ROBOT_STATE = 16
+    MESSAGE = 20
+
+
+class PartKind(IntEnum):
+    """Kind of a part of a robot state."""
+
+    MODE = 0
+    JOINTS = 1
+    MASTERBOARD = 3
+    KINEMATICS = 5
+
+
+class MessageKind(IntEnum):
+    """Kind of a message."""
+
+    VERSION = 3
+    SAFETY_MODE = 5
+    ERROR = 6
+    KEY = 7
+    RUNTIME_EXCEPTION = 10
+
+
+class RobotModeData(NamedTuple):
+    """Power, stops and program, from the part MODE."""
+
+    timestamp_us: int
+    is_connected: bool
+    is_enabled: bool
+    is_powered: bool
+    is_emergency_stopped: bool
+    is_protectively_stopped: bool
+    is_program_running: bool
+    is_program_paused: bool
+    robot_mode: int
+    control_mode: int
+    speed_fraction: float
+    speed_scaling: float
+
+
+class Joints(NamedTuple):
+    """Measured joints, from the part JOINTS."""
+
+    angles_rad: JointVector
+    moving: bool
+
+
+class Masterboard(NamedTuple):
+    """Inputs and safety mode, from the part MASTERBOARD."""
+
+    digital_inputs: int
+    safety_mode: int
+
+
+@dataclass(frozen=True)
+class KinematicsInfo:
+    """Factory calibration of the arm, from the part KINEMATICS; sums of nominal values and differences."""
+
+    checksums: tuple[int, ...]
+    theta_rad: JointVector
+    a_mm: JointVector
+    d_mm: JointVector
+    alpha_rad: JointVector
+    status: int
+
+    @property
+    def fingerprint(self) -> str:
+        """Short text that differs between any two calibrations."""
+        numbers = (*self.theta_rad, *self.a_mm, *self.d_mm, *self.alpha_rad)
+        return sha256(struct.pack(">6I24d", *self.checksums, *numbers)).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Message:
+    """Message of the controller, with the text in it."""
+
+    kind: int
+    text: str
+
+
+Part = RobotModeData | Joints | Masterboard | KinematicsInfo
+
+
+def iterate_parts(payload: bytes) -> Iterator[Part]:
+    """Yield the parts of a robot state that are known here; raises URD-016."""
+    offset = 0
+    while offset < len(payload):
+        if len(payload) - offset < PART_HEADER.size:
+            raise BadBytes("a part of the robot state is cut off", wire=payload)
+        size, kind = PART_HEADER.unpack_from(payload, offset)
+        if not PART_HEADER.size <= size <= len(payload) - offset:
+            raise BadBytes(f"a part of the robot state has {size} bytes", wire=payload[offset:])
+        part = _read_part(kind, payload[offset + PART_HEADER.size : offset + size])
+        if part is not None:
+            yield part
+        offset += size
+
+
+def _read_part(kind: int, body: bytes) -> Part | None:
+    try:
+        if kind == PartKind.MODE:
+            return RobotModeData(*MODE.unpack_from(body))
+        if kind == PartKind.JOINTS:
+            rows = [JOINT.unpack_from(body, k * JOINT.size) for k in range(JOINTS)]
+            return Joints(
+                joint_vector(row[0] for row in rows), any(abs(row[2]) > MOVING_RAD_S for row in rows)
+            )
+        if kind == PartKind.MASTERBOARD:
+            values = MASTERBOARD.unpack_from(body)
+            return Masterboard(values[0], values[-1])
+        if kind == PartKind.KINEMATICS:
+            return _read_kinematics(KINEMATICS.unpack_from(body))
+    except struct.error as error:
+        raise BadBytes(f"part {kind} of the robot state is too short", wire=body) from error
+    return None
+
+
+def _read_kinematics(values: tuple[float, ...]) -> KinematicsInfo:
+    checksums = tuple(int(value) for value in values[:JOINTS])
+    theta, a, d, alpha = (joint_vector(values[start : start + JOINTS]) for start in range(6, 30, 6))
+    return KinematicsInfo(
+        checksums,
+        theta,
+        joint_vector(MM_PER_M * value for value in a),
+        joint_vector(MM_PER_M * value for value in d),
+        alpha,
+        int(values[30]),
+    )
+
+
+def read_message(payload: bytes) -> Message:
+    """Decode a message; raises URD-016. Its text is whatever of it is readable."""
+    if len(payload) < MESSAGE.size:
+        raise BadBytes("a message is cut off", wire=payload)
+    _, _, kind = MESSAGE.unpack_from(payload)
+    return Message(kind, _readable(payload[MESSAGE.size :]))
+
+
+def _readable(body: bytes) -> str:
+    """Return the longest run of printable characters."""
+    text = body.decode("latin-1")
+    runs = "".join(letter if letter.isprintable() and letter.isascii() else "\n" for letter in text)
+    return max(runs.split("\n"), key=len).strip()

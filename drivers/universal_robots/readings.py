@@ -1,0 +1,107 @@
+"""Arm readings and readiness, from the stream and the primary interface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
+from drivers.universal_robots.safety import EMERGENCY_MODES, NORMAL_MODES, RESTART_MODES, safety_text
+from ronna_hw.arm_stream.readings import StreamReadings
+from ronna_hw.arm_stream.watch import HasLink
+from ronna_hw.clock import Clock
+from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
+from ronna_hw.devices.readings import ArmReading, Stamp, Validity
+from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
+
+
+class HasPrimary(HasLink, Protocol):
+    """Connections of an arm, among them the primary interface."""
+
+    open_primary: PrimaryClient | None
+
+
+class ArmReadings(StreamReadings):
+    """Numbered readings from one arm, with the latest kept for observers."""
+
+    def __init__(self, connections: HasPrimary, clock: Clock, silence_limit_s: float) -> None:
+        super().__init__(connections, clock, silence_limit_s)
+        self._connections = connections
+
+    def from_controller(self, state: ControllerState) -> ArmReading:
+        """Build a reading from a state of the primary interface."""
+        self._newest = _controller_reading(state, self.stamp(state.mode.timestamp_us))
+        return self._newest
+
+    def _reported_reading(self, now_s: float, host_s: float) -> ArmReading | None:
+        primary = self._connections.open_primary
+        if primary is None or primary.latest is None:
+            return None
+        state = primary.latest
+        stamp = Stamp(self._sequence, state.mode.timestamp_us, now_s - (host_s - state.received_s))
+        return _controller_reading(state, stamp)
+
+
+def _controller_reading(state: ControllerState, stamp: Stamp) -> ArmReading:
+    return ArmReading(stamp, Validity.OK, state.joints_rad, commanded_rad=None, moving=state.moving)
+
+
+def read_tool_number(digital_inputs: int, bits: Sequence[int]) -> int:
+    """Return the number that digital inputs carry, the least significant bit first."""
+    return sum((digital_inputs >> bit & 1) << place for place, bit in enumerate(bits))
+
+
+def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
+    """Yield the controller's status from its latest report, if any.
+
+    An arm that is switched off is no objection: `activate` switches it on.
+    """
+    if state is None:
+        return
+    safety, mode = state.safety_mode, state.mode
+    is_pressed = mode.is_emergency_stopped or safety in EMERGENCY_MODES
+    yield Fact(
+        EMERGENCY_STOP, "pressed" if is_pressed else "released", not is_pressed, "Release the emergency stop."
+    )
+    needs_person = safety in (SafetyMode.PROTECTIVE_STOP, *RESTART_MODES)
+    yield Fact(
+        MESSAGES,
+        safety_text(safety) if needs_person else "none to acknowledge",
+        not needs_person,
+        "Find its cause at the arm; acknowledge it with ronna-procedure acknowledge.",
+    )
+    yield Fact(
+        "safety mode",
+        safety_text(safety),
+        safety in NORMAL_MODES or is_pressed or needs_person,
+        "Reset the safeguard, or lead the arm back at the pendant.",
+    )
+    is_on = mode.robot_mode == RobotMode.RUNNING
+    yield Fact("drives", "on" if is_on else "off; switched on when the case begins")
+    yield Fact(
+        "speed slider",
+        f"{mode.speed_fraction:.0%}",
+        mode.speed_fraction > 0.0,
+        "Raise the speed slider at the bottom of the pendant's screen.",
+    )
+
+
+def readiness_facts(state: ControllerState, *, remote: bool | None, running: bool) -> Iterator[Fact]:
+    """Yield every condition that `activate` checks; `remote` is None for a controller without that mode."""
+    if remote is not None:
+        yield Fact(
+            "control",
+            "remote" if remote else "local",
+            remote,
+            "Choose remote control on the pendant's screen.",
+        )
+    yield from controller_facts(state)
+    yield Fact(
+        "program",
+        "running" if running else "none running",
+        not running,
+        "Another program runs: stop it at the pendant.",
+    )
+    yield Fact(
+        "at rest", "moving" if state.moving else "yes", not state.moving, "Wait until the arm is at rest."
+    )

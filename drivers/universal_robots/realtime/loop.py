@@ -1,0 +1,182 @@
+"""Exchange of RTDE packages: receive, answer with the prepared set-point or a new one."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import time
+from typing import NamedTuple
+
+from drivers.universal_robots.realtime.line import RtdeLine, is_output
+from drivers.universal_robots.realtime.packages import OUTPUT, START_REQUEST, Output
+from drivers.universal_robots.realtime.session import RtdeSession
+from drivers.universal_robots.realtime.settings import LinkSettings
+from ronna_hw.arm_stream.loop import StreamLoop
+from ronna_hw.arm_stream.mailbox import Mailbox
+from ronna_hw.arm_stream.records import Command, CommandKind, Phase
+
+BUNCH_S = 200e-6  # in which packages that were delayed together arrive
+_HANDOVER = struct.Struct("<BBi")
+
+
+class Handover(NamedTuple):
+    """What comes with a connection: our recipes, and the random number of this session."""
+
+    output_recipe: int
+    input_recipe: int
+    run: int
+
+    def give(self, channel: socket.socket, connection: socket.socket) -> None:
+        """Give a connection to the process at the other end of a local socket; raises OSError."""
+        socket.send_fds(channel, [_HANDOVER.pack(*self)], [connection.fileno()])
+
+
+def take_connection(channel: socket.socket) -> tuple[Handover, socket.socket] | None:
+    """Take the connection that was given last from a channel that does not block; None without one."""
+    taken: tuple[Handover, socket.socket] | None = None
+    with contextlib.suppress(OSError, struct.error):
+        while True:
+            data, descriptors, _, _ = socket.recv_fds(channel, _HANDOVER.size, 1)
+            if not data:
+                break
+            if taken is not None:
+                taken[1].close()
+            taken = Handover(*_HANDOVER.unpack(data)), socket.socket(fileno=descriptors[0])
+    return taken
+
+
+class LinkLoop(StreamLoop):
+    """Main loop of the real-time process; ends once the parent has exited and the arm is at rest."""
+
+    def __init__(
+        self,
+        settings: LinkSettings,
+        channel: socket.socket,
+        mailbox: Mailbox,
+        *,
+        real_time: bool = False,
+        locked: bool = False,
+    ) -> None:
+        """Take connections from `channel`."""
+        self._stream = RtdeSession(settings)
+        self._rtde = RtdeLine()
+        super().__init__(
+            self._stream,
+            settings,
+            self._rtde,
+            mailbox,
+            settings.cycle_s,
+            real_time=real_time,
+            locked=locked,
+        )
+        self._channel = channel
+        channel.setblocking(False)
+        self._recipe = 0
+        self._last_data = b""  # the last package answered
+        self._broken_off = False
+
+    def close(self) -> None:
+        """Close connection and channel."""
+        self._rtde.detach()
+        self._channel.close()
+
+    def _step(self) -> None:
+        session = self._stream
+        if session.has_line and session.phase is Phase.IDLE:
+            self._disconnect()
+        data = self._receive()
+        if data is not None:
+            self._serve(data)
+            return
+        if self._rtde.broken and not self._broken_off:
+            self._broken_off = True
+            session.break_off()
+        self._check_orders()
+
+    def _receive(self) -> bytes | None:
+        """Return the controller's newest package, or None if none arrives in time."""
+        data: bytes | None = self._receiver.next()
+        if data is None:
+            return None
+        self._received_ns = self._receiver.received_ns
+        is_late = self._received_ns - self._answered_ns >= self._late_ns
+        if is_late:  # delayed packages arrive in a burst: only the last one is worth an answer
+            time.sleep(BUNCH_S)
+        if is_late or self._receiver.was_queued:
+            data = self._newest(data)
+        return data
+
+    def _newest(self, data: bytes) -> bytes:
+        try:
+            while (newer := self._rtde.newer()) is not None:
+                if is_output(newer, self._recipe):
+                    self._stream.dropped += 1
+                    data = newer
+        except OSError:
+            pass  # the next reception tells
+        return data
+
+    def _serve(self, data: bytes) -> None:
+        session = self._stream
+        values: Output | None = OUTPUT.unpack_from(data) if is_output(data, self._recipe) else None
+        if values is None:  # a message, or the reply to our start
+            self._leave_unanswered(data)
+            return
+        ready = session.match(values, self._mailbox.stop_word())
+        if ready is not None:
+            self._send(ready.package)
+            self._last_data = data
+            orders = self._mailbox.orders()
+            session.note_answered(values, orders, self._received_ns)
+            self._finish_cycle(data, session.device_clock, orders)
+            return
+        orders = self._mailbox.orders()
+        reply = session.answer(values, orders, self._received_ns)
+        if reply is None:
+            self._leave_unanswered(data)
+            return
+        self._send(reply)
+        if session.awaits_start:
+            self._check_orders()
+            return
+        self._finish_cycle(data, session.device_clock, orders)
+
+    def _rehearse(self) -> None:
+        """Run the code path from package to reply without effect, to keep the caches warm."""
+        if is_output(self._last_data, self._recipe):
+            self._stream.match(OUTPUT.unpack_from(self._last_data), self._mailbox.stop_word())
+
+    def _send(self, package: bytes) -> None:
+        try:
+            self._rtde.send(package)
+        except OSError:
+            self._stream.rejected += 1
+        self._note_sent(package)
+
+    def _new_command(self, number: int) -> Command | None:
+        command = super()._new_command(number)
+        is_opened = command is not None and command.kind is CommandKind.OPEN
+        if is_opened and self._stream.phase is Phase.IDLE:
+            self._connect()
+        return command
+
+    def _connect(self) -> None:
+        """Take over the connection given for this stream, and start its packages."""
+        self._disconnect()
+        given = take_connection(self._channel)
+        if given is None:
+            return
+        handover, connection = given
+        self._mailbox.clear_histograms()
+        self._rtde.attach(connection)
+        self._recipe = handover.output_recipe
+        self._stream.adopt(handover.input_recipe, handover.run)
+        with contextlib.suppress(OSError):
+            self._rtde.send(START_REQUEST)
+
+    def _disconnect(self) -> None:
+        self._rtde.detach()
+        self._stream.has_line = False
+        self._broken_off = False
+        self._processor.free()

@@ -1,0 +1,116 @@
+"""Data packages of the stream: what the controller reports each cycle, and the set-point that answers it."""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from ronna_hw.wire.universal_robots import (
+    INPUTS,
+    ORDER_INPUT,
+    OUTPUTS,
+    RTDE_HEADER,
+    RTDE_HEADER_BYTES,
+    RUN_INPUT,
+    RUN_OUTPUT,
+    SEQUENCE_INPUT,
+    SEQUENCE_OUTPUT,
+    SET_POINT_INPUTS,
+    STATE_OUTPUT,
+    PackageType,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+    ScriptOrder,
+    ScriptState,
+)
+
+OUTPUT_FIELDS: Final = (
+    "timestamp",
+    "target_q",
+    "actual_q",
+    "speed_scaling",
+    "target_speed_fraction",
+    "robot_mode",
+    "safety_mode",
+    "runtime_state",
+    SEQUENCE_OUTPUT,
+    STATE_OUTPUT,
+    RUN_OUTPUT,
+)
+INPUT_FIELDS: Final = (SEQUENCE_INPUT, ORDER_INPUT, RUN_INPUT, *SET_POINT_INPUTS)
+
+HEADER: Final = struct.Struct(RTDE_HEADER)
+RECIPE: Final = "B"
+OUTPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS))
+INPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(INPUTS[name].codes for name in INPUT_FIELDS))
+START_REQUEST: Final = HEADER.pack(RTDE_HEADER_BYTES, PackageType.START)
+
+# Places of the values in an unpacked output package.
+TYPE, RECIPE_ID, TIMESTAMP = 1, 2, 3
+TARGET, ACTUAL = slice(4, 10), slice(10, 16)
+SPEED_SCALING, SPEED_FRACTION, ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE = range(16, 21)
+ECHO, SCRIPT_STATE, RUN = range(21, 24)
+STATUS = slice(SPEED_SCALING, RUN + 1)  # everything that must be as expected to send a prepared reply
+
+Output = tuple[float, ...]  # an unpacked output package
+
+
+class Cause(IntEnum):
+    """Why the controller's own report ended a stream."""
+
+    NONE = 0
+    SAFETY = 1  # the safety mode is another than at the start
+    ROBOT_MODE = 2  # power or brakes
+    PROGRAM = 3  # the program was stopped or paused
+    SCRIPT = 4  # our script has stopped the arm
+    OTHER_SCRIPT = 5  # another program writes the registers of ours
+
+
+class ControllerWord(NamedTuple):
+    """What the controller reports, packed into one number of the link state."""
+
+    robot_mode: int
+    safety_mode: int
+    runtime_state: int
+    script_state: int
+    cause: int = Cause.NONE
+
+    @property
+    def number(self) -> int:
+        """All values in one number, a byte each; the robot mode may be -1."""
+        packed = 0
+        for place, value in enumerate((self.robot_mode + 1, *self[1:])):
+            packed |= (value & 0xFF) << 8 * place
+        return packed
+
+    @classmethod
+    def from_number(cls, number: int) -> ControllerWord:
+        """Unpack a number made by `number`."""
+        values = [number >> 8 * place & 0xFF for place in range(5)]
+        return cls(values[0] - 1, *values[1:])
+
+    @property
+    def text(self) -> str:
+        """The values in words."""
+        return (
+            f"robot mode {_name(RobotMode, self.robot_mode)}, "
+            f"safety mode {_name(SafetyMode, self.safety_mode)}, "
+            f"program {_name(RuntimeState, self.runtime_state)}, "
+            f"script {_name(ScriptState, self.script_state)}"
+        )
+
+
+def encode_input(
+    recipe: int, sequence: int, order: ScriptOrder, run: int, joints_rad: tuple[float, ...]
+) -> bytes:
+    """Encode a set-point."""
+    return INPUT.pack(INPUT.size, PackageType.DATA, recipe, sequence, order, run, *joints_rad)
+
+
+def _name(kind: type[IntEnum], value: int) -> str:
+    try:
+        return kind(value).name
+    except ValueError:
+        return str(value)

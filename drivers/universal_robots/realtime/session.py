@@ -1,0 +1,290 @@
+"""Computation of the set-point that answers each data package, without I/O.
+
+The script reports the sequence number of the set-point that it used. If it has not advanced with the cycles,
+a set-point came late and the arm was held: the path waits. What the controller reports of safety, power and
+program is compared in every cycle; a stop of its own ends the stream, and nothing is sent any more.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, radians
+from typing import NamedTuple
+
+from drivers.universal_robots.realtime.packages import (
+    ACTUAL,
+    ECHO,
+    ROBOT_MODE,
+    RUN,
+    RUNTIME_STATE,
+    SAFETY_MODE,
+    SCRIPT_STATE,
+    SPEED_FRACTION,
+    SPEED_SCALING,
+    STATUS,
+    TARGET,
+    TIMESTAMP,
+    Cause,
+    ControllerWord,
+    Output,
+    encode_input,
+)
+from drivers.universal_robots.realtime.settings import LinkSettings
+from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders, Phase
+from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
+from ronna_hw.arm_stream.set_points import SetPoints
+from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptOrder, ScriptState
+
+AGREE_RAD = radians(0.1)  # between target and measured joints at the start: the arm must be at rest
+RANGE_TOLERANCE_RAD = radians(0.01)  # an arm may be at the end of a joint's range
+SPEED_STEPS = 100  # the speed of the path follows the slider in steps of a hundredth
+RESTART_S = 10.0  # a jump of the time stamp beyond this is a restarted controller, not a gap
+LATEST_TIMESTAMP_S = 1e9  # thirty years
+LARGEST_SEQUENCE = 2**31 - 1
+HALF_CYCLE = 0.5
+
+
+class PreparedReply(NamedTuple):
+    """Complete reply to the next package, valid if that contains nothing unexpected."""
+
+    status: tuple[float, ...]
+    earliest_s: float  # time stamp
+    latest_s: float
+    stop_word: int
+    choice: Choice
+    package: bytes
+
+
+class RtdeSession(StreamSession):
+    """Protocol state machine: `answer` and `finish_cycle` per package, `monitor_silence` without one."""
+
+    def __init__(self, settings: LinkSettings) -> None:
+        super().__init__(settings, settings.kinematics(), settings.cycle_s)
+        self.ready: PreparedReply | None = None
+        self.has_line = False
+        self._recipe = 0
+        self._run = 0
+        self._cause = Cause.NONE
+        self._values: Output = ()
+        self._status: tuple[float, ...] = ()  # last seen
+        self._timestamp_s: float | None = None
+        self._sequence = 0  # of the last set-point sent
+        self._echo = 0  # of the last set-point that the script used
+        self._safety_mode = 0  # at the start
+        self._start_rad: JointVector | None = None
+
+    def adopt(self, recipe: int, run: int) -> None:
+        """Take over a connection: our input recipe, and the number by which the script proves to be ours."""
+        self._recipe, self._run, self.has_line = recipe, run, True
+
+    @property
+    def awaits_start(self) -> bool:
+        """Whether a stream is open and its script has not used a set-point yet."""
+        return self.phase is Phase.ARMED
+
+    def answer(self, values: Output, orders: Orders, now_ns: int) -> bytes | None:
+        """Return the reply to a package, or None if it must not be answered."""
+        self.ready = None
+        timestamp_s = values[TIMESTAMP]
+        if not 0.0 <= timestamp_s < LATEST_TIMESTAMP_S:  # NaN fails here
+            self.rejected += 1
+            return None
+        self._note(values, now_ns)
+        self._check_heartbeat(orders.heartbeat, now_ns)
+        points, before_s, self._timestamp_s = self._points, self._timestamp_s, timestamp_s
+        if self.phase is Phase.ARMED:
+            return self._answer_before_start(values)
+        if self.phase not in STREAMING_PHASES or points is None or before_s is None:
+            self._measure()
+            return None
+        cycles = round((timestamp_s - before_s) / self._cycle_s)
+        if not 0 < cycles * self._cycle_s < RESTART_S:
+            self._latch(Fault.RESTARTED)
+            self._stop_replying(points)
+            return None
+        self._count(cycles, values)
+        if self._is_stopped(values):
+            self._stop_replying(points)
+            self._measure()
+            return None
+        choice = self.choose(points, orders.stop_word, self._missing)
+        if choice is None:
+            return None
+        self.choice = choice
+        return self._encode(points.at(choice))
+
+    def match(self, values: Output, stop_word: int) -> PreparedReply | None:
+        """Return the prepared reply unless the package has something new, or a stop is ordered."""
+        ready = self.ready
+        if (
+            ready is None
+            or values[STATUS] != ready.status
+            or not ready.earliest_s < values[TIMESTAMP] < ready.latest_s
+            or stop_word != ready.stop_word
+        ):
+            return None
+        return ready
+
+    def note_answered(self, values: Output, orders: Orders, now_ns: int) -> None:
+        """Update the state as `answer` does, after the prepared reply has been sent."""
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self._values = values
+        self._timestamp_s = timestamp_s = values[TIMESTAMP]
+        self.device_clock = round(timestamp_s * 1e6)
+        self._sequence = _following(self._sequence)
+        self._count(1, values)
+        if self.ready is not None:
+            self.choice = self.ready.choice
+        self._check_heartbeat(orders.heartbeat, now_ns)
+
+    def break_off(self) -> None:
+        """End the stream because its connection is broken."""
+        self._forget_reply()
+        if self.phase is Phase.ARMED or self.phase in STREAMING_PHASES:
+            self._latch(Fault.BROKEN)
+        if self._points is not None:
+            self._rest(self._points)
+
+    def _note(self, values: Output, now_ns: int) -> None:
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self._values = values
+        self.device_clock = round(values[TIMESTAMP] * 1e6)
+        status = values[STATUS]
+        if status != self._status:
+            self._status = status
+            scaling, fraction = values[SPEED_SCALING], values[SPEED_FRACTION]
+            share = scaling * fraction if 0.0 <= scaling <= 1.0 and 0.0 <= fraction <= 1.0 else 0.0
+            self._controller_speed = int(share * SPEED_STEPS + HALF_CYCLE) / SPEED_STEPS
+            self._write_word()
+
+    def _write_word(self) -> None:
+        places = (ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE, SCRIPT_STATE)
+        robot, safety, runtime, script = (round(self._values[place]) for place in places)
+        self.controller_word = ControllerWord(robot, safety, runtime, script, self._cause).number
+
+    def _count(self, cycles: int, values: Output) -> None:
+        """Count the cycles since the last package, and those in which no new set-point was used."""
+        echo = round(values[ECHO])
+        used = max(echo - self._echo, 0)
+        self._echo, self._missing = echo, cycles - 1
+        self._losses.note(cycles - 1, max(cycles - used, 0))
+
+    def _is_stopped(self, values: Output) -> bool:
+        """Return whether the controller has ended the stream, and latch that unless we asked for it."""
+        cause = self._find_cause(values)
+        if cause is Cause.NONE:
+            return False
+        if self.phase is Phase.ENDING:
+            if self.is_parent_gone:
+                self.phase = Phase.IDLE
+            return cause is not Cause.SCRIPT
+        self._cause = cause
+        self._write_word()
+        self._latch(Fault.CONTROLLER)
+        return True
+
+    def _find_cause(self, values: Output) -> Cause:
+        if values[SAFETY_MODE] != self._safety_mode:
+            return Cause.SAFETY
+        if values[ROBOT_MODE] != RobotMode.RUNNING:
+            return Cause.ROBOT_MODE
+        if values[RUN] != self._run:
+            return Cause.OTHER_SCRIPT
+        if values[SCRIPT_STATE] != ScriptState.STREAMING:
+            return Cause.SCRIPT
+        if values[RUNTIME_STATE] != RuntimeState.PLAYING:
+            return Cause.PROGRAM
+        return Cause.NONE
+
+    def _answer_before_start(self, values: Output) -> bytes | None:
+        """Hold the arm where it is until the script uses our set-points, and begin to stream then."""
+        self._measure()
+        target = joint_vector(values[TARGET])
+        if not all(map(isfinite, target)):
+            self.rejected += 1
+            return None
+        state = round(values[SCRIPT_STATE]) if values[RUN] == self._run else ScriptState.NONE
+        if state == ScriptState.NONE:  # not started yet; the registers are an earlier program's
+            return encode_input(self._recipe, 0, ScriptOrder.STREAM, self._run, target)
+        if self._start_rad is None:
+            self._start_rad = target
+        if state == ScriptState.STREAMING and self._limits is not None:
+            self._safety_mode = round(values[SAFETY_MODE])
+            self._echo = round(values[ECHO])
+            points = self._begin(self._start_rad, self._limits)
+            if not self._is_plausible(self._start_rad):
+                self._latch(Fault.BASE)
+            return self._encode(points.last_rad)
+        if state != ScriptState.WAITING:
+            self._cause = Cause.SCRIPT
+            self._write_word()
+            self._latch(Fault.CONTROLLER)
+            return None
+        return self._encode(self._start_rad)
+
+    def _is_plausible(self, start_rad: JointVector) -> bool:
+        arm, slack = self._kinematics, RANGE_TOLERANCE_RAD
+        return all(
+            low - slack <= angle <= high + slack and abs(angle - measured) <= AGREE_RAD
+            for low, angle, high, measured in zip(
+                arm.lower_rad, start_rad, arm.upper_rad, self._measured, strict=True
+            )
+        )
+
+    def _encode(self, joints_rad: JointVector) -> bytes:
+        """Encode the next set-point; at rest and ending, also the order to leave the script."""
+        self._sequence = _following(self._sequence)
+        return encode_input(self._recipe, self._sequence, self._order(), self._run, joints_rad)
+
+    def _order(self) -> ScriptOrder:
+        return ScriptOrder.END if self.phase is Phase.ENDING and not self.moving else ScriptOrder.STREAM
+
+    def _open(self, command: Command) -> bool:
+        self._losses = LossCount()
+        self._cause, self._start_rad, self._timestamp_s = Cause.NONE, None, None
+        self._sequence = self._echo = 0
+        self._status, self.controller_word, self._measured = (), 0, NO_STATE.measured_rad
+        return self.has_line
+
+    def _forget_reply(self) -> None:
+        self.ready = None
+
+    def _measure(self) -> None:
+        self._measured = joint_vector(self._values[ACTUAL])
+
+    def _prepare_reply(self, points: SetPoints) -> None:
+        """Prepare the complete next reply, if nothing but new information can change it."""
+        self.ready = None
+        timestamp_s = self._timestamp_s
+        is_unsettled = (
+            points.violation is not None
+            or points.path_failed
+            or self.is_parent_gone
+            or self._losses.is_unusable
+            or timestamp_s is None
+        )
+        if is_unsettled or timestamp_s is None or self.phase not in (Phase.RUNNING, Phase.FAULT):
+            return
+        choice = Choice.STOP if self._stopping else Choice.GO
+        expected = list(self._values[STATUS])
+        expected[ECHO - SPEED_SCALING] = self._echo + 1
+        self.ready = PreparedReply(
+            tuple(expected),
+            timestamp_s + HALF_CYCLE * self._cycle_s,
+            timestamp_s + (1.0 + HALF_CYCLE) * self._cycle_s,
+            self._stop_word,
+            choice,
+            encode_input(
+                self._recipe,
+                _following(self._sequence),
+                ScriptOrder.STREAM,
+                self._run,
+                points.at(choice),
+            ),
+        )
+
+
+def _following(sequence: int) -> int:
+    """Return the next sequence number; 0 is none."""
+    return sequence + 1 if sequence < LARGEST_SEQUENCE else 1

@@ -1,0 +1,154 @@
+"""Setup of an RTDE connection: protocol version, recipes; the packages are the real-time process's."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import time
+from typing import NamedTuple
+
+from drivers.universal_robots.errors import (
+    BadBytes,
+    ControllerLost,
+    ControllerNotFound,
+    NoAnswer,
+    RegistersInUse,
+    WrongVersion,
+)
+from drivers.universal_robots.realtime.packages import HEADER, INPUT_FIELDS, OUTPUT_FIELDS
+from ronna_hw.wire.universal_robots import (
+    IN_USE,
+    INPUTS,
+    NO_RECIPE,
+    NOT_FOUND,
+    OUTPUTS,
+    RTDE_HEADER_BYTES,
+    PackageType,
+)
+
+PROTOCOL_VERSION = 2
+LONGEST_PACKAGE_BYTES = 4096
+SKIPPED_PACKAGES = 100  # messages and data before a reply
+_FREQUENCY = struct.Struct(">d")
+_VERSION = struct.Struct(">4I")
+
+
+class Version(NamedTuple):
+    """Version of the controller's software."""
+
+    major: int
+    minor: int
+    bugfix: int
+    build: int
+
+    def __str__(self) -> str:
+        return ".".join(map(str, self))
+
+
+class RtdeSetup:
+    """Connection to an RTDE server until it is handed over."""
+
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        """Connect and agree on version 2 of the protocol; raises URD-002 or URD-004."""
+        self.where = f"tcp://{host}:{port}"
+        self._deadline = time.monotonic() + timeout_s
+        self._received = b""
+        try:
+            self.socket = socket.create_connection((host, port), timeout_s)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise ControllerNotFound(f"nothing answers at {self.where} ({reason})") from error
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            accepted = self._ask(PackageType.PROTOCOL_VERSION, struct.pack(">H", PROTOCOL_VERSION))
+        except (NoAnswer, ControllerLost, BadBytes) as error:
+            self.close()
+            raise ControllerNotFound(f"{self.where} is open, but no RTDE server answers there") from error
+        if accepted[:1] != b"\x01":
+            self.close()
+            raise WrongVersion(f"{self.where} does not speak version {PROTOCOL_VERSION} of RTDE")
+
+    def close(self) -> None:
+        """Close the connection; never raises."""
+        with contextlib.suppress(OSError):
+            self.socket.close()
+
+    def read_version(self) -> Version:
+        """Return the version of the controller's software."""
+        reply = self._ask(PackageType.CONTROLLER_VERSION)
+        if len(reply) < _VERSION.size:
+            raise self._bad("version", reply)
+        return Version(*_VERSION.unpack_from(reply))
+
+    def set_up_outputs(self, frequency_hz: float) -> int:
+        """Ask for our output fields at this frequency and return the recipe; raises URD-004."""
+        names = ",".join(OUTPUT_FIELDS).encode()
+        reply = self._ask(PackageType.SETUP_OUTPUTS, _FREQUENCY.pack(frequency_hz) + names)
+        recipe, types = self._split(reply, len(OUTPUT_FIELDS))
+        for name, kind in zip(OUTPUT_FIELDS, types, strict=True):
+            self._require_type(name, kind, OUTPUTS[name].name)
+        if recipe == NO_RECIPE:
+            raise WrongVersion(f"{self.where} gives no recipe for {frequency_hz:g} packages a second")
+        return recipe
+
+    def set_up_inputs(self) -> int:
+        """Claim our input registers and return the recipe; raises URD-012 if another client has them."""
+        reply = self._ask(PackageType.SETUP_INPUTS, ",".join(INPUT_FIELDS).encode())
+        recipe, types = self._split(reply, len(INPUT_FIELDS))
+        taken = [name for name, kind in zip(INPUT_FIELDS, types, strict=True) if kind == IN_USE]
+        if taken:
+            raise RegistersInUse(
+                f"{self.where}: another client, or a fieldbus, owns {len(taken)} of our registers",
+                got=", ".join(taken[:3]) + (" ..." if len(taken) > 3 else ""),
+            )
+        for name, kind in zip(INPUT_FIELDS, types, strict=True):
+            self._require_type(name, kind, INPUTS[name].name)
+        if recipe == NO_RECIPE:
+            raise WrongVersion(f"{self.where} gives no recipe for our set-points")
+        return recipe
+
+    def _split(self, reply: bytes, count: int) -> tuple[int, list[str]]:
+        types = reply[1:].decode(errors="replace").split(",")
+        if not reply or len(types) != count:
+            raise self._bad("recipe", reply)
+        return reply[0], types
+
+    def _require_type(self, name: str, kind: str, expected: str) -> None:
+        if kind == NOT_FOUND:
+            raise WrongVersion(f"{self.where} has no field {name}")
+        if kind != expected:
+            raise BadBytes(f"{self.where}: field {name} has another type", expected=expected, got=kind)
+
+    def _ask(self, kind: PackageType, payload: bytes = b"") -> bytes:
+        """Send a request and return the payload of its reply; messages in between are skipped."""
+        try:
+            self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
+            for _ in range(SKIPPED_PACKAGES):
+                size, answered = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
+                if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
+                    raise BadBytes(f"{self.where} sends a package of {size} bytes, which none has")
+                reply = self._receive(size - RTDE_HEADER_BYTES)
+                if answered == kind:
+                    return reply
+        except TimeoutError as error:
+            raise NoAnswer(f"{self.where} does not answer the request {kind.name}") from error
+        except OSError as error:
+            raise ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}") from error
+        raise BadBytes(f"{self.where} does not answer the request {kind.name}, but sends other packages")
+
+    def _receive(self, count: int) -> bytes:
+        while len(self._received) < count:
+            remaining_s = self._deadline - time.monotonic()
+            if remaining_s <= 0.0:
+                raise TimeoutError
+            self.socket.settimeout(remaining_s)
+            data = self.socket.recv(LONGEST_PACKAGE_BYTES)
+            if not data:
+                raise ControllerLost(f"{self.where} closed the connection")
+            self._received += data
+        taken, self._received = self._received[:count], self._received[count:]
+        return taken
+
+    def _bad(self, what: str, reply: bytes) -> BadBytes:
+        return BadBytes(f"{self.where}: the reply with the {what} cannot be read", wire=reply)

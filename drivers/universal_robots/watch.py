@@ -1,0 +1,125 @@
+"""Fault detection for the real-time process and the controller's other interfaces.
+
+Safety, power and program are watched by the real-time process in every cycle. From here the arm is stopped
+when the primary interface breaks or falls silent, as when the pendant is switched to local control. A program
+that the controller has only paused is ended: resumed, it would follow set-points of another moment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Protocol
+
+from drivers.universal_robots.dashboard import DashboardClient
+from drivers.universal_robots.errors import ControllerStopped, NoAnswer
+from drivers.universal_robots.faults import fault_error
+from drivers.universal_robots.options import UrOptions
+from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
+from ronna_hw.arm_stream.faults import StreamFaults
+from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState, Phase
+from ronna_hw.arm_stream.watch import HasLink, StreamWatch
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
+from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.errors import RonnaError
+
+PRIMARY_SILENCE_S = 2.0  # twenty periods of the state
+DASHBOARD_LIMIT_S = 1.0
+LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
+
+
+class UrConnections(HasLink, Protocol):
+    """Connections of an arm: its stream, dashboard and primary interface."""
+
+    open_dashboard: DashboardClient | None
+    open_primary: PrimaryClient | None
+
+    def is_remote(self, timeout_s: float) -> bool | None:
+        """Return whether the controller is in remote control; None for one without that mode."""
+        ...
+
+
+class UrWatch(StreamWatch):
+    """Fault monitor for one arm, and listener on its primary interface."""
+
+    def __init__(
+        self, guard: LifecycleGuard, connections: UrConnections, faults: StreamFaults, options: UrOptions
+    ) -> None:
+        # The same patience as that process has with this program and with the controller.
+        super().__init__(guard, connections, faults, max(options.heartbeat_limit_s, options.silence_limit_s))
+        self._connections = connections
+        self._options = options
+        self._primary_limit_s = max(PRIMARY_SILENCE_S, options.silence_limit_s)
+        self._program_ended = False  # since the last fault
+        self.mode = OperatingMode.AUTOMATIC  # in which the stream was started
+
+    def use(self, faults: StreamFaults) -> None:
+        """Take over the words for an arm whose kinematics have become known."""
+        self._faults = faults
+
+    def check(self) -> None:
+        """Latch any fault of the real-time process or the primary interface."""
+        super().check()
+        primary = self._connections.open_primary
+        if primary is None or self._guard.state not in RUNNING:
+            return
+        if primary.failure is not None:
+            self._stop_for(primary.failure)
+        elif primary.silent_s > self._primary_limit_s:
+            self._stop_for(
+                NoAnswer(
+                    f"{self._faults.name}: {primary.where} is silent",
+                    expected="a state every 0.1 s",
+                    limit=f"{self._primary_limit_s:g} s",
+                )
+            )
+
+    def on_state(self, state: ControllerState) -> None:
+        """Check a state of the primary interface; called on its reader thread."""
+        self.check()
+        self._end_paused_program()
+
+    def on_silence(self) -> None:
+        """Check whether the controller has been silent for too long; called on the reader thread."""
+        self.check()
+        self._end_paused_program()
+
+    def on_loss(self, failure: RonnaError) -> None:
+        """Stop the arm after losing the primary interface, and find out whether the control was switched."""
+        if self._guard.state not in RUNNING:
+            return
+        error = failure
+        with contextlib.suppress(RonnaError):
+            if self._connections.is_remote(DASHBOARD_LIMIT_S) is False:
+                error = ControllerStopped(
+                    f"{self._faults.name}: the pendant was switched to local control",
+                    expected="remote control",
+                )
+        self._stop_for(error)
+
+    def _check_idle(self) -> None:
+        primary = self._connections.open_primary
+        if primary is not None and primary.failure is not None and self._guard.state in READABLE:
+            self._guard.latch(primary.failure)
+        else:
+            super()._check_idle()
+
+    def _end_paused_program(self) -> None:
+        """End the program once after a fault for which nothing is sent any more."""
+        link, dashboard = self._connections.open_link, self._connections.open_dashboard
+        if self._guard.state is not Lifecycle.FAULT or link is None or dashboard is None:
+            self._program_ended = False
+            return
+        state = link.state
+        if self._program_ended or not (state.phase is Phase.SILENT or state.fault in LINK_FAULTS):
+            return
+        self._program_ended = True
+        with contextlib.suppress(RonnaError):
+            dashboard.ask("stop", DASHBOARD_LIMIT_S)
+
+    def _state_error(self, state: LinkState) -> RonnaError | None:
+        link = self._connections.open_link
+        surroundings = NOTHING_AROUND if link is None else link.surroundings
+        return fault_error(self._faults, self._options, state, self.mode, surroundings)
+
+    def _mode(self) -> str:
+        return self.mode

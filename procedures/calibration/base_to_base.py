@@ -1,0 +1,271 @@
+"""Base of the assistant in the base of the master, from two kinds of measurement.
+
+The tracker sees the frames of both arms, brought to the same region one after the other. Each arm's own
+solution of A X = Z B is the tracker in its base, and both together are the bases; the tracker's smooth error
+in that region shifts both alike. Then the master's stereo head looks at a ball that the assistant holds, in
+many postures of both. Least squares yield the bases, the ball on its flange, and the tool centre of the
+head, which is known to its stated error.
+
+The bases are those that explain the postures of the region best. Both arms must have been calibrated: what
+their errors vary from posture to posture is scatter here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
+
+from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit
+from procedures.calibration.hand_eye import PosePairs, solve
+from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from ronna_hw.text import format_against_limit
+
+Array = NDArray[np.float64]
+
+LEAST_BALL_LOOKS = 12
+ROUNDS = 8  # of fit, scatter and outliers: they converge within five
+LEAST_SCATTER_MM = 0.005  # no pair of arms is better
+LARGEST_SCATTER_MM = 0.3  # per axis: two calibrated arms show 0.08, uncalibrated ones 0.5
+OUTLIER_CHI2 = float(chdtri(3, 0.001))
+MOST_OUTLIERS = 0.1
+LARGEST_ERROR_MM = 0.1  # standard, of the bases in the region: beyond, the postures differ too little
+# The smooth error of the tracker is not equal over the region: share of its stated 0.25 mm that remains.
+REGION_BIAS_MM = 0.08
+AGREE_CHI2 = float(chdtri(3, 0.001))
+BASES, BALL, HEAD = slice(0, 6), slice(6, 9), slice(9, 12)
+UNKNOWNS = 12
+
+
+@dataclass(frozen=True)
+class BaseToBase:
+    """Pose ROBOT <- base of the assistant (4, 4) and its covariance (6, 6).
+
+    The covariance is that of a rotation vector about the axes of the assistant's base (rad) and of a shift
+    along those of the robot frame (mm).
+    """
+
+    robot_from_base: Array
+    covariance: Array
+
+    def covariance_at(self, place_mm: ArrayLike) -> Array:
+        """Return the covariance (3, 3) in mm2 of a place of the assistant, (3,) mm in the robot frame."""
+        slope = _place_slope(self.robot_from_base, place_mm)
+        return np.asarray(slope @ self.covariance @ slope.T)
+
+    def error_mm(self, place_mm: ArrayLike) -> float:
+        """Return the 3-D standard error at a place of the robot frame, (3,) mm."""
+        return float(np.sqrt(np.trace(self.covariance_at(place_mm))))
+
+
+def bases_by_frames(
+    master: PosePairs,
+    assistant: PosePairs,
+    arms_error_mm: tuple[float, float],
+    bias_mm: float = REGION_BIAS_MM,
+) -> BaseToBase:
+    """Combine what the tracker saw of both frames. Raises CAL-002 to CAL-004, CAL-015.
+
+    `arms_error_mm` are the stated 3-D errors of both arms' records: errors of the last links cannot be told
+    from those of the frames. `bias_mm`, per axis, is the share of the tracker's smooth error that differs
+    between the two.
+    """
+    first, second = solve(master), solve(assistant)
+    z_master, z_assistant = first.robot_from_tracker, second.robot_from_tracker
+    bases = z_master @ _inverse(z_assistant)
+    # The change of a pose is as in `hand_eye`: rotation in the source, here the tracker, shift in the target.
+    turn, about = bases[:3, :3], _cross(z_assistant[:3, 3])
+    slope = np.zeros((6, 12))
+    slope[:3, :3], slope[:3, 6:9] = z_assistant[:3, :3], -z_assistant[:3, :3]
+    slope[3:, 3:6], slope[3:, 9:12] = np.eye(3), -turn
+    slope[3:] += turn @ about @ slope[:3]
+    both = np.zeros((12, 12))
+    both[:6, :6], both[6:, 6:] = first.covariance[6:, 6:], second.covariance[6:, 6:]
+    covariance = slope @ both @ slope.T
+    covariance[3:, 3:] += np.eye(3) * (bias_mm**2 + sum(error**2 for error in arms_error_mm) / 3.0)
+    return BaseToBase(bases, covariance)
+
+
+@dataclass(frozen=True)
+class BallLooks:
+    """Ball of the assistant, seen by the master's stereo head in m pairs of postures.
+
+    Poses (m, 4, 4) by the models of both arms: ROBOT <- TOOL of the head, and base of the assistant <- its
+    flange. `ball_mm` (m, 3) is the ball in the tool frame of the head.
+    """
+
+    robot_from_head: Array
+    ball_mm: Array
+    base_from_flange: Array
+
+    @property
+    def count(self) -> int:
+        """Number of looks."""
+        return len(self.ball_mm)
+
+    @property
+    def region_mm(self) -> Array:
+        """Middle of the places where the ball was seen, (3,) in the robot frame."""
+        return np.asarray(_apply(self.robot_from_head, self.ball_mm).mean(axis=0))
+
+
+@dataclass(frozen=True)
+class BallFit:
+    """Bases refined by the ball, and how well all looks agree.
+
+    `head_shift_mm` (3,) is where the head's tool centre really is, along the axes of its tool frame;
+    `misses_mm` (m, 3) are in the robot frame; `used` (m,) marks the inliers.
+    """
+
+    bases: BaseToBase
+    flange_from_ball_mm: Array
+    ball_error_mm: float
+    head_shift_mm: Array
+    scatter_mm: float
+    misses_mm: Array
+    used: NDArray[np.bool_]
+    region_mm: Array
+
+    @property
+    def error_mm(self) -> float:
+        """Standard error of the bases in the region of the looks, 3-D."""
+        return self.bases.error_mm(self.region_mm)
+
+
+def refine_bases(
+    coarse: BaseToBase, looks: BallLooks, ball_on_flange_mm: ArrayLike, head_error_mm: float
+) -> BallFit:
+    """Refine the bases by the looks at the ball. Raises CAL-002 to CAL-004, CAL-022.
+
+    `ball_on_flange_mm` (3,) is where the ball is on its drawing, from which the fit begins; `head_error_mm`,
+    per axis, the standard error of the head's tool centre on the flange of the master.
+    """
+    require_count(looks.count, LEAST_BALL_LOOKS, "too few looks at the ball of the assistant")
+    require_spread(
+        looks.base_from_flange[:, :3, :3],
+        "the assistant turns the ball about nearly parallel axes, or hardly at all",
+        "Have the assistant turn the ball about axes in all directions, by at least 20 degrees.",
+    )
+    bases, ball, head = coarse.robot_from_base, np.asarray(ball_on_flange_mm, dtype=float), np.zeros(3)
+    used = np.ones(looks.count, dtype=bool)
+    scatter_mm = 1.0
+    for _ in range(ROUNDS):
+        slopes = _ball_slopes(looks, bases, ball)
+        misses = _ball_misses(looks, bases, ball, head)
+        rows, wanted = slopes[used].reshape(-1, UNKNOWNS) / scatter_mm, misses[used].ravel() / scatter_mm
+        normal = rows.T @ rows
+        normal[HEAD, HEAD] += np.eye(3) / head_error_mm**2
+        right = -rows.T @ wanted
+        right[HEAD] -= head / head_error_mm**2
+        covariance = np.linalg.inv(normal)
+        change = covariance @ right
+        bases, ball, head = _moved(bases, change[BASES]), ball + change[BALL], head + change[HEAD]
+        misses = _ball_misses(looks, bases, ball, head)
+        freedom = 3 * int(used.sum()) - (UNKNOWNS - 3)  # the tool centre has its own record
+        scatter_mm = max(float(np.sqrt(np.sum(misses[used] ** 2) / freedom)), LEAST_SCATTER_MM)
+        used = np.sum(misses**2, axis=1) < OUTLIER_CHI2 * scatter_mm**2
+    _require_fit(scatter_mm, used)
+    fit = BallFit(
+        bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=np.float64)),
+        flange_from_ball_mm=ball,
+        ball_error_mm=float(np.sqrt(np.trace(covariance[BALL, BALL]))),
+        head_shift_mm=head,
+        scatter_mm=scatter_mm,
+        misses_mm=misses,
+        used=used,
+        region_mm=looks.region_mm,
+    )
+    if fit.error_mm > LARGEST_ERROR_MM:
+        raise DegeneratePoses(
+            "the looks at the ball leave the bases too uncertain",
+            limit=f"{LARGEST_ERROR_MM:g} mm",
+            got=f"{format_against_limit(fit.error_mm, LARGEST_ERROR_MM, 2)} mm",
+            action="Have the assistant hold the ball in more postures, farther apart.",
+        )
+    require_agreement(coarse, fit, head_error_mm)
+    return fit
+
+
+def require_agreement(coarse: BaseToBase, fit: BallFit, head_error_mm: float) -> None:
+    """Raise CAL-022 if the tracker and the ball disagree about the bases by more than both allow.
+
+    The tracker's share includes the head's tool centre: its frame is on the same mount.
+    """
+    there_mm = _apply(_inverse(fit.bases.robot_from_base), fit.region_mm)
+    apart = _apply(coarse.robot_from_base, there_mm) - fit.region_mm
+    covariance = coarse.covariance_at(fit.region_mm) + fit.bases.covariance_at(fit.region_mm)
+    covariance += np.eye(3) * head_error_mm**2
+    squared = float(apart @ np.linalg.solve(covariance, apart))
+    if squared > AGREE_CHI2:
+        limit_mm = float(np.linalg.norm(apart)) * float(np.sqrt(AGREE_CHI2 / squared))
+        raise BasesDisagree(
+            "tracker and stereo head disagree about where the assistant stands",
+            limit=f"{limit_mm:.2f} mm",
+            got=f"{format_against_limit(float(np.linalg.norm(apart)), limit_mm, 2)} mm",
+        )
+
+
+def _require_fit(scatter_mm: float, used: NDArray[np.bool_]) -> None:
+    if scatter_mm > LARGEST_SCATTER_MM:
+        raise DoesNotFit(
+            "no pose of the assistant's base explains the looks at its ball",
+            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
+            got=f"{format_against_limit(scatter_mm, LARGEST_SCATTER_MM, 2)} mm",
+            action="Check that ball, stereo head and both carts are rigid and both arms calibrated.",
+        )
+    require_consistent(used, MOST_OUTLIERS, "looks at the ball")
+
+
+def _ball_misses(looks: BallLooks, bases: Array, ball: Array, head: Array) -> Array:
+    """Return the ball by the master minus the ball by the assistant, (m, 3) mm in the robot frame."""
+    seen = _apply(looks.robot_from_head, looks.ball_mm + head)
+    return seen - _apply(bases, _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1))))
+
+
+def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
+    """Return the derivative (m, 3, 12) of the misses with respect to bases, ball and tool centre."""
+    held = _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1)))
+    turn = bases[:3, :3]
+    slopes = np.zeros((looks.count, 3, UNKNOWNS))
+    slopes[:, :, 0:3] = turn @ np.array([_cross(one) for one in held])
+    slopes[:, :, 3:6] = -np.eye(3)
+    slopes[:, :, BALL] = -turn @ looks.base_from_flange[:, :3, :3]
+    slopes[:, :, HEAD] = looks.robot_from_head[:, :3, :3]
+    return slopes
+
+
+def _place_slope(robot_from_base: Array, place_mm: ArrayLike) -> Array:
+    """Return the derivative (3, 6) of a place, given in the robot frame, by the pose of the base."""
+    in_base = _apply(_inverse(robot_from_base), np.asarray(place_mm, dtype=float))
+    return np.hstack([-robot_from_base[:3, :3] @ _cross(in_base), np.eye(3)])
+
+
+def _moved(pose: Array, change: Array) -> Array:
+    """Rotate a pose about the axes of its source and shift it along those of its target, as in `hand_eye`."""
+    moved = pose.copy()
+    moved[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
+    moved[:3, 3] += change[3:]
+    return moved
+
+
+def _apply(pose: Array, points_mm: Array) -> Array:
+    """Map points (3,) or (m, 3) by one pose (4, 4), or by a pose each (m, 4, 4)."""
+    if pose.ndim == 3:
+        return np.asarray(np.einsum("mij,mj->mi", pose[:, :3, :3], points_mm) + pose[:, :3, 3])
+    return np.asarray(points_mm @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _inverse(pose: Array) -> Array:
+    turned = np.eye(4)
+    turned[:3, :3] = pose[:3, :3].T
+    turned[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return turned
+
+
+def _cross(vector: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with a vector."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

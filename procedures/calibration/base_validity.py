@@ -1,0 +1,129 @@
+"""Whether a calibration of the bases still holds: for these arms, on platforms that have not moved.
+
+A platform is watched through the frame on its arm, in postures of reference, where the arm's own errors
+recur. The tracker may have been moved in between: the frames of the master show by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration.errors import BasesOfOtherArms, DegeneratePoses, PlatformMoved
+from ronna_hw.calibration import BaseCalibration, FrameReference
+from ronna_hw.text import format_against_limit
+
+Array = NDArray[np.float64]
+
+MOVED_MM = 0.2
+SEEN_MM = 0.02  # random error of a frame's place per axis: 60 frames of a tracker, and the arm coming back
+MOST_UNCERTAIN_MM = MOVED_MM / 2.0  # 3-D, of a shift: a larger one would not show what it must
+LEAST_SPREAD_MM = 50.0  # of the master's places in the direction in which they vary second most
+
+
+@dataclass(frozen=True)
+class ArmIdentity:
+    """Kinematic model and serial number of a connected arm; the number is empty if it reports none."""
+
+    arm: str
+    serial: str = ""
+
+
+@dataclass(frozen=True)
+class PlatformShift:
+    """Largest shift of the assistant's frame against the master's, and its 3-D standard error, in mm."""
+
+    shift_mm: float
+    error_mm: float
+
+
+def require_these_arms(record: BaseCalibration, master: ArmIdentity, assistant: ArmIdentity) -> None:
+    """Raise CAL-024 unless the record is that of these two arms, as far as they report serial numbers."""
+    for role, found, arm, serial in (
+        ("master", master, record.master, record.master_serial),
+        ("assistant", assistant, record.assistant, record.assistant_serial),
+    ):
+        other_serial = bool(serial and found.serial) and serial != found.serial
+        if found.arm != arm or other_serial:
+            raise BasesOfOtherArms(
+                f"the calibration {record.identifier} was made with another {role}",
+                expected=f"{arm} {serial or ''}".rstrip(),
+                got=f"{found.arm} {found.serial}".rstrip(),
+            )
+
+
+def require_unmoved(record: BaseCalibration, master_mm: ArrayLike, assistant_mm: ArrayLike) -> PlatformShift:
+    """Return how far the platforms have moved, by both frames (k, 3) and (m, 3) as the tracker sees them now.
+
+    Raises CAL-023 from 0.2 mm on, CAL-003 if the places seen cannot show that much.
+    """
+    shift = platform_shift(
+        _places(record.master_references), master_mm, _places(record.assistant_references), assistant_mm
+    )
+    if shift.shift_mm > MOVED_MM:
+        raise PlatformMoved(
+            f"a platform has moved since the calibration {record.identifier}",
+            limit=f"{MOVED_MM:g} mm",
+            got=f"{format_against_limit(shift.shift_mm, MOVED_MM, 2)} mm",
+        )
+    return shift
+
+
+def platform_shift(
+    master_before_mm: ArrayLike,
+    master_mm: ArrayLike,
+    assistant_before_mm: ArrayLike,
+    assistant_mm: ArrayLike,
+    seen_mm: float = SEEN_MM,
+) -> PlatformShift:
+    """Return the shift of the assistant's places against the master's. Raises CAL-003.
+
+    The master's places (k, 3) show how the tracker has moved, the assistant's (m, 3) are compared with that.
+    """
+    before, now, other_before, other_now = (
+        np.asarray(places, dtype=float)
+        for places in (master_before_mm, master_mm, assistant_before_mm, assistant_mm)
+    )
+    middle, centre = before.mean(axis=0), now.mean(axis=0)
+    spread_mm = np.linalg.svd(before - middle, compute_uv=False)[1] / np.sqrt(len(before))
+    if spread_mm < LEAST_SPREAD_MM:
+        raise DegeneratePoses(
+            "the master's postures of reference are too close together, or on one line",
+            limit=f"{LEAST_SPREAD_MM:g} mm",
+            got=f"{format_against_limit(float(spread_mm), LEAST_SPREAD_MM, 0)} mm",
+            action="Have the master show its frame in postures farther apart.",
+        )
+    turn, _ = Rotation.align_vectors(now - centre, before - middle)
+    shifts = other_now - (turn.apply(other_before - middle) + centre)
+    farthest = int(np.argmax(np.linalg.norm(shifts, axis=1)))
+    error_mm = max(_prediction_error_mm(before - middle, one, seen_mm) for one in other_before - middle)
+    if error_mm > MOST_UNCERTAIN_MM:
+        raise DegeneratePoses(
+            "the postures of reference do not show whether a platform has moved",
+            limit=f"{MOST_UNCERTAIN_MM:g} mm",
+            got=f"{format_against_limit(error_mm, MOST_UNCERTAIN_MM, 2)} mm",
+            action="Have the master show its frame farther apart, and closer to that of the assistant.",
+        )
+    return PlatformShift(float(np.linalg.norm(shifts[farthest])), error_mm)
+
+
+def _prediction_error_mm(places_mm: Array, at_mm: Array, seen_mm: float) -> float:
+    """Return the 3-D standard error of a shift at a place, both relative to the middle of the places seen."""
+    rows = np.vstack([np.hstack([-_cross(one), np.eye(3)]) for one in places_mm])
+    # Seen twice: at the calibration and now.
+    covariance = 2.0 * seen_mm**2 * np.linalg.inv(rows.T @ rows)
+    slope = np.hstack([-_cross(at_mm), np.eye(3)])
+    return float(np.sqrt(np.trace(slope @ covariance @ slope.T) + 2.0 * 3.0 * seen_mm**2))
+
+
+def _places(references: Sequence[FrameReference]) -> Array:
+    return np.array([one.tracker_from_frame_mm for one in references])
+
+
+def _cross(vector: Array) -> Array:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

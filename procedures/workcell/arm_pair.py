@@ -1,0 +1,276 @@
+"""Two arms in one theatre: who may move, how close they may come, and what stops both.
+
+One arm moves at a time, with the other at rest as an obstacle; both at once only along paths that were
+checked against each other in time. While one moves, both are watched: their distance, the age of what is
+known of each, and their states. Whatever stops one brings both to rest, and holds both until a person has
+acknowledged it. Nothing retreats by itself, and nothing moves with an instrument in the guide.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
+from ronna_hw.arm.clearance.arm_pair import (
+    APART_MM,
+    PLANNED_APART_MM,
+    ArmPairWorld,
+    Course,
+    PlacedArm,
+    require_apart,
+)
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
+from ronna_hw.arm.clearance.live_pair import LivePair
+from ronna_hw.arm.pose import Pose
+from ronna_hw.clock import Clock
+from ronna_hw.config import ASSISTANT, MASTER
+from ronna_hw.devices import Lifecycle, Motion, RobotArm
+from ronna_hw.devices.lifecycle import RUNNING, require_person
+from ronna_hw.devices.readings import ArmReading, Validity
+from ronna_hw.devices.robot import StopKind
+from ronna_hw.errors import RonnaError, summary_of
+from ronna_hw.logs import logger
+from ronna_hw.preview import plan_motion
+from ronna_hw.vectors import JointVector
+
+OLDEST_S = 0.1  # theatre time: what is known of an arm while another moves
+WATCH_S = 0.01  # theatre time between two looks at both arms
+STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
+STOP_LIMIT_S = 5.0  # host time
+LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
+ROLES = (MASTER, ASSISTANT)
+
+
+@dataclass(frozen=True)
+class Halt:
+    """Why both arms were brought to rest; `instrument` is where one was in the guide at that moment."""
+
+    arm: str
+    reason: str
+    instrument: str | None
+
+
+class ArmPair:
+    """Master and assistant, and the rules for their motions."""
+
+    def __init__(
+        self,
+        arms: Mapping[str, RobotArm],
+        assistant_base: Pose,
+        clock: Clock,
+        instrument_inside: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        """Watch the arms of both roles; `assistant_base` is ROBOT <- base of the assistant.
+
+        `instrument_inside` tells where an instrument is, or may be, in the guide.
+        """
+        self._arms = {role: arms[role] for role in ROLES}
+        self._bases = {MASTER: Pose((0.0, 0.0, 0.0)), ASSISTANT: assistant_base}
+        self._clock = clock
+        self._instrument_inside = instrument_inside
+        self._around = dict.fromkeys(ROLES, Surroundings())
+        self._moving = threading.Lock()  # held by the motion under way
+        self._at_rest_rad: dict[str, JointVector] = {}  # of arms that must not move meanwhile
+        self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
+        self._live: LivePair | None = None
+        self.halted: Halt | None = None
+
+    def surround(self, role: str, surroundings: Surroundings) -> None:
+        """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
+        self._around[role] = surroundings
+
+    def acknowledge(self, confirmed_by: str) -> None:
+        """Release a halt once both arms can move again. Raises DEV-006 without a name, DUAL-001 otherwise."""
+        require_person(confirmed_by)
+        for role, arm in self._arms.items():
+            if arm.state not in RUNNING:
+                raise BothArmsHalted(f"the {role} is not ready", got=f"it is {arm.state}")
+        self.halted = None
+
+    def move(self, role: str, motion: Motion) -> ArmReading:
+        """Move one arm while the other rests, and return the settled reading.
+
+        Raises DUAL-001 while both are halted, also if they are halted on the way, DUAL-002 while one moves,
+        DUAL-003 if the state of the other is unknown, ARM-007 if it is in the way, TOOL-001 with an
+        instrument in the guide, and the errors of the arm.
+        """
+        with self._under_way():
+            other = _other(role)
+            rests_rad = self._joints(other)
+            self._at_rest_rad = {other: rests_rad}
+            arm = self._arms[role]
+            obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
+            around = self._around[role]
+            arm.surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
+            return self._drive({role: motion})[role]
+
+    def move_together(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
+        """Move both arms at once, if their paths are clear of each other in time.
+
+        Raises ARM-011 before anything moves if they are not, otherwise as `move`.
+        """
+        with self._under_way():
+            self._at_rest_rad = {}
+            courses = {role: self._course(role, motions[role]) for role in ROLES}
+            world = ArmPairWorld(courses[MASTER].arm, courses[ASSISTANT].arm)
+            require_apart(world, courses[MASTER], courses[ASSISTANT], LARGEST_LAG_S)
+            for role, arm in self._arms.items():
+                arm.surround(self._around[role])
+            return self._drive(motions)
+
+    def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
+        """Bring both arms to rest and hold them there; never raises."""
+        if self.halted is None:
+            self.halted = Halt(arm, reason, self._instrument_inside())
+            logger(device=f"robot.{arm}").warning("both arms are stopped", cause=reason)
+        stops = [
+            threading.Thread(target=self._stop_one, args=(one, kind))
+            for one in self._arms.values()
+            if one.observe().state in RUNNING
+        ]
+        for stop in stops:
+            stop.start()
+        for stop in stops:
+            stop.join()
+
+    def watch(self) -> None:
+        """Look at both arms once; stop both for what stopped one, a distance, or an age."""
+        found = self._find_trouble()
+        if found is not None:
+            role, reason, kind = found
+            self.stop(reason, role, kind)
+
+    def _find_trouble(self) -> tuple[str, str, StopKind] | None:
+        joints: dict[str, JointVector] = {}
+        for role, arm in self._arms.items():
+            if (state := arm.state) is not self._expected.get(role, state):
+                why = "" if arm.fault is None else f": {summary_of(arm.fault)}"
+                kind = StopKind.HOLD if state is Lifecycle.HOLD else StopKind.PROTECTIVE
+                return role, f"the {role} has gone to {state}{why}", kind
+            try:
+                joints[role] = self._joints(role)
+            except OtherArmUnknown as error:
+                return role, error.summary, StopKind.PROTECTIVE
+            if (rests_rad := self._at_rest_rad.get(role)) is not None:
+                moved_rad = max(abs(a - b) for a, b in zip(joints[role], rests_rad, strict=True))
+                if moved_rad > STILL_RAD:
+                    return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
+        live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
+        near = live.distance(joints[MASTER], joints[ASSISTANT])
+        if near.distance_mm < APART_MM:
+            words = f"the arms are {near.distance_mm:.1f} mm apart, {near.first} and {near.second}"
+            return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
+        return None
+
+    @contextmanager
+    def _under_way(self) -> Iterator[None]:
+        """Hold the right to move. Raises DUAL-001, DUAL-002, TOOL-001."""
+        if not self._moving.acquire(blocking=False):
+            raise OtherArmMoving("another motion is under way")
+        try:
+            self._require_released()
+            if (place := self._instrument_inside()) is not None:
+                raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
+            self._live = LivePair(self._placed(MASTER), self._placed(ASSISTANT))
+            yield
+        finally:
+            self._live, self._expected, self._at_rest_rad = None, {}, {}
+            self._moving.release()
+
+    def _drive(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
+        """Drive the motions, watched, and return the settled readings once all have ended."""
+        resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
+        for role, state in resting.items():
+            if state not in RUNNING:
+                raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
+        self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
+        self.watch()
+        self._require_released()
+        readings: dict[str, ArmReading] = {}
+        errors: dict[str, Exception] = {}
+
+        def drive(role: str, motion: Motion) -> None:
+            try:
+                readings[role] = motion.drive(self._arms[role])
+            except Exception as error:
+                errors[role] = error
+
+        threads = [threading.Thread(target=drive, args=item, daemon=True) for item in motions.items()]
+        for thread in threads:
+            thread.start()
+        try:
+            while any(thread.is_alive() for thread in threads):
+                self.watch()
+                if errors and len(motions) > 1:
+                    role, error = next(iter(errors.items()))
+                    self.stop(f"the {role} failed: {summary_of(error)}", role)
+                self._clock.sleep(WATCH_S)
+        except BaseException:
+            self.stop("the program was interrupted")
+            raise
+        finally:
+            for thread in threads:
+                thread.join()
+        if errors and self.halted is None:  # refused before it began, or stopped since the last look
+            self.watch()
+        if self.halted is not None:
+            self._refuse(next(iter(errors.values()), None))
+        for error in errors.values():
+            raise error
+        return readings
+
+    def _require_released(self) -> None:
+        if self.halted is not None:
+            self._refuse(None)
+
+    def _refuse(self, cause: BaseException | None) -> NoReturn:
+        assert self.halted is not None
+        inside = self.halted.instrument
+        where = "" if inside is None else f"; an instrument is in the guide, and in {inside}"
+        raise BothArmsHalted(f"both arms are halted: {self.halted.reason}{where}") from cause
+
+    def _joints(self, role: str) -> JointVector:
+        """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
+        reading = self._arms[role].observe().reading
+        if reading is None or reading.validity is not Validity.OK:
+            raise OtherArmUnknown(f"the state of the {role} is not known")
+        age_s = self._clock.now_s() - reading.stamp.theatre_time_s
+        if age_s > OLDEST_S:
+            raise OtherArmUnknown(
+                f"the last state of the {role} is old",
+                limit=f"{1000 * OLDEST_S:.0f} ms",
+                got=f"{1000 * age_s:.0f} ms",
+            )
+        return reading.joints_rad
+
+    def _course(self, role: str, motion: Motion) -> Course:
+        arm, limits = self._arms[role], self._arms[role].limits()
+        plan = plan_motion(arm.kinematics, self._joints(role), motion, limits)
+        return Course.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
+
+    def _placed(self, role: str) -> PlacedArm:
+        bodies = Bodies(self._arms[role].kinematics, self._around[role])
+        return PlacedArm(role, bodies, self._bases[role])
+
+    def _grown_mm(self, role: str) -> float:
+        """Return by how much the other arm is thickened as an obstacle to keep it as far as two arms."""
+        around = self._around[role]
+        return max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+
+    def _stop_one(self, arm: RobotArm, kind: StopKind) -> None:
+        if kind is StopKind.HOLD and arm.state is Lifecycle.HOLD:
+            return
+        try:
+            arm.stop(kind, STOP_LIMIT_S)
+        except Exception as error:  # the other must be stopped nevertheless; its link stops it when it ends
+            logger(device=arm.name).error("may not be at rest: the stop failed", cause=error)
+            with suppress(RonnaError):
+                arm.stop(StopKind.LINK, STOP_LIMIT_S)
+
+
+def _other(role: str) -> str:
+    return ASSISTANT if role == MASTER else MASTER

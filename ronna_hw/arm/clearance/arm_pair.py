@@ -1,0 +1,276 @@
+"""Two arms in one collision world: the distance between them, and paths that keep it.
+
+The bodies of each arm are its own (`Bodies`), in postures of its own kinematics; distances between those of
+one arm and those of the other are coal's. A pair of paths is certified by bounds: with a distance `d` at one
+pair of postures, all pairs to which no point moves by more than `d - margin` in sum are far enough apart.
+
+Lengths in mm. The common frame is the base of the master; `base` of an arm leads there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle
+from ronna_hw.arm.clearance.sweep import moving_ends
+from ronna_hw.arm.errors import ArmsTooClose
+from ronna_hw.arm.kinematics import COLUMN_NAME, Kinematics
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import drive_states
+from ronna_hw.arm.pose import Pose
+from ronna_hw.vectors import JointVector
+
+Array = NDArray[np.float64]
+
+APART_MM = 30.0  # between the arms, at any moment
+PLANNED_APART_MM = 40.0  # along planned paths: the rest is for the errors of both arms and their bases
+STRAIGHT_FACTOR = 1.01  # between two samples of a line a joint turns slightly more than their difference
+POINT_MM = 1e-6  # a shorter axis has no direction
+NO_TURN = np.eye(3)
+
+
+@dataclass(frozen=True)
+class PlacedArm:
+    """An arm with its tool, and where it stands: ROBOT of the master <- its own base."""
+
+    name: str
+    bodies: Bodies
+    base: Pose
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies: column, links, tool."""
+        return (COLUMN_NAME, *self.bodies.moving_names)
+
+    @cached_property
+    def radii_mm(self) -> tuple[float, ...]:
+        """Radii of all bodies."""
+        return (self.bodies.fixed[0].radius_mm, *self.bodies.moving_radii_mm)
+
+    @cached_property
+    def levers_mm(self) -> JointVector:
+        """Upper bounds on the motion of any point, in mm per radian of each joint."""
+        ends = [end for part in self.bodies.surroundings.tool for end in part.capsule[:2]]
+        return self.bodies.arm.levers_mm(ends)
+
+    def axes(self, joints_rad: Array) -> Array:
+        """Return the axis ends of all bodies in the common frame, (n, bodies, 2, 3)."""
+        joints = np.atleast_2d(joints_rad)
+        column = self.bodies.fixed[0]
+        fixed = np.broadcast_to([column.start_mm, column.end_mm], (len(joints), 1, 2, 3))
+        ends = np.concatenate([fixed, moving_ends(self.bodies, joints)], axis=1)
+        turn = np.reshape(self.base.rotation, (3, 3))
+        return np.asarray(ends @ turn.T + np.array(self.base.position_mm))
+
+    def as_obstacles(self, joints_rad: JointVector, seen_from: Pose, grown_mm: float) -> tuple[Obstacle, ...]:
+        """Return the arm at rest as obstacles of another arm with base `seen_from`, thicker by `grown_mm`."""
+        to_other = seen_from.inverse()
+        return tuple(
+            Obstacle(
+                f"{name} of the {self.name}",
+                Capsule(_vector(start), _vector(end), radius + grown_mm).moved(to_other),
+            )
+            for name, radius, (start, end) in zip(
+                self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
+            )
+        )
+
+
+class ArmDistance(NamedTuple):
+    """Smallest distance between two arms, and the two bodies."""
+
+    distance_mm: float
+    first: str
+    second: str
+
+
+class ArmPairWorld:
+    """Collision world of two placed arms."""
+
+    def __init__(self, first: PlacedArm, second: PlacedArm) -> None:
+        self.first, self.second = first, second
+        self._shapes: dict[tuple[int, int], coal.CollisionObject] = {}
+        self._request = coal.DistanceRequest()
+        self._result = coal.DistanceResult()
+
+    def distance(self, first_rad: JointVector | Array, second_rad: JointVector | Array) -> ArmDistance:
+        """Return the distance between the arms in a pair of postures."""
+        first, second = (
+            arm.axes(np.asarray(joints))[0]
+            for arm, joints in ((self.first, first_rad), (self.second, second_rad))
+        )
+        return self.distance_of(first, second)
+
+    def distance_of(self, first_axes_mm: Array, second_axes_mm: Array) -> ArmDistance:
+        """Return the distance between arms whose bodies have these axes (bodies, 2, 3)."""
+        ones = self._place(0, self.first, first_axes_mm)
+        others = self._place(1, self.second, second_axes_mm)
+        found = ArmDistance(np.inf, "", "")
+        for one, first in zip(ones, self.first.names, strict=True):
+            for other, second in zip(others, self.second.names, strict=True):
+                self._result.clear()
+                apart = coal.distance(one, other, self._request, self._result)
+                if apart < found.distance_mm:
+                    found = ArmDistance(float(apart), first, second)
+        return found
+
+    def _place(self, number: int, arm: PlacedArm, axes_mm: Array) -> list[coal.CollisionObject]:
+        placed = []
+        for body, ((start, end), radius) in enumerate(zip(axes_mm, arm.radii_mm, strict=True)):
+            along = end - start
+            length = float(np.linalg.norm(along))
+            shape = self._shapes.get((number, body))
+            if shape is None:
+                solid = coal.Capsule(radius, length) if length > POINT_MM else coal.Sphere(radius)
+                shape = self._shapes[number, body] = coal.CollisionObject(solid)
+            shape.setTransform(coal.Transform3s(_turn_towards(along, length), (start + end) / 2.0))
+            placed.append(shape)
+        return placed
+
+
+@dataclass(frozen=True)
+class Course:
+    """Postures of an arm along its path, one per cycle (n, axes); a resting arm has one."""
+
+    arm: PlacedArm
+    joints_rad: Array
+    cycle_s: float
+
+    @classmethod
+    def resting(cls, arm: PlacedArm, joints_rad: JointVector, cycle_s: float) -> Course:
+        """Return the course of an arm that does not move."""
+        return cls(arm, np.array([joints_rad]), cycle_s)
+
+    @classmethod
+    def driven(cls, arm: PlacedArm, kinematics: Kinematics, plan: MotionPlan, cycle_s: float) -> Course:
+        """Return the course of a planned motion as the arm drives it. Raises ARM-001 to ARM-003."""
+        joints = [plan.start_rad]
+        if not plan.is_standstill:
+            path = plan.path(kinematics)
+            for state in drive_states(plan.limits, plan.speed_steps, cycle_s):
+                joints.append(path.joints(min(max(state.position[0], 0.0), 1.0), joints[-1]))
+        return cls(arm, np.array(joints), cycle_s)
+
+    @cached_property
+    def travel_mm(self) -> Array:
+        """Upper bound on the motion of any point since the start, (n,)."""
+        steps = np.abs(np.diff(self.joints_rad, axis=0)) @ np.array(self.arm.levers_mm)
+        return np.concatenate([[0.0], np.cumsum(steps)]) * STRAIGHT_FACTOR
+
+    @cached_property
+    def axes_mm(self) -> Array:
+        """Axes of all bodies in every posture, (n, bodies, 2, 3)."""
+        return self.arm.axes(self.joints_rad)
+
+    @property
+    def count(self) -> int:
+        """Number of postures."""
+        return len(self.joints_rad)
+
+    def reach_mm(self, low: int, at: int, high: int) -> float:
+        """Return a bound on the motion of any point from posture `at` to any in a range."""
+        low_mm, here_mm, high_mm = (float(self.travel_mm[number]) for number in (low, at, high))
+        return max(high_mm - here_mm, here_mm - low_mm)
+
+    def at(self, time_s: float) -> int:
+        """Return the number of the posture at a time, at the end for a later one."""
+        return min(max(round(time_s / self.cycle_s), 0), self.count - 1)
+
+
+class _Block(NamedTuple):
+    """Ranges of postures of both courses, ends included."""
+
+    first: tuple[int, int]
+    second: tuple[int, int]
+
+
+def find_approach(
+    world: ArmPairWorld, first: Course, second: Course, apart_s: float, margin_mm: float = PLANNED_APART_MM
+) -> ArmDistance | None:
+    """Find a pair of postures that is not certainly farther apart than the margin, or None if all are.
+
+    Both motions begin together. One may lag the other by up to `apart_s`: at the start, by a slower clock, or
+    while both are stopped.
+    """
+    blocks = list(_blocks(first, second, apart_s))
+    while blocks:
+        block = blocks.pop()
+        middle = [(low + high) // 2 for low, high in block]
+        found = world.distance_of(first.axes_mm[middle[0]], second.axes_mm[middle[1]])
+        reach_mm = [
+            float(
+                max(
+                    course.travel_mm[high] - course.travel_mm[at],
+                    course.travel_mm[at] - course.travel_mm[low],
+                )
+            )
+            for course, at, (low, high) in zip((first, second), middle, block, strict=True)
+        ]
+        at_least_mm = found.distance_mm - sum(reach_mm)
+        if at_least_mm >= margin_mm:
+            continue
+        divisible = [number for number, (low, high) in enumerate(block) if high - low > 1]
+        if found.distance_mm < margin_mm or not divisible:
+            return found if found.distance_mm < margin_mm else found._replace(distance_mm=at_least_mm)
+        blocks += _halves(block, max(divisible, key=reach_mm.__getitem__))
+    return None
+
+
+def require_apart(
+    world: ArmPairWorld, first: Course, second: Course, apart_s: float, margin_mm: float = PLANNED_APART_MM
+) -> None:
+    """Raise ARM-011 unless all pairs of postures of two courses are farther apart than the margin."""
+    found = find_approach(world, first, second, apart_s, margin_mm)
+    if found is not None:
+        raise ArmsTooClose(
+            f"the {found.first} of the {first.arm.name} would come too close to the {found.second} of the "
+            f"{second.arm.name}",
+            limit=f"{margin_mm:g} mm",
+            got=f"{found.distance_mm:.1f} mm",
+        )
+
+
+def _blocks(first: Course, second: Course, apart_s: float) -> Sequence[_Block]:
+    """Cover all pairs of postures that can occur together with blocks."""
+    edges = range(0, first.count, max(1, round(apart_s / first.cycle_s)))
+    ends = [*edges, first.count - 1]
+    blocks = []
+    for low, high in pairwise(ends) if first.count > 1 else [(0, 0)]:
+        early_s, late_s = low * first.cycle_s - apart_s, high * first.cycle_s + apart_s
+        if high == first.count - 1:  # then the first arm rests there
+            late_s = second.count * second.cycle_s
+        blocks.append(_Block((low, high), (second.at(early_s), second.at(late_s))))
+    return blocks
+
+
+def _halves(block: _Block, widest: int) -> tuple[_Block, _Block]:
+    """Divide a block; both halves have the posture in the middle, so that nothing between two is missed."""
+    low, high = block[widest]
+    middle = (low + high) // 2
+    if widest:
+        return block._replace(second=(low, middle)), block._replace(second=(middle, high))
+    return block._replace(first=(low, middle)), block._replace(first=(middle, high))
+
+
+def _turn_towards(along: Array, length: float) -> Array:
+    """Return a rotation (3, 3) that takes z to the direction of an axis."""
+    if length <= POINT_MM:
+        return NO_TURN
+    x, y, z = (along / length).tolist()
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1.0 / (1.0 + z)
+    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+
+
+def _vector(values: Array) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return (x, y, z)

@@ -1,0 +1,29 @@
+"""Errors of a stream: what can happen to any, with the codes of the driver that it happens to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.errors import ConnectError, DeviceError, LimitError, LinkTimeout, RefusedError, StateError
+
+
+@dataclass(frozen=True)
+class StreamErrors:
+    """A driver's errors, and its word for the time stamp of telegrams."""
+
+    not_started: type[ConnectError]  # the real-time process
+    died: type[DeviceError]
+    stalled: type[DeviceError]
+    silent: type[LinkTimeout]  # no telegram came
+    heartbeat_late: type[LinkTimeout]
+    tripped: type[LimitError]  # by the monitor
+    path_failed: type[LimitError]
+    unusable: type[LinkTimeout]  # too many losses
+    protective_stop: type[StateError]
+    link_stopped: type[StateError]
+    drives_off: type[StateError]
+    stopped: type[MotionInterrupted]
+    not_finished: type[LinkTimeout]
+    refused: type[RefusedError]
+    clock_name: str

@@ -1,0 +1,147 @@
+"""Conversion of faults and refusals of a stream to the driver's errors."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import NamedTuple
+
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
+from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm_stream.errors import StreamErrors
+from ronna_hw.arm_stream.losses import UNUSABLE_SHARE, WINDOW_CYCLES
+from ronna_hw.arm_stream.records import (
+    NO_STATE,
+    NOTHING_AROUND,
+    Fault,
+    LinkState,
+    Result,
+)
+from ronna_hw.errors import LimitError, RefusedError, RonnaError, StateError
+
+_REFUSALS = {
+    Result.REFUSED_BUSY: "another motion is running",
+    Result.REFUSED_START: "it was planned from a pose other than the last one sent",
+    Result.REFUSED_PHASE: "no correction stream is running",
+    Result.REFUSED_NUMBERS: "no motion profile exists for its values",
+}
+
+
+class StreamFaults(NamedTuple):
+    """Errors of one arm's stream, in the words and with the limits of its driver."""
+
+    name: str
+    arm: Kinematics
+    errors: StreamErrors
+    silence_limit_s: float
+    heartbeat_limit_s: float
+
+    def error(
+        self, state: LinkState, mode: str, surroundings: Surroundings = NOTHING_AROUND
+    ) -> RonnaError | None:
+        """Build the error for a latched fault, if any."""
+        name, errors = self.name, self.errors
+        prefix = f"{name}: after {state.cycles} cycles"
+        match state.fault:
+            case Fault.NONE:
+                return None
+            case Fault.MONITOR:
+                return monitor_error(prefix, state, self.arm, surroundings, mode, errors.tripped)
+            case Fault.SILENCE:
+                return self.silence_error(state)
+            case Fault.HEARTBEAT:
+                return errors.heartbeat_late(
+                    f"{prefix} this program's heartbeat was late", limit=f"{self.heartbeat_limit_s:g} s"
+                )
+            case Fault.PROTECTIVE:
+                return errors.protective_stop(f"{name}: a protective stop was requested")
+            case Fault.LINK_STOP:
+                return errors.link_stopped(f"{name}: replies were stopped on request")
+            case Fault.DRIVES_OFF:
+                return errors.drives_off(f"{name}: the drives were switched off on request")
+            case Fault.PATH:
+                return errors.path_failed(f"{prefix} the path had no solution")
+            case Fault.LOSSES:
+                return errors.unusable(
+                    f"{prefix} too few replies were accepted{self.losses_text(NO_STATE, state)}",
+                    limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, in two consecutive windows",
+                )
+        return errors.unusable(f"{prefix} the stream ended: {state.fault.name}")  # a driver has better words
+
+    def silence_error(self, state: LinkState, note: str = "") -> RonnaError:
+        """Build the error for a controller that has fallen silent."""
+        return self.errors.silent(
+            f"{self.name}: after {state.cycles} cycles telegrams stopped{note}",
+            expected="a telegram in every cycle",
+            limit=f"{self.silence_limit_s:g} s",
+            got=f"{self.errors.clock_name} {state.device_clock}",
+        )
+
+    def refusal_error(self, state: LinkState) -> RefusedError | StateError:
+        """Build the error for a motion that was refused, or stopped before it began."""
+        if state.result is Result.REFUSED_STOP:
+            return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
+        reason = _REFUSALS.get(state.result, f"result {state.result.name}")
+        return self.errors.refused(f"{self.name}: the motion was refused: {reason}")
+
+    def losses_text(self, initial: LinkState, state: LinkState) -> str:
+        """Describe the losses between two states, or return an empty text if there were none."""
+        cycles, late, lost = (
+            max(now - before, 0)
+            for now, before in (
+                (state.cycles, initial.cycles),
+                (state.late, initial.late),
+                (state.lost, initial.lost),
+            )
+        )
+        if not late and not lost:
+            return ""
+        return (
+            f": of {cycles} cycles {late} were late or lost by the controller's count, "
+            f"{lost} by {self.errors.clock_name}"
+        )
+
+    def axes_text(self, state: LinkState) -> str:
+        """Format the measured joint angles."""
+        names = self.arm.axis_names
+        angles = " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad)
+        return f"{names[0]}..{names[-1]} {angles} deg"
+
+    def furthest_text(self, state: LinkState) -> str:
+        """Format the axis with the largest deviation from its set-point."""
+        off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
+        axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
+        return f"{self.arm.axis_names[axis]} {off_deg[axis]:.4f} deg off its set-point"
+
+
+def monitor_error(
+    prefix: str,
+    state: LinkState,
+    arm: Kinematics,
+    surroundings: Surroundings,
+    mode: str,
+    error: type[LimitError],
+) -> LimitError:
+    """Build the error for a limit that the monitor saw violated."""
+    bodies = Bodies(arm, surroundings)
+    kind, axis = ViolationKind(state.violation_kind), state.violation_axis
+    violation = Violation(kind, axis, state.violation_value, state.violation_limit)
+    limit = violation.format_value(violation.limit)
+    if violation.is_axis_violation:
+        subject = arm.axis_names[axis - 1]
+    elif kind is ViolationKind.BODY_SPEED:
+        subject = f"the {bodies.moving_names[axis]}" if axis < len(bodies.moving_names) else "a body"
+    else:
+        is_known = axis < len(bodies.pairs)
+        subject = "{} and {}".format(*bodies.names(bodies.pairs[axis])) if is_known else "its bodies"
+    if kind is ViolationKind.SPEED:
+        share = violation.limit / arm.full_speed_rad_s[axis - 1]
+        limit += f" ({share:.0%} of full speed in {mode})"
+    elif kind is ViolationKind.BODY_SPEED:
+        limit += f" in {mode}"
+    what = ViolationKind.SPEED if kind is ViolationKind.BODY_SPEED else kind
+    return error(
+        f"{prefix} the monitor stopped the arm: {what} of {subject}",
+        limit=limit,
+        got=violation.format_value(violation.value),
+    )

@@ -1,0 +1,358 @@
+"""Session of an arm's stream, without I/O: motions, stops, faults, and the choice of each set-point.
+
+Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
+faults are checked, to decide between the point that continues and the first point of a stop. The measured
+axes are judged once the reply is out.
+
+If the controller reports that it did not use the last reply, the path waits: the same point is sent again,
+and the prepared ones are kept. So each effective step is a prepared one, in spite of losses. A controller
+that reports it one telegram late may take two prepared steps at once; one that never reports it gets the path
+as planned.
+"""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Protocol
+
+from ronna_hw.arm.clearance.live_watch import Violation
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.records import (
+    NO_STATE,
+    STOP_KIND,
+    STOP_KIND_BITS,
+    Choice,
+    Command,
+    CommandKind,
+    Fault,
+    LinkState,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+    StreamSettings,
+)
+from ronna_hw.arm_stream.set_points import SetPoints
+from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
+
+SETTLE_CYCLES = 10  # consecutive, within the tolerance
+DEGRADED_SPEED = 0.5  # share of the planned speed after losses
+HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at rest at the held point
+START_TOLERANCE_RAD = 1e-9  # between a motion's planned start and the last point sent
+
+_STOP_FAULTS = {
+    StopOrder.PROTECTIVE: Fault.PROTECTIVE,
+    StopOrder.LINK: Fault.LINK_STOP,
+    StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
+}
+STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+
+
+class Senders(Protocol):
+    """Counts of others that sent to the link."""
+
+    count: int
+    host: str
+    disagreeing: int
+
+
+class NoSenders:
+    """Counts of a connection, on which nobody else can send."""
+
+    count = 0
+    host = ""
+    disagreeing = 0
+
+
+class StreamSession:
+    """Session of one arm: a driver answers each telegram with `choose` and calls `finish_cycle`."""
+
+    def __init__(self, settings: StreamSettings, kinematics: Kinematics, cycle_s: float) -> None:
+        self._kinematics = kinematics
+        self._limits: MotionLimits | None = None  # of the stream's operating mode
+        self._cycle_s = cycle_s
+        self._tolerance_rad = radians(settings.settle_tolerance_deg)
+        self._silence_ns = round(settings.silence_limit_s * 1e9)
+        self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
+        self.phase = Phase.IDLE
+        self.fault = Fault.NONE
+        self.result = Result.NONE
+        self.violation: Violation | None = None
+        self.rejected = 0
+        self.dropped = 0
+        self.senders: Senders = NoSenders()
+        self.cycles = 0
+        self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
+        self.is_parent_gone = False
+        self.choice = Choice.GO
+        self.device_clock = 0
+        self.controller_word = 0  # packed by the driver for its errors
+        self._heartbeat = (0, 0)  # value, and when it was first seen
+        self._stop_word = 0  # last order seen
+        self._command_number = 0
+        self._received_ns = self._previous_ns = 0
+        self._missing = 0  # telegrams lost before the last one
+        self._measured: JointVector = NO_STATE.measured_rad
+        self._base_rad: JointVector = NO_STATE.base_rad
+        self._losses = LossCount()
+        self._stopping = False
+        self._settled_cycles = 0
+        self._controller_speed = 1.0  # share of the planned speed that the controller leaves
+        self._speed = 1.0  # and that losses leave
+        self._points: SetPoints | None = None
+
+    # What a protocol adds:
+
+    def _measure(self) -> None:
+        """Take over the measured axes of the last telegram."""
+
+    def _prepare_reply(self, points: SetPoints) -> None:
+        """Encode the prepared points; the reply may be replaced by a stop until it is sent."""
+
+    def _open(self, command: Command) -> bool:
+        """Prepare for the first telegram of a stream; False if there is nothing to receive it from."""
+        return True
+
+    def _forget_reply(self) -> None:
+        """Discard a reply that was complete: something has changed."""
+
+    def _silence_fault(self) -> Fault:
+        """Return the fault to latch when no telegram has come for too long."""
+        return Fault.SILENCE
+
+    # The same for all:
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is in progress."""
+        return self._points is not None and self._points.moving
+
+    @property
+    def sent_rad(self) -> JointVector:
+        """Set-point sent last."""
+        return self._points.last_rad if self._points else NO_STATE.commanded_rad
+
+    @property
+    def measured_rad(self) -> JointVector:
+        """Joint angles measured in the last telegram."""
+        return self._measured
+
+    def choose(self, points: SetPoints, stop_word: int, missing: int) -> Choice | None:
+        """Choose the set-point of the next reply; None if there must be no reply."""
+        self._check_stop(stop_word)
+        if self.phase is Phase.SILENT:
+            return None
+        if points.violation is not None:
+            self._trip(points.violation)
+        elif points.path_failed:
+            self._latch(Fault.PATH)
+        elif points.moving and self._losses.is_unusable:
+            self._latch(Fault.LOSSES)
+        if points.moving and (self._losses.reply_lost or missing > HELD_AFTER_CYCLES):
+            return self._choose_after_loss(points)
+        return Choice.STOP if self._stopping else Choice.GO
+
+    def finish_cycle(self, command: Command | None) -> None:
+        """Check the measured joint angles, accept a new command and prepare the next reply."""
+        points = self._points
+        if points is None:
+            return
+        self.cycles += 1
+        due_ns = (self._missing + 1) * self._cycle_s * 1e9
+        self.jitter_us = (
+            abs(self._received_ns - self._previous_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
+        )
+        self._measure()
+        following_violation = points.monitor.check_measured(self._measured)
+        if following_violation is not None:
+            self._trip(following_violation)
+        points.commit(self.choice)
+        self._follow_motion(points)
+        if command is not None:
+            self.execute_command(command)
+        speed = self._controller_speed * (DEGRADED_SPEED if self._losses.degraded else 1.0)
+        if speed != self._speed:
+            self._speed = speed
+            points.limit_speed(speed)
+        points.prepare()
+        self._prepare_reply(points)
+
+    def execute_command(self, command: Command) -> None:
+        """Execute a new command."""
+        self._forget_reply()
+        if command.number == self._command_number:
+            return
+        self._command_number = command.number
+        if command.kind is CommandKind.MOVE and command.plan is not None:
+            self.result = self._start_motion(command.plan, command)
+        elif command.kind is CommandKind.OPEN and command.limits is not None and self.phase is Phase.IDLE:
+            self._limits = command.limits
+            self.fault, self.result = Fault.NONE, Result.NONE
+            self.violation = None
+            self.cycles = self.rejected = self.dropped = self.device_clock = 0
+            self._stopping, self._speed, self._points = False, 1.0, None
+            if self._open(command):
+                self.phase = Phase.ARMED
+        elif command.kind is CommandKind.END and not self.moving:
+            if self.phase in (Phase.RUNNING, Phase.FAULT):
+                self.phase = Phase.ENDING
+        elif command.kind is CommandKind.CLOSE and not self.moving:
+            self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
+
+    def monitor_silence(self, orders: Orders, now_ns: int) -> None:
+        """Check silence, heartbeat and stop orders while no telegrams arrive."""
+        self._forget_reply()
+        self._check_heartbeat(orders.heartbeat, now_ns)
+        points = self._points
+        if self.phase not in STREAMING_PHASES or points is None:
+            self._stop_word = orders.stop_word
+            return
+        self._check_stop(orders.stop_word)
+        if now_ns - self._received_ns > self._silence_ns:
+            # The controller has held the last point for long: the arm is at rest there.
+            self._rest(points)
+            if self.phase is Phase.RUNNING:
+                self._latch(self._silence_fault())
+        self._prepare_reply(points)
+
+    def silent_for_ns(self, now_ns: int) -> int:
+        """Return the host time since the last telegram."""
+        return now_ns - self._received_ns
+
+    def state(self, *, real_time: bool, locked: bool) -> LinkState:
+        """Build the state for the mailbox."""
+        violation, senders = self.violation, self.senders
+        return LinkState(  # by position, in the order of its fields: by name costs five times as much
+            self.cycles,
+            self.device_clock,
+            self._received_ns,
+            self.phase,
+            self.fault,
+            self.result,
+            self._losses.degraded,
+            self.moving,
+            self._settled_cycles >= SETTLE_CYCLES,
+            real_time,
+            locked,
+            self._command_number,
+            self._stop_word >> STOP_KIND_BITS,
+            self._losses.late,
+            self._losses.lost,
+            self.rejected,
+            self.dropped,
+            senders.count,
+            senders.host,
+            senders.disagreeing,
+            self._measured,
+            self.sent_rad,
+            NO_STATE.base_rad if self._points is None else self._base_rad,
+            violation.kind if violation else "",
+            violation.axis if violation else 0,
+            violation.value if violation else 0.0,
+            violation.limit if violation else 0.0,
+            self._speed,
+            self.controller_word,
+        )
+
+    def _begin(self, start_rad: JointVector, limits: MotionLimits) -> SetPoints:
+        """Begin to stream set-points from rest at `start_rad`."""
+        self._base_rad = start_rad
+        self._points = points = SetPoints(self._kinematics, limits, self._cycle_s, start_rad)
+        self._settled_cycles = 0
+        self.choice = Choice.GO
+        if self.phase is Phase.ARMED:
+            self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
+        return points
+
+    def _choose_after_loss(self, points: SetPoints) -> Choice:
+        """Choose the set-point that makes the arm wait because replies or telegrams were lost."""
+        violation = points.monitor.mark_not_accepted() if self._losses.reply_lost else None
+        if violation is not None:
+            self._trip(violation)
+        if violation is not None or self._losses.held_cycles > HELD_AFTER_CYCLES:
+            return Choice.HOLD
+        return Choice.REPEAT
+
+    def _start_motion(self, plan: MotionPlan, command: Command) -> Result:
+        points = self._points
+        if self.phase is not Phase.RUNNING or points is None:
+            return Result.REFUSED_PHASE
+        if command.stop_number != self._stop_word >> STOP_KIND_BITS:
+            return Result.REFUSED_STOP
+        if points.moving or self._stopping:
+            return Result.REFUSED_BUSY
+        gap = max(abs(x - y) for x, y in zip(plan.start_rad, points.last_rad, strict=True))
+        if not gap <= START_TOLERANCE_RAD:
+            return Result.REFUSED_START
+        try:
+            points.start(plan, self._speed, command.surroundings)
+        except RonnaError:
+            return Result.REFUSED_NUMBERS
+        self._settled_cycles = 0
+        return Result.RUNNING
+
+    def _follow_motion(self, points: SetPoints) -> None:
+        if points.moving:
+            self._settled_cycles = 0
+            return
+        if self._stopping and self.phase is not Phase.FAULT:
+            self._stopping = False
+        last = points.last_rad
+        is_near = all(abs(x - y) <= self._tolerance_rad for x, y in zip(self._measured, last, strict=True))
+        self._settled_cycles = self._settled_cycles + 1 if is_near else 0
+        if self.result is Result.RUNNING:
+            if points.was_stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
+                self.result = Result.STOPPED
+            elif self._settled_cycles >= SETTLE_CYCLES:
+                self.result = Result.DONE
+        if self.phase in (Phase.RUNNING, Phase.FAULT) and (
+            self.is_parent_gone or self.fault is Fault.HEARTBEAT
+        ):
+            self.phase = Phase.ENDING
+
+    def _check_stop(self, stop_word: int) -> None:
+        if stop_word == self._stop_word:
+            return
+        self._stop_word = stop_word
+        kind = StopOrder(stop_word & STOP_KIND)
+        if kind is not StopOrder.HOLD:
+            self._latch(_STOP_FAULTS[kind])
+        if kind is StopOrder.LINK and self._points is not None:
+            self._stop_replying(self._points)
+        self._stopping = self.moving
+
+    def _stop_replying(self, points: SetPoints) -> None:
+        """Stop replying, so that the controller holds the last point and ends the run by itself."""
+        self.phase = Phase.SILENT
+        self._rest(points)
+
+    def _rest(self, points: SetPoints) -> None:
+        """Abandon a motion whose arm is at rest, or stopped by its controller."""
+        points.abandon()
+        self._follow_motion(points)
+        points.prepare()
+
+    def _check_heartbeat(self, value: int, now_ns: int) -> None:
+        seen, since = self._heartbeat
+        if value != seen or not since:
+            self._heartbeat = (value, now_ns)
+        elif now_ns - since > self._heartbeat_ns and self.phase in (Phase.ARMED, Phase.RUNNING):
+            self._latch(Fault.HEARTBEAT)
+        if self.is_parent_gone:
+            self._stopping = self.moving
+
+    def _trip(self, violation: Violation) -> None:
+        if self.violation is None:
+            self.violation = violation
+        self._latch(Fault.MONITOR)
+
+    def _latch(self, fault: Fault) -> None:
+        if self.fault is Fault.NONE:
+            self.fault = fault
+        if self.phase in (Phase.ARMED, Phase.RUNNING):
+            self.phase = Phase.FAULT
+        self._stopping = self.moving

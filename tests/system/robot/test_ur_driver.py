@@ -1,0 +1,281 @@
+"""The driver for Universal Robots and the simulated controller, each in processes of their own.
+
+In lock-step a control cycle begins once the client has answered, however slow this machine is.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from math import radians
+from typing import Any
+
+import pytest
+from handmade_ur import HandmadeController
+from ur_clients import OUTPUTS, UrCell
+from waiting import eventually
+
+from conformance.case import HOST_TIME, MOTION
+from conformance.device_under_test import DeviceUnderTest
+from conformance.report import Outcome, run_suite
+from conformance.robot import SUITE
+from drivers.universal_robots import UniversalRobotsArm
+from drivers.universal_robots.errors import (
+    ControllerStopped,
+    LinkBroken,
+    LinkProcessDied,
+    MotionStopped,
+    ProgramStopped,
+    RegistersInUse,
+    ScriptNotStarted,
+)
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import StopKind
+from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
+from sim.world.options import ArmChoice
+from sim.world.scene.named_scenes import draw_scene
+from sim.world.world import World
+
+PATIENT = {"silence_limit_s": 5.0, "heartbeat_limit_s": 10.0, "settle_tolerance_deg": 0.0008}
+ROLES = ("rtde", "dashboard", "primary")
+TURN_RAD = radians(20.0)
+
+MOVER = """
+import sys, threading
+from drivers.universal_robots import UniversalRobotsArm
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+
+endpoints = dict(zip(("rtde", "dashboard", "primary"), sys.argv[1:]))
+config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options={"starve_limit_s": 0.1})
+arm = UniversalRobotsArm("robot.master", config, HostClock())
+arm.connect()
+arm.configure()
+arm.activate()
+start = arm.read_state().commanded_rad
+there = (start[0] + 1.0, *start[1:])
+threading.Thread(target=arm.move_joints, args=(there,), daemon=True).start()
+while not arm.read_state().joints_rad[0] > start[0] + 0.05:
+    pass
+print(arm.connections.open_link.process.pid, flush=True)
+sys.stdin.read()
+"""
+
+
+class Room:
+    """A controller in lock-step, in the world of a theatre whose faults are scripted."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        scene = draw_scene("bench", seed=3, arm=ArmChoice.UR5E)
+        self.world = World.create(scene, paced=False)
+        options = ("--world", self.world.endpoint, "--set", "protective_stop_lock_s=0.1")
+        self.cell = UrCell(stack, *options, number=2)
+        self.config = DeviceConfig(
+            driver="universal_robots",
+            endpoints={role: self.cell.endpoints[role] for role in ROLES},
+            options=PATIENT,
+        )
+        self.clock = open_clock(self.world.clock_endpoint)
+
+    def make_arm(self) -> UniversalRobotsArm:
+        return UniversalRobotsArm("robot.master", self.config, self.clock)
+
+    def await_cycles(self, condition: Callable[[], bool]) -> None:
+        """Let the controller run until a condition holds; without a stream its time stands still."""
+
+        def holds() -> bool:
+            self.clock.sleep(0.01)
+            return condition()
+
+        eventually(holds)
+
+    def inject(self, fault: str = "") -> None:
+        """Let a fault act from now on, or none."""
+        self.world.set_fault_script(f"at {self.world.clock.now_s():.6f} s: ur {fault}" if fault else "")
+
+
+@pytest.fixture(scope="module")
+def room() -> Iterator[Room]:
+    with ExitStack() as stack:
+        yield Room(stack)
+
+
+@pytest.fixture
+def arm(room: Room) -> Iterator[UniversalRobotsArm]:
+    """An arm that streams."""
+    room.inject()
+    made = room.make_arm()
+    made.connect()
+    made.configure()
+    made.activate()
+    yield made
+    made.close()
+
+
+def turned(joints_rad: JointVector, by_rad: float = TURN_RAD) -> JointVector:
+    return (joints_rad[0] + by_rad, *joints_rad[1:])
+
+
+class Motion:
+    """A motion in a thread of its own, under way."""
+
+    def __init__(self, arm: UniversalRobotsArm) -> None:
+        self.start: JointVector = arm.read_state().commanded_rad or arm.read_state().joints_rad
+        self.errors: list[RonnaError] = []
+        self._thread = threading.Thread(target=self._move, args=(arm,))
+        self._thread.start()
+        eventually(lambda: abs(self._measured(arm) - self.start[0]) > TURN_RAD / 10)
+
+    def end(self) -> RonnaError:
+        """Return the error that ended the motion."""
+        self._thread.join()
+        return self.errors[0]
+
+    def _move(self, arm: UniversalRobotsArm) -> None:
+        try:
+            arm.move_joints(turned(self.start, -TURN_RAD if self.start[0] > 0.0 else TURN_RAD))
+        except RonnaError as error:
+            self.errors.append(error)
+
+    @staticmethod
+    def _measured(arm: UniversalRobotsArm) -> float:
+        reading = arm.observe().reading
+        assert reading is not None
+        return reading.joints_rad[0]
+
+
+def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> None:
+    start = arm.read_state().commanded_rad
+    assert start is not None
+    reached = arm.move_joints(turned(start)).joints_rad
+    assert reached == pytest.approx(turned(start), abs=radians(0.001))
+    motion = Motion(arm)
+    arm.stop(StopKind.HOLD)
+    assert isinstance(motion.end(), MotionStopped)
+    assert arm.state is Lifecycle.HOLD
+    arm.resume()
+    arm.move_joints(start)
+    statistics = arm.link_statistics()
+    assert statistics.cycles > 500
+    assert statistics.rejected_telegrams == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "says"),
+    [
+        pytest.param(
+            "emergency stop pressed", ControllerStopped, "emergency stop", marks=pytest.mark.slow
+        ),  # the arm is switched on again
+        ("protective stop", ControllerStopped, "protective stop"),
+        ("program pause", ProgramStopped, "stopped or paused"),
+        ("cut rtde", LinkBroken, ""),
+        ("local mode", ControllerStopped, "local control"),
+    ],
+)
+def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
+    room: Room, arm: UniversalRobotsArm, fault: str, error: type[RonnaError], says: str
+) -> None:
+    motion = Motion(arm)
+    room.inject(fault)
+    ended = motion.end()
+    assert isinstance(ended, error)
+    assert says in str(ended)
+    assert arm.state is Lifecycle.FAULT
+    room.inject()
+    room.await_cycles(lambda: room.cell.dashboard("is in remote control") == "true")
+    room.await_cycles(lambda: room.world.arm().at_rest)
+    rest = room.world.arm().joints_rad
+    arm.recover("Ann", timeout_s=30.0)
+    assert room.world.arm().joints_rad == pytest.approx(rest, abs=radians(0.001))
+    arm.activate()
+    arm.move_joints(motion.start)
+
+
+def test_registers_that_another_client_owns_are_refused_until_it_has_gone(room: Room) -> None:
+    other = room.cell.rtde()
+    other.set_up()
+    arm = room.make_arm()
+    arm.connect()
+    arm.configure()
+    with pytest.raises(RegistersInUse):
+        arm.activate()
+    other.socket.close()
+    arm.recover("Ann", timeout_s=30.0)
+    arm.activate()
+    arm.close()
+
+
+def test_a_script_that_does_not_start_is_reported(room: Room) -> None:
+    """The primary interface is another's, which takes no script."""
+    deaf = HandmadeController()
+    endpoints = {**room.config.endpoints, "primary": deaf.endpoints["primary"]}
+    arm = UniversalRobotsArm("arm", room.config.model_copy(update={"endpoints": endpoints}), room.clock)
+    arm.connect()
+    arm.configure()
+    with pytest.raises(ScriptNotStarted):
+        arm.activate(timeout_s=0.5)
+    arm.close()
+    deaf.close()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_the_arm_passes_the_robot_cases_unchanged(room: Room) -> None:
+    dut = DeviceUnderTest("robot.master", room.config, room.clock)
+    dut.offers |= {MOTION.name, HOST_TIME.name}
+    report = run_suite(SUITE, dut)
+    assert {r.number: r.reason for r in report.results if r.outcome is not Outcome.PASS} == {}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("victim", ["program", "real-time process"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_an_arm_whose_program_or_link_is_killed_or_frozen_comes_to_rest_on_its_way(
+    victim: str, number: signal.Signals
+) -> None:
+    with ExitStack() as stack:
+        cell = UrCell(stack, number=1)
+        addresses = [cell.endpoints[role] for role in ROLES]
+        mover: Any = subprocess.Popen(
+            [sys.executable, "-c", MOVER, *addresses],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        link_pid = int(mover.stdout.readline())
+        watcher = cell.rtde()
+        watcher.ask("O", struct.pack(">d", 125.0) + OUTPUTS.encode())
+        watcher.ask("S")
+        os.kill(mover.pid if victim == "program" else link_pid, number)
+        eventually(_is_at_rest(watcher), 10.0)
+        assert 0.05 < watcher.state().target_rad[0] < 0.9
+        eventually(lambda: cell.dashboard("running") == "Program running: false", 10.0)
+        for pid in (mover.pid, link_pid):
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        mover.communicate()
+
+
+def _is_at_rest(watcher: Any) -> Callable[[], bool]:
+    return lambda: all(abs(speed) < 1e-6 for speed in watcher.state().speed_rad_s)
+
+
+@pytest.mark.slow
+def test_a_real_time_process_that_dies_is_named(room: Room, arm: UniversalRobotsArm) -> None:
+    motion = Motion(arm)
+    arm.connections.link.process.kill()
+    assert isinstance(motion.end(), LinkProcessDied)
+    arm.recover("Ann", timeout_s=30.0)
+    arm.activate()

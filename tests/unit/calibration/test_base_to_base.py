@@ -1,0 +1,97 @@
+"""Bases of two arms by tracker frames and by the stereo head, judged by the truth of simulated scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from two_arms import REGION_MM, TwoArms, two_arms
+
+from procedures.calibration.base_to_base import BallLooks, BaseToBase, refine_bases
+from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit, TooFewPoses
+
+BY_FRAMES_MM, BY_BALL_MM = 0.5, 0.1
+MANY = 40
+
+
+def mean_miss_mm(misses_mm: np.ndarray) -> float:
+    return float(np.linalg.norm(misses_mm.mean(axis=0)))
+
+
+def test_tracker_frames_leave_the_bases_half_a_millimetre_off_at_most() -> None:
+    arms, coarse, _ = two_arms(0, calibrated=True)
+    assert mean_miss_mm(arms.coarse_misses(coarse, 20)) <= BY_FRAMES_MM
+
+
+def test_the_ball_leaves_the_bases_a_tenth_of_a_millimetre_off_at_most() -> None:
+    arms, _, fine = two_arms(0, calibrated=True)
+    assert mean_miss_mm(arms.fine_misses(fine, 20)) <= BY_BALL_MM
+
+
+@pytest.mark.slow
+def test_both_calibrations_keep_their_limits_and_state_their_errors_in_many_scenes() -> None:
+    """The stated errors are those found: 3-D, relative to what was stated, over all scenes."""
+    by_frames, by_ball = [], []
+    for seed in range(MANY):
+        arms, coarse, fine = two_arms(seed, calibrated=True)
+        frames_mm, ball_mm = mean_miss_mm(arms.coarse_misses(coarse)), mean_miss_mm(arms.fine_misses(fine))
+        assert frames_mm <= BY_FRAMES_MM
+        assert ball_mm <= BY_BALL_MM
+        by_frames.append(frames_mm / coarse.error_mm(REGION_MM))
+        by_ball.append(ball_mm / fine.error_mm)
+    assert 0.5 < np.sqrt(np.mean(np.square(by_frames))) < 1.5
+    assert 0.5 < np.sqrt(np.mean(np.square(by_ball))) < 1.5
+
+
+@pytest.fixture(scope="module")
+def arms() -> TwoArms:
+    return two_arms(0, calibrated=True)[0]
+
+
+@pytest.fixture(scope="module")
+def known(arms: TwoArms) -> BaseToBase:
+    """Bases as the tracker would have found them, without its errors."""
+    return BaseToBase(arms.base, np.diag([1e-6] * 3 + [0.04] * 3))
+
+
+@pytest.fixture(scope="module")
+def looks(arms: TwoArms) -> BallLooks:
+    return arms.ball_looks()
+
+
+def refined(known: BaseToBase, looks: BallLooks) -> None:
+    refine_bases(known, looks, (0.0, 0.0, 160.0), 0.1)
+
+
+def test_a_spoilt_look_is_left_out(known: BaseToBase, looks: BallLooks) -> None:
+    seen = looks.ball_mm.copy()
+    seen[5] += 2.0
+    spoilt = BallLooks(looks.robot_from_head, seen, looks.base_from_flange)
+    fit = refine_bases(known, spoilt, (0.0, 0.0, 160.0), 0.1)
+    assert np.flatnonzero(~fit.used).tolist() == [5]
+
+
+def test_many_spoilt_looks_are_refused(known: BaseToBase, looks: BallLooks) -> None:
+    seen = looks.ball_mm.copy()
+    seen[::4] += 2.0
+    with pytest.raises(DoesNotFit):
+        refined(known, BallLooks(looks.robot_from_head, seen, looks.base_from_flange))
+
+
+def test_few_looks_are_refused(known: BaseToBase, looks: BallLooks) -> None:
+    few = slice(0, 11)
+    with pytest.raises(TooFewPoses):
+        refined(known, BallLooks(looks.robot_from_head[few], looks.ball_mm[few], looks.base_from_flange[few]))
+
+
+def test_looks_at_a_ball_that_hardly_turns_are_refused(known: BaseToBase, looks: BallLooks) -> None:
+    flanges = looks.base_from_flange.copy()
+    flanges[:, :3, :3] = flanges[0, :3, :3]
+    with pytest.raises(DegeneratePoses):
+        refined(known, BallLooks(looks.robot_from_head, looks.ball_mm, flanges))
+
+
+def test_a_ball_that_contradicts_the_tracker_is_refused(known: BaseToBase, looks: BallLooks) -> None:
+    elsewhere = known.robot_from_base.copy()
+    elsewhere[:3, 3] += 5.0
+    with pytest.raises(BasesDisagree, match="CAL-022"):
+        refined(BaseToBase(elsewhere, known.covariance), looks)

@@ -1,0 +1,227 @@
+"""External Control: the robot dials the client, and follows what it streams."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Sequence
+from math import isclose
+from struct import pack
+
+import pytest
+
+from ronna_hw.wire.universal_robots import RuntimeState
+from sim.universal_robots.controller import Controller
+from sim.universal_robots.programs.external_control import Mode
+from sim.universal_robots.programs.external_trajectory import (
+    QUINTIC,
+    Order,
+    PointType,
+    Result,
+    cubic,
+    quintic,
+)
+from sim.universal_robots.programs.recognition import recognise
+
+UNITS = 1_000_000
+LIMIT_S = 10.0
+SCRIPT = """def externalControl():
+  MULT_jointstate = 1000000
+  MULT_time = 1000000
+  STOPJ_ACCELERATION = 4.0
+  REVERSE_INTERFACE_DATA_DIMENSION = 8
+  SCRIPT_COMMAND_DATA_DIMENSION = 28
+  JOINT_IGNORE_SPEED = 20.0
+  servoj(q, t=steptime, lookahead_time=0.03, gain=2000)
+  connect_socket_with_retry("{host}", {reverse}, "reverse_socket")
+  connect_socket_with_retry("{host}", {trajectory}, "trajectory_socket")
+  connect_socket_with_retry("{host}", {commands}, "script_command_socket")
+end"""
+
+
+class Client:
+    """A client of a controller without a clock: each message is one cycle."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        names = ("trajectory", "commands", "reverse")
+        self._listeners = {name: socket.create_server(("127.0.0.1", 0)) for name in names}
+        self.sockets: dict[str, socket.socket] = {}
+
+    def start(self, host: str = "127.0.0.1") -> None:
+        ports = {name: listener.getsockname()[1] for name, listener in self._listeners.items()}
+        text = SCRIPT.format(host=host, **ports)
+        assert not self.controller.start(recognise(text, self.controller.model.cycle_s))
+
+    def accept(self) -> None:
+        """Accept in the order in which the robot dials."""
+        self.controller.step()
+        for name, listener in self._listeners.items():
+            listener.settimeout(LIMIT_S)
+            self.sockets[name] = listener.accept()[0]
+            self.sockets[name].settimeout(LIMIT_S)
+            self.controller.step()
+
+    def send(self, mode: Mode, values: Sequence[float] = (0.0,) * 6, limit_ms: int = 20) -> None:
+        numbers = [round(value * UNITS) for value in values]
+        self.sockets["reverse"].sendall(pack(">8i", limit_ms, *numbers, mode))
+        self.controller.step()
+
+    def order(self, order: Order, count: int) -> None:
+        self.sockets["reverse"].sendall(pack(">8i", 0, order, count, 0, 0, 0, 0, Mode.FORWARD))
+        self.controller.step()
+
+    def steps(self, count: int) -> None:
+        for _ in range(count):
+            self.controller.step()
+
+    def close(self) -> None:
+        for one in (*self._listeners.values(), *self.sockets.values()):
+            one.close()
+
+
+@pytest.fixture
+def dialled(controller: Controller) -> Iterator[Client]:
+    client = Client(controller)
+    client.start()
+    client.accept()
+    yield client
+    controller.stop()
+    client.close()
+
+
+def target(client: Client) -> list[float]:
+    return client.controller.robot.drives.target
+
+
+def test_the_first_message_is_awaited_for_ever(dialled: Client) -> None:
+    dialled.steps(1000)
+    assert dialled.controller.runtime_state is RuntimeState.PLAYING
+
+
+def test_set_points_of_servoj_are_followed(dialled: Client) -> None:
+    goal = [angle + 0.01 for angle in target(dialled)]
+    for _ in range(200):
+        dialled.send(Mode.SERVOJ, goal)
+    assert target(dialled) == pytest.approx(goal, abs=1e-5)
+
+
+def test_a_missed_set_point_is_extrapolated_with_the_speed_of_the_target(dialled: Client) -> None:
+    start = target(dialled)
+    for number in range(1, 101):
+        dialled.send(Mode.SERVOJ, [start[0] + 0.001 * number, *start[1:]])
+    before, speed = target(dialled)[0], dialled.controller.robot.drives.target_speed[0]
+    dialled.steps(5)
+    assert target(dialled)[0] - before == pytest.approx(5 * 0.002 * speed, rel=0.05)
+
+
+@pytest.mark.parametrize(("limit_ms", "cycles"), [(20, 10), (100, 50)])
+def test_a_silent_client_is_given_up_after_its_limit(dialled: Client, limit_ms: int, cycles: int) -> None:
+    for _ in range(50):
+        dialled.send(Mode.SPEEDJ, (0.1, 0, 0, 0, 0, 0), limit_ms)
+    dialled.steps(cycles)
+    assert isclose(dialled.controller.robot.drives.target_speed[0], 0.1)
+    dialled.steps(1)
+    speed = dialled.controller.robot.drives.target_speed[0]
+    assert 0.1 - speed == pytest.approx(4.0 * 0.002)  # stopj(4.0)
+    dialled.steps(20)
+    assert dialled.controller.runtime_state is RuntimeState.STOPPED
+
+
+def test_a_client_that_has_gone_ends_the_program_at_once(dialled: Client) -> None:
+    dialled.send(Mode.IDLE, limit_ms=0)
+    dialled.sockets["reverse"].close()
+    dialled.steps(3)
+    assert dialled.controller.program is None
+
+
+def test_a_step_that_needs_more_than_20_rad_per_s_is_ignored(dialled: Client) -> None:
+    start = target(dialled)
+    dialled.send(Mode.SERVOJ, [start[0] + 20.5 * 0.002, *start[1:]])
+    dialled.steps(5)
+    assert target(dialled) == start
+    dialled.send(Mode.SERVOJ, [start[0] + 19.5 * 0.002, *start[1:]])
+    assert target(dialled) != start
+
+
+def test_a_pose_is_followed(dialled: Client) -> None:
+    robot = dialled.controller.robot
+    pose = robot.tool_pose(target(dialled))
+    pose[2] += 0.005
+    for _ in range(200):
+        dialled.send(Mode.POSE, pose)
+    assert robot.tool_pose(target(dialled))[:3] == pytest.approx(pose[:3], abs=1e-4)
+
+
+def test_stopped_ends_the_program(dialled: Client) -> None:
+    dialled.send(Mode.IDLE)
+    dialled.send(Mode.STOPPED)
+    dialled.steps(2)
+    assert dialled.controller.program is None
+    assert dialled.sockets["reverse"].recv(1) == b""
+
+
+def test_points_of_a_trajectory_are_reached_and_its_result_is_told(dialled: Client) -> None:
+    start = target(dialled)
+    goal = [start[0] + 0.1, *start[1:]]
+    back = [start[0] + 0.05, *start[1:]]
+    for joints, kind, spline, time_s in (
+        (goal, PointType.MOVEJ, 0, 0.5),
+        (back, PointType.SPLINE, QUINTIC, 0.5),
+    ):
+        numbers = [
+            *(round(angle * UNITS) for angle in joints),
+            *(0,) * 12,
+            round(time_s * UNITS),
+            spline,
+            kind,
+        ]
+        dialled.sockets["trajectory"].sendall(pack(">21i", *numbers))
+    dialled.order(Order.RECEIVE, 2)
+    dialled.steps(255)
+    assert target(dialled)[0] == pytest.approx(goal[0], abs=1e-3)
+    dialled.steps(255)
+    assert target(dialled) == pytest.approx(back, abs=2e-6)
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.SUCCESS)
+
+
+def test_a_cancelled_trajectory_stops_the_arm_and_says_so(dialled: Client) -> None:
+    goal = [round((angle + 0.5) * UNITS) for angle in target(dialled)]
+    dialled.sockets["trajectory"].sendall(pack(">21i", *goal, *(0,) * 12, UNITS, 0, PointType.MOVEJ) * 2)
+    dialled.order(Order.RECEIVE, 2)
+    dialled.steps(100)
+    dialled.order(Order.CANCEL, 0)
+    dialled.steps(200)
+    assert not dialled.controller.robot.drives.moving
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.CANCELLED)
+
+
+def test_a_missing_point_is_a_failure(dialled: Client) -> None:
+    dialled.order(Order.RECEIVE, 1)
+    dialled.steps(300)
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.FAILURE)
+
+
+def test_the_tool_is_set_by_a_script_command(dialled: Client) -> None:
+    dialled.sockets["commands"].sendall(pack(">28i", 10, 0, 0, UNITS // 10, *(0,) * 24))
+    dialled.send(Mode.IDLE, limit_ms=0)
+    assert dialled.controller.robot.tcp.z == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("host", ["192.168.1.2", "robot.example", "0.0.0.0"])
+def test_no_other_computer_is_dialled(controller: Controller, host: str) -> None:
+    client = Client(controller)
+    client.start(host)
+    controller.step()
+    assert controller.program is not None
+    assert host in controller.program.failure
+    client.close()
+
+
+def test_splines_meet_their_ends() -> None:
+    for coefficients in (
+        cubic((0.1, 0.2), (0.5, -0.3), 2.0),
+        quintic((0.1, 0.2, 0.4), (0.5, -0.3, 0.7), 2.0),
+    ):
+        end = sum(value * 2.0**power for power, value in enumerate(coefficients))
+        speed = sum(power * value * 2.0 ** (power - 1) for power, value in enumerate(coefficients) if power)
+        assert (end, speed) == (pytest.approx(0.5), pytest.approx(-0.3))

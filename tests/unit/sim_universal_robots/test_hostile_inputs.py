@@ -1,0 +1,160 @@
+"""Hostile bytes: a controller refuses them or does something, and runs on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+from ur_clients import own_address
+from ur_mutants import COMMANDS, LINES, RTDE, SCRIPTS, SET_POINTS, mutants
+
+from sim.universal_robots.connections import Handler, HangUp, Poll
+from sim.universal_robots.controller import Controller
+from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
+from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
+from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.programs.recognition import recognise
+from sim.universal_robots.rtde.server import RtdeServer
+from sim.universal_robots.rtde.session import BadPackage, Session
+
+LONGEST_S = 1.0  # of CPU, for one stream and its cycles
+CYCLES = 3
+RENEWED_AFTER = 50  # streams
+FARTHEST_RAD = 7.0  # a joint stands beyond its limit by what it needs to stop
+LONGEST_SCRIPT_BYTES = 1_000_000
+COUNTS = pytest.mark.parametrize(
+    ("count", "seed"),
+    [(150, 1), pytest.param(100_000, 2, marks=(pytest.mark.soak, pytest.mark.timeout(3600)))],
+)
+
+
+class RtdeClient:
+    """One RTDE client without a socket."""
+
+    def __init__(self, target: Target) -> None:
+        self._rtde, self._robot = target.rtde, target.controller.robot
+        self._session = Session(target.rtde)
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes, and pack a package of outputs."""
+        try:
+            self._session.receive(data)
+        except BadPackage:
+            self._rtde.forget(self._session)
+            raise HangUp from None
+        if self._session.output is not None:
+            self._session.output.pack(self._robot.values)
+        return b""
+
+    def closed(self) -> None:
+        """Has no socket."""
+
+
+class ScriptClient:
+    """A client whose scripts end, however they were changed."""
+
+    def __init__(self, target: Target) -> None:
+        self._handler = ScriptHandler(LONGEST_SCRIPT_BYTES, target.clients.take)
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes, and what ends every script."""
+        return self._handler.receive(data + b"\nend\nend\n")
+
+    def closed(self) -> None:
+        """Has no socket."""
+
+
+class Target:
+    """A controller with all its interfaces, driven without a clock."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._opened = stack.enter_context(ExitStack())
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin anew with a controller that may move."""
+        self._opened.close()
+        self.controller = Controller(MODELS[ArmName.UR5E], parse_parameters(("power_on_s=0.01",)))
+        poll, address = Poll(), own_address()
+        self._opened.callback(poll.close)
+        self.rtde = RtdeServer(self.controller.robot, address, poll, seed=1)
+        self.clients = ClientInterfaces(self.controller, address, poll)
+        self.dashboard = Dashboard(self.controller, address, poll)
+        for listener in (self.rtde.listener, self.dashboard.listener, *self.clients.listeners):
+            self._opened.callback(listener.close)
+
+    def feed(self, handler: Handler, stream: bytes) -> bool:
+        """Hand over bytes and run some cycles; returns whether the client may go on."""
+        began_s, goes_on = time.process_time(), True
+        try:
+            handler.receive(stream)
+        except HangUp:
+            goes_on = False
+        for _ in range(CYCLES):
+            self.controller.step()
+            self.clients.send_state()
+        joints = self.controller.robot.drives.target
+        assert all(map(math.isfinite, joints)), stream
+        assert max(map(abs, joints)) < FARTHEST_RAD, stream
+        assert time.process_time() - began_s < LONGEST_S, stream
+        return goes_on
+
+
+@pytest.fixture
+def target() -> Iterator[Target]:
+    with ExitStack() as stack:
+        yield Target(stack)
+
+
+def attack(
+    target: Target, seeds: tuple[bytes, ...], count: int, seed: int, connect: Callable[[], Handler]
+) -> None:
+    """Feed mutants to one client after the other; each renewed controller may move."""
+    handler = connect()
+    for number, stream in enumerate(mutants(seeds, count, seed)):
+        if number % RENEWED_AFTER == 0 or not target.controller.modes.may_move:
+            target.renew()
+            handler = connect()
+        if not target.feed(handler, stream):
+            handler = connect()
+
+
+@COUNTS
+def test_packages_of_rtde(target: Target, count: int, seed: int) -> None:
+    attack(target, RTDE, count, seed, lambda: RtdeClient(target))
+
+
+@COUNTS
+def test_commands_in_registers(target: Target, count: int, seed: int) -> None:
+    def connect() -> Handler:
+        target.controller.start(recognise(SCRIPTS[4].decode(), target.controller.model.cycle_s))
+        client = RtdeClient(target)
+        client.receive(RTDE[4])
+        return client
+
+    attack(target, COMMANDS, count, seed, connect)
+
+
+@COUNTS
+def test_set_points_in_registers(target: Target, count: int, seed: int) -> None:
+    def connect() -> Handler:
+        target.controller.start(recognise(SCRIPTS[0].decode(), target.controller.model.cycle_s))
+        client = RtdeClient(target)
+        client.receive(RTDE[3])
+        return client
+
+    attack(target, SET_POINTS, count, seed, connect)
+
+
+@COUNTS
+def test_lines_of_the_dashboard(target: Target, count: int, seed: int) -> None:
+    attack(target, LINES, count, seed, lambda: LineHandler(target.dashboard))
+
+
+@COUNTS
+def test_scripts(target: Target, count: int, seed: int) -> None:
+    attack(target, SCRIPTS, count, seed, lambda: ScriptClient(target))

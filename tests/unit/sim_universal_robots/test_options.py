@@ -1,0 +1,23 @@
+"""Options of `ronna-sim ur` that are refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim.universal_robots.command import require_loopback
+from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.errors import BadAddress, UnknownParameter
+
+
+@pytest.mark.parametrize("address", ["192.168.0.9", "0.0.0.0", "localhost", "127.0.0.1:30004"])
+def test_a_controller_is_simulated_on_loopback_only(address: str) -> None:
+    with pytest.raises(BadAddress) as caught:
+        require_loopback(address)
+    assert caught.value.code == "URC-002"
+
+
+@pytest.mark.parametrize("assignment", ["power_onn_s=1", "power_on_s=-1", "after_unlock=falls"])
+def test_an_unknown_parameter_or_value_is_refused(assignment: str) -> None:
+    with pytest.raises(UnknownParameter) as caught:
+        parse_parameters([assignment])
+    assert caught.value.code == "URC-001"

@@ -1,0 +1,189 @@
+"""What a controller must be before anything is started on it, and what it is told otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from handmade_ur import UR5E_A, HandmadeController
+
+from drivers.universal_robots import connections as ur_connections
+from drivers.universal_robots.arm import UniversalRobotsArm
+from drivers.universal_robots.dashboard import DashboardClient
+from drivers.universal_robots.errors import BadOptions, ControllerLost, NoAnswer
+from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Lifecycle
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RonnaError
+
+LIMIT_S = 5.0
+
+
+@pytest.fixture
+def controller() -> Iterator[HandmadeController]:
+    made = HandmadeController()
+    yield made
+    made.close()
+
+
+def make_arm(controller: HandmadeController, **options: Any) -> UniversalRobotsArm:
+    config = DeviceConfig(driver="universal_robots", endpoints=controller.endpoints, options=options)
+    return UniversalRobotsArm("robot.master", config, HostClock())
+
+
+def refused(controller: HandmadeController, **options: Any) -> RonnaError:
+    """Return why the arm cannot be connected."""
+    arm = make_arm(controller, **options)
+    with pytest.raises(RonnaError) as raised:
+        arm.connect(LIMIT_S)
+    assert arm.state is Lifecycle.DISCONNECTED
+    arm.close()
+    return raised.value
+
+
+def test_connecting_reads_identity_calibration_joints_and_inputs(controller: HandmadeController) -> None:
+    controller.digital_inputs = 0b10_0110
+    arm = make_arm(controller, serial="20265500001")
+    identity = arm.connect(LIMIT_S)
+    assert (identity.model, identity.serial, identity.firmware) == ("ur5e", "20265500001", "5.11.5.1010327")
+    assert arm.read_state().joints_rad == (0.0, -1.5, -1.5, -1.5, 1.5, -1.5)
+    assert arm.read_tool_identity().number == 0b0110
+    fingerprint = dict(identity.details)["calibration"]
+    arm.close()
+    make_again = make_arm(controller, calibration=fingerprint)
+    make_again.connect(LIMIT_S)
+    make_again.close()
+
+
+def test_the_factory_calibration_is_that_of_the_kinematics(controller: HandmadeController) -> None:
+    controller.a = (0.0, -0.4253, *UR5E_A[2:])
+    measured, nominal = make_arm(controller), make_arm(controller, factory_calibration=False)
+    poses = []
+    for arm in (measured, nominal):
+        arm.connect(LIMIT_S)
+        poses.append(arm.kinematics.forward((0.0,) * 6))
+        arm.close()
+    assert poses[0].distance_mm(poses[1]) == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "code"),
+    [
+        ({"answers": {"get robot model": "UR10"}}, {}, "URD-003"),
+        ({"version": (3, 15, 8, 1)}, {}, "URD-003"),
+        ({}, {"model": "ur5"}, "URD-003"),
+        ({}, {"serial": "1"}, "URD-003"),
+        ({"version": (5, 5, 1, 1)}, {}, "URD-004"),
+        ({"version": (3, 8, 0, 1)}, {"model": "ur5"}, "URD-004"),
+        ({"protocol_accepted": 0}, {}, "URD-004"),
+        ({"output_types": "DOUBLE" + ",NOT_FOUND" * 10}, {}, "URD-004"),
+        ({"output_types": "DOUBLE" + ",DOUBLE" * 10}, {}, "URD-016"),
+        ({"output_types": "DOUBLE"}, {}, "URD-016"),
+        ({}, {"calibration": "0123456789abcdef"}, "URD-005"),
+        ({"a": (0.0, -0.6127, -0.5716, 0.0, 0.0, 0.0)}, {}, "ARM-010"),
+        ({"banner": b"SSH-2.0-OpenSSH\r\n"}, {}, "URD-002"),
+        ({"spoil": lambda data: b"HTTP/1.1 400\r\n"}, {}, "URD-016"),
+        ({"spoil": lambda data: data[:5] + b"\xff" * 4 + data[9:]}, {}, "URD-016"),
+    ],
+)
+def test_another_arm_version_calibration_or_service_is_refused(
+    controller: HandmadeController, change: dict[str, Any], options: dict[str, Any], code: str
+) -> None:
+    for name, value in change.items():
+        if name == "answers":
+            controller.answers.update(value)
+        else:
+            setattr(controller, name, value)
+    assert refused(controller, **options).code == code
+
+
+def test_an_address_where_nothing_answers_is_refused(controller: HandmadeController) -> None:
+    controller.endpoints["rtde"] = "tcp://127.0.0.1:1"
+    assert refused(controller).code == "URD-002"
+    controller.endpoints["dashboard"] = controller.endpoints["primary"]
+    assert refused(controller).code == "URD-002"
+
+
+@pytest.mark.parametrize(
+    ("answers", "code"),
+    [
+        pytest.param({"is in remote control": "false"}, "URD-006", marks=pytest.mark.hazard(30)),
+        ({"safetymode": "Safetymode: ROBOT_EMERGENCY_STOP"}, "URD-007"),
+        ({"robotmode": "Robotmode: POWER_OFF"}, "URD-008"),
+        ({"safetymode": "Safetymode: PROTECTIVE_STOP"}, "URD-009"),
+        ({"safetymode": "Safetymode: SAFEGUARD_STOP"}, "URD-010"),
+        ({"safetymode": "Safetymode: FAULT"}, "URD-010"),
+        ({"running": "Program running: true"}, "URD-013"),
+        ({"robotmode": "Robotmode: SLEEPING"}, "URD-016"),
+        ({"robotmode": "Robotmode: POWER_OFF", "power on": "No"}, "URD-017"),
+    ],
+)
+def test_a_controller_that_is_not_ready_is_not_started(
+    controller: HandmadeController, answers: dict[str, str], code: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ur_connections, "POWER_LIMIT_S", 0.05)
+    arm = make_arm(controller)
+    arm.connect(LIMIT_S)
+    controller.answers.update(answers)
+    with pytest.raises(RonnaError) as raised:
+        arm.connections.start_stream(LIMIT_S, arm.limits)
+    assert raised.value.code == code
+    arm.close()
+
+
+def test_a_speed_slider_at_zero_is_refused_and_reported(controller: HandmadeController) -> None:
+    controller.speed_fraction = 0.0
+    arm = make_arm(controller)
+    arm.connect(LIMIT_S)
+    assert [fact.name for fact in arm.readiness() if not fact.ready] == ["speed slider"]
+    with pytest.raises(RonnaError) as raised:
+        arm.connections.start_stream(LIMIT_S, arm.limits)
+    assert raised.value.code == "URD-011"
+    arm.close()
+
+
+def test_registers_of_another_client_are_refused(controller: HandmadeController) -> None:
+    controller.input_types = controller.input_types.replace("DOUBLE", "IN_USE")
+    endpoint = parse_endpoint(controller.endpoints["rtde"])
+    setup = RtdeSetup(endpoint.host, endpoint.port, LIMIT_S)
+    with pytest.raises(RonnaError) as raised:
+        setup.set_up_inputs()
+    assert raised.value.code == "URD-012"
+    assert "input_double_register_24" in str(raised.value)
+    setup.close()
+
+
+def test_a_protective_stop_is_released_in_the_name_of_a_person_when_the_controller_permits_it(
+    controller: HandmadeController,
+) -> None:
+    arm = make_arm(controller)
+    arm.connect(LIMIT_S)
+    controller.answers["safetymode"] = "Safetymode: PROTECTIVE_STOP"
+    controller.answers["unlock protective stop"] = "Cannot unlock protective stop until 5s after occurrence."
+    with pytest.raises(RonnaError) as raised:
+        arm.connections.acknowledge("Ann", deadline=0.0)
+    assert raised.value.code == "URD-009"
+    assert "addToLog protective stop released by Ann" in controller.asked
+    arm.close()
+
+
+def test_a_dashboard_that_is_silent_or_gone_is_told_apart(controller: HandmadeController) -> None:
+    endpoint = parse_endpoint(controller.endpoints["dashboard"])
+    client = DashboardClient(endpoint.host, endpoint.port, LIMIT_S)
+    controller.answers["robotmode"] = None
+    with pytest.raises(NoAnswer):
+        client.ask("robotmode", 0.05)
+    with pytest.raises(ControllerLost):  # its late answer would be taken for that to the next command
+        client.ask("safetymode", LIMIT_S)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"model": "ur10"}, {"speed": 1}, {"tool_inputs": [18]}, {"lookahead_s": 0.01}, {"speed_fraction": 0.9}],
+)
+def test_bad_options_are_listed(controller: HandmadeController, options: dict[str, Any]) -> None:
+    with pytest.raises(BadOptions):
+        make_arm(controller, **options)

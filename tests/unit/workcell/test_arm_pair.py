@@ -1,0 +1,234 @@
+"""Rules for the motions of two arms: one at a time, never too close, and what stops one stops both."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import radians
+
+import pytest
+from ideal_arm import Controller, IdealArm
+
+from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
+from ronna_hw.arm.errors import ArmsTooClose, NotClear
+from ronna_hw.arm.pose import Pose
+from ronna_hw.clock import HostClock
+from ronna_hw.config import ASSISTANT, MASTER, DeviceConfig
+from ronna_hw.devices.errors import PersonNotNamed
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
+from ronna_hw.devices.readings import ArmReading, Validity
+from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.vectors import JointVector
+
+HOST = DeviceConfig(driver="ideal", endpoint="host:")
+ACROSS = Pose.from_kuka(-1300.0, 0.0, 0.0, 180.0, 0.0, 0.0)  # face to face: both arms reach to the middle
+CLOCK = HostClock()
+
+
+class WatchedArm(IdealArm):
+    """An ideal arm whose last state is always new, unless it is frozen."""
+
+    def __init__(self, name: str, joints_rad: JointVector) -> None:
+        super().__init__(name, HOST, CLOCK)
+        self.controller = Controller(joints_rad)
+        self.frozen: ArmReading | None = None
+        self.on_step: Callable[[], None] = lambda: None
+
+    def observe(self) -> LastKnown[ArmReading]:
+        self.on_step()
+        joints_rad = self.controller.joints_rad
+        now = ArmReading(self._stamp(), Validity.OK, joints_rad, joints_rad, self._under_way.locked())
+        return self.guard.last_known(self.frozen or now)
+
+
+def turned(arm: WatchedArm, base_deg: float) -> JointMove:
+    first, *others = arm.controller.joints_rad
+    return JointMove((first + radians(base_deg), *others))
+
+
+HOME_RAD = IdealArm.kinematics.home_rad
+STRETCHED_RAD = (0.0, radians(-20.0), radians(20.0), radians(-90.0), radians(-90.0), 0.0)
+
+
+@pytest.fixture
+def master() -> Iterator[WatchedArm]:
+    arm = WatchedArm("robot.master", HOME_RAD)
+    started(arm)
+    yield arm
+    arm.close()
+
+
+@pytest.fixture
+def assistant() -> Iterator[WatchedArm]:
+    arm = WatchedArm("robot.assistant", HOME_RAD)
+    started(arm)
+    yield arm
+    arm.close()
+
+
+def started(arm: WatchedArm) -> None:
+    arm.connect()
+    arm.configure()
+    arm.activate()
+
+
+@pytest.fixture
+def pair(master: WatchedArm, assistant: WatchedArm) -> ArmPair:
+    return ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK)
+
+
+def test_one_arm_moves_while_the_other_rests(pair: ArmPair, master: WatchedArm) -> None:
+    goal = turned(master, 10.0)
+    assert pair.move(MASTER, goal).joints_rad == pytest.approx(goal.target_rad)
+    assert pair.halted is None
+
+
+def test_the_resting_arm_is_an_obstacle_of_the_other(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    assistant.controller.joints_rad = STRETCHED_RAD
+    with pytest.raises(NotClear, match="of the assistant"):
+        pair.move(MASTER, JointMove(STRETCHED_RAD))
+    assert master.controller.joints_rad == HOME_RAD
+    assert pair.halted is None  # nothing was stopped
+
+
+def test_no_motion_begins_while_another_is_under_way(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    refused: list[Exception] = []
+
+    def try_other() -> None:
+        master.on_step = lambda: None
+        try:
+            pair.move(ASSISTANT, turned(assistant, 5.0))
+        except OtherArmMoving as error:
+            refused.append(error)
+
+    master.on_step = try_other
+    pair.move(MASTER, turned(master, 10.0))
+    assert [error.code for error in refused] == ["DUAL-002"]
+
+
+def test_both_arms_move_together_on_paths_that_are_clear_of_each_other(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    goals = {MASTER: turned(master, 10.0), ASSISTANT: turned(assistant, -10.0)}
+    pair.move_together(goals)
+    for role, arm in ((MASTER, master), (ASSISTANT, assistant)):
+        assert arm.controller.joints_rad == pytest.approx(goals[role].target_rad)
+
+
+def test_paths_that_meet_are_refused_before_anything_moves(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    both = {role: JointMove(STRETCHED_RAD) for role in (MASTER, ASSISTANT)}
+    with pytest.raises(ArmsTooClose, match="ARM-011"):
+        pair.move_together(both)
+    assert master.controller.joints_rad == assistant.controller.joints_rad == HOME_RAD
+
+
+def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
+    def stop() -> None:
+        arm.on_step = lambda: None
+        arm.stop(kind)
+
+    return stop
+
+
+@pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
+@pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
+def test_a_stop_of_one_arm_stops_and_holds_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, kind: StopKind, stopped: str
+) -> None:
+    arm = master if stopped == MASTER else assistant
+    watched = threading.Event()
+
+    def stop_once_moving() -> None:
+        if master.state is Lifecycle.ACTIVE and pair_is_moving(master) and not watched.is_set():
+            watched.set()
+            stop_on_the_way(arm, kind)()
+
+    arm.on_step = stop_once_moving
+    with pytest.raises(BothArmsHalted, match="DUAL-001"):
+        pair.move(MASTER, turned(master, 10.0))
+    after = Lifecycle.HOLD if kind is StopKind.HOLD else Lifecycle.FAULT
+    assert (master.state, assistant.state) == (after, after)
+    with pytest.raises(BothArmsHalted):
+        pair.move(ASSISTANT, turned(assistant, 1.0))
+
+
+def pair_is_moving(arm: WatchedArm) -> bool:
+    return arm.controller.joints_rad != HOME_RAD
+
+
+def test_an_arm_whose_state_is_old_stops_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    assistant.frozen = assistant.read_state()
+
+    def move_on() -> None:
+        if pair_is_moving(master):
+            stamp = replace(assistant.frozen.stamp, theatre_time_s=CLOCK.now_s() - 0.11)
+            assistant.frozen = replace(assistant.frozen, stamp=stamp)
+
+    master.on_step = move_on
+    with pytest.raises(BothArmsHalted, match="last state of the assistant is old"):
+        pair.move(MASTER, turned(master, 1.0))
+    assert master.state is Lifecycle.FAULT
+
+
+def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    stamp = replace(assistant.read_state().stamp, theatre_time_s=CLOCK.now_s() - 1.0)
+    assistant.frozen = replace(assistant.read_state(), stamp=stamp)
+    with pytest.raises(OtherArmUnknown, match="DUAL-003"):
+        pair.move(MASTER, turned(master, 10.0))
+    assert master.controller.joints_rad == HOME_RAD
+
+
+def test_arms_that_come_too_close_are_stopped(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    """Only the watch sees it: the arm that was to rest is pushed, as no plan foresees."""
+
+    def push() -> None:
+        if pair_is_moving(master):
+            assistant.controller.joints_rad = STRETCHED_RAD
+            master.controller.joints_rad = STRETCHED_RAD
+
+    master.on_step = push
+    with pytest.raises(BothArmsHalted, match=r"apart|moves although"):
+        pair.move(MASTER, turned(master, 10.0))
+
+
+def test_nothing_moves_with_an_instrument_in_the_guide(master: WatchedArm, assistant: WatchedArm) -> None:
+    pair = ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK, lambda: "T1")
+    for role in (MASTER, ASSISTANT):
+        with pytest.raises(InstrumentInGuide, match="T1"):
+            pair.move(role, JointMove(HOME_RAD))
+
+
+def test_a_halt_ends_when_both_arms_are_ready_and_a_person_acknowledges(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    pair.stop("the room asked for it")
+    with pytest.raises(BothArmsHalted, match="the master is not ready"):
+        pair.acknowledge("Ada Surgeon")
+    for arm in (master, assistant):
+        arm.recover("Ada Surgeon")
+        arm.activate()
+    with pytest.raises(PersonNotNamed):
+        pair.acknowledge("")
+    pair.acknowledge("Ada Surgeon")
+    pair.move(MASTER, turned(master, 2.0))
+
+
+def test_a_halt_names_the_place_of_the_instrument(master: WatchedArm, assistant: WatchedArm) -> None:
+    pair = ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK, lambda: "T2")
+    pair.stop("a fault")
+    with pytest.raises(BothArmsHalted, match="an instrument is in the guide, and in T2"):
+        pair.move(MASTER, JointMove(HOME_RAD))
