@@ -89,3 +89,8 @@ DESIGNS = {
         errors=UR5E_ERRORS,
     ),
 }
+
+
+def arm_named(variant: str) -> str:
+    """Return the name under which an arm is chosen, or that of its model if none is."""
+    return next((str(name) for name, design in DESIGNS.items() if design.variant == variant), variant)
