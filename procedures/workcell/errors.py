@@ -54,8 +54,8 @@ class BothArmsHalted(RefusedError):
 
     code = "DUAL-001"
     action = (
-        "Find out why, take any instrument out of the guide by hand, and recover the arms; a named person "
-        "then acknowledges. Nothing retreats by itself."
+        "Find out why, take any instrument out of the guide by hand, then let a named person acknowledge "
+        "both arms. Nothing retreats by itself."
     )
 
 
