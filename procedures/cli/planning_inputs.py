@@ -56,7 +56,7 @@ HomeOption = Annotated[
     SixNumbers | None,
     typer.Option(
         metavar="A1 .. A6",
-        help="Joint angles at which the arm starts, deg; with --config [default: 0 -75 99 0 66 180].",
+        help="Joint angles at which the arm starts, deg; with --config [default: those of the arm].",
     ),
 ]
 

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request import DEFAULT_ARM, CaseProcedure, RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.errors import RonnaError
 
@@ -100,7 +100,8 @@ def prepare_case(
         return EngineInput(restore_order(case, resumption.interrupted), clinical=clinical_input(case, folder))
     if resumption is None:  # before anybody is asked anything; set_up looks again
         now, choice = now_to_second(), request.choice
-        simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}"
+        arm = "" if choice.arm == DEFAULT_ARM else f" --arm {choice.arm}"
+        simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}{arm}"
         options = simulated if request.config is None else options_of(request.config)
         require_valid(theatre.calibrations, now, options)
         ToolRecords.of(theatre.file).check(theatre.calibrations, now)

@@ -26,6 +26,7 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
+DEFAULT_ARM = "kr6"
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class SceneChoice:
     markers: int | None = None
     targets: int | None = None
     fiducials: str = FREE  # what the spheres stand on
+    arm: str = DEFAULT_ARM
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
     first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
@@ -62,10 +64,15 @@ class SceneChoice:
     def arguments(self) -> list[str]:
         """Return the options common to `ronna-sim theatre` and `ronna-sim phantom`."""
         options = ["--scene", self.scene, "--seed", str(self.seed)]
-        for name, value in (("--markers", self.markers), ("--targets", self.targets)):
+        for name, value in (
+            ("--markers", self.markers),
+            ("--targets", self.targets),
+            ("--fiducials", None if self.fiducials == FREE else self.fiducials),
+            ("--arm", None if self.arm == DEFAULT_ARM else self.arm),
+        ):
             if value is not None:
                 options += [name, str(value)]
-        return options if self.fiducials == FREE else [*options, "--fiducials", self.fiducials]
+        return options
 
     def theatre_arguments(self) -> list[str]:
         """Return all options for `ronna-sim theatre`."""

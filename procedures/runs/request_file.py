@@ -12,7 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.engine.methods import CaseMethods
-from procedures.runs.request import FREE, CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
+from procedures.runs.request import (
+    DEFAULT_ARM,
+    FREE,
+    CalibrationProcedure,
+    CaseProcedure,
+    RunRequest,
+    SceneChoice,
+)
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE
 from ronna_hw.mistakes import describe_mistakes
@@ -46,6 +53,7 @@ class RequestFile(BaseModel):
     markers: int | None = None
     targets: int | None = None
     fiducials: str = FREE
+    arm: str = DEFAULT_ARM
     calibrated: bool = False
     first_day: bool = False
     records: tuple[Path, ...] = ()

@@ -35,6 +35,7 @@ from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Side
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
@@ -72,7 +73,7 @@ class Workcell:
         theatre.require("tracker", "stereo", f"robot.{MASTER}")
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
-        self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
+        self._computed = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
         self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
@@ -95,6 +96,14 @@ class Workcell:
     @property
     def _arm(self) -> RobotArm:
         return self._theatre.arms[MASTER]
+
+    @property
+    def _calibrated(self) -> CalibratedArm:
+        """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
+        kinematics = self._arm.kinematics
+        if kinematics is not self._computed.nominal:
+            self._computed = calibrated_arm(kinematics, self.calibrations.arm)
+        return self._computed
 
     @property
     def stereo(self) -> StereoPair:

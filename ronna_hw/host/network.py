@@ -62,14 +62,22 @@ def find_interface(local_address: str) -> Interface | None:
 FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which start at 32768
 
 
+def own_address(number: int = 0) -> str:
+    """Return a loopback address unique among running processes and per `number`, 0 or 1.
+
+    No race for free ports: the process id, at most 22 bits, determines it, and Linux answers on all of
+    127.0.0.0/8.
+    """
+    process = os.getpid()
+    return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
+
+
 def own_udp_endpoint(number: int = 0) -> str:
     """Return a `udp://` endpoint unique among running processes and per `number`.
 
-    For a device that must be configured with its client's address: no race for free ports. The process id, at
-    most 22 bits, determines the address: Linux answers on all of 127.0.0.0/8.
+    For a device that must be configured with its client's address.
     """
-    process = os.getpid()
-    return f"udp://127.{64 + (process >> 16)}.{process >> 8 & 255}.{process & 255}:{FIRST_PORT + number}"
+    return f"udp://{own_address()}:{FIRST_PORT + number}"
 
 
 Place = tuple[str, int]  # IPv4 address and port

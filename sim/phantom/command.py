@@ -14,7 +14,7 @@ from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import escape_controls, format_count
-from sim.world.options import Carrier, InstrumentKind
+from sim.world.options import ArmChoice, Carrier, InstrumentKind
 
 if TYPE_CHECKING:
     from sim.phantom.scan import Scan
@@ -59,6 +59,9 @@ def phantom(
             "which only the CT shows, and no spheres."
         ),
     ] = Fiducials.FREE,
+    arm: Annotated[
+        ArmChoice, typer.Option(help="Arm of a named scene, which reaches the plan.")
+    ] = ArmChoice.KR6,
     tilt_deg: Annotated[float, _scanner_option("Gantry tilt.")] = 0.0,
     tilt_hidden: Annotated[bool, _scanner_option("Headers of upright slices.", "--tilt-hidden")] = False,
     table_scale: Annotated[
@@ -121,7 +124,13 @@ def phantom(
     if out.is_dir() and any(out.iterdir()):
         raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
     if postoperative is not None:
-        if scene != DEFAULT_SCENE or family is not None or markers is not None or targets is not None:
+        if (
+            scene != DEFAULT_SCENE
+            or family is not None
+            or markers is not None
+            or targets is not None
+            or arm is not ArmChoice.KR6
+        ):
             raise BadScene(
                 "the run defines head and trajectories; omit --scene, --family and similar options"
             )
@@ -143,11 +152,11 @@ def phantom(
     if fiducials is Fiducials.ADHESIVE:
         if family is not None:
             raise BadScene("a family has no adhesive markers", action="Omit --family or --fiducials.")
-        truth, scan = _scan_adhesives(scene, seed, markers, targets, protocol)
+        truth, scan = _scan_adhesives(scene, seed, markers, targets, arm, protocol)
     elif family is not None or carrier is None:
-        if scene != DEFAULT_SCENE or targets is not None:
+        if scene != DEFAULT_SCENE or targets is not None or arm is not ArmChoice.KR6:
             raise BadScene(
-                "a family generates its own head and trajectory", action="Omit --scene and --targets."
+                "a family generates its own head and trajectory", action="Omit --scene, --targets and --arm."
             )
         scan = family_scan(
             family or DEFAULT_FAMILY,
@@ -160,7 +169,7 @@ def phantom(
         if faults == NO_FAULTS:
             faults = scan.faults
     else:
-        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier)
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier, arm=arm)
         if protocol is not None:
             truth = truth.model_copy(update={"ct": protocol_named(protocol)})
         scan = plain_scan(truth)
@@ -191,7 +200,12 @@ def phantom(
 
 
 def _scan_adhesives(
-    scene: str, seed: int, markers: int | None, targets: int | None, protocol: str | None
+    scene: str,
+    seed: int,
+    markers: int | None,
+    targets: int | None,
+    arm: ArmChoice,
+    protocol: str | None,
 ) -> tuple[Scene, Scan]:
     """Return a scene with adhesive markers, those of its file or drawn ones, and their scan."""
     from sim.phantom.families.family_scan import protocol_named
@@ -200,7 +214,7 @@ def _scan_adhesives(
     from sim.world.process import load_scene
     from sim.world.scene.head import stick_adhesives
 
-    truth = load_scene(scene, seed=seed, targets=targets, fiducials=Carrier.FREE)
+    truth = load_scene(scene, seed=seed, targets=targets, fiducials=Carrier.FREE, arm=arm)
     if markers is not None or not truth.head.adhesives:
         generator = noise(truth.seed, "adhesive sites", 0)
         truth = truth.model_copy(

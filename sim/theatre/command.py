@@ -15,7 +15,7 @@ from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, 
 from ronna_hw.control_port import VARIABLE, ask_control_port
 from ronna_hw.wire.room_tasks import OnStand
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import Carrier
+from sim.world.options import ArmChoice, Carrier
 
 if TYPE_CHECKING:
     import threading
@@ -29,6 +29,7 @@ ControlOption = Annotated[
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
+ArmOption = Annotated[ArmChoice, typer.Option(help="Arm of a named scene.")]
 FiducialsOption = Annotated[
     Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
 ]
@@ -62,6 +63,7 @@ def theatre(
     markers: MarkersOption = None,
     targets: TargetsOption = None,
     fiducials: FiducialsOption = Carrier.FREE,
+    arm: ArmOption = ArmChoice.KR6,
     calibrated: Annotated[
         bool,
         typer.Option(
@@ -113,6 +115,7 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
+    from sim.theatre.arm_controllers import CONTROLLERS
     from sim.theatre.launch import Theatre, parameters_by_device, read_calibrations
     from sim.world.faults import read_faults
     from sim.world.process import end_with_parent, fail, load_scene
@@ -135,6 +138,7 @@ def theatre(
         markers=markers,
         targets=targets,
         fiducials=Carrier.FREE if continued else fiducials,
+        arm=ArmChoice.KR6 if continued else arm,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
@@ -142,7 +146,9 @@ def theatre(
     )
     records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""
-    parameters = parameters_by_device(parameter or ())
+    controller, chosen_ms = CONTROLLERS[truth.arm.variant], None if cycle_ms is None else int(cycle_ms.value)
+    controller.check_cycle(chosen_ms)
+    parameters = parameters_by_device(parameter or (), controller)
     ended = threading.Event()
     end_with_parent(ended.set)
     with lock_folder(out):
@@ -150,7 +156,7 @@ def theatre(
             truth,
             out,
             paced=speed is Speed.REAL,
-            cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
+            cycle_ms=chosen_ms,
             faults=script,
             parameters=parameters,
             saved=read_saved_world(out) if continued else None,
@@ -187,6 +193,7 @@ def _require_left_world(folder: Path) -> None:
 
 def _require_same_world(context: typer.Context, folder: Path) -> None:
     """Raise CLI-001 if an option contradicts the world being continued."""
+    from sim.world.scene.arm_design import arm_named
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
@@ -199,6 +206,7 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
         "seed": saved.seed,
         "markers": len(saved.head.fiducials),
         "targets": len(saved.head.targets),
+        "arm": arm_named(saved.arm.variant),
     }
     for option, own in owns.items():
         source = context.get_parameter_source(option)
@@ -390,6 +398,7 @@ def scene(
     markers: MarkersOption = None,
     targets: TargetsOption = None,
     fiducials: FiducialsOption = Carrier.FREE,
+    arm: ArmOption = ArmChoice.KR6,
     template: Annotated[
         Path | None,
         typer.Option(
@@ -410,12 +419,12 @@ def scene(
     from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
 
     if template is None:
-        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials, arm=arm)
     else:
         if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
             raise BadScene("a template belongs to a named scene and fixes the number of markers")
         implanted = read_marker_template(template)
-        truth = draw_scene(scene, seed=seed, targets=targets, template=implanted)
+        truth = draw_scene(scene, seed=seed, targets=targets, template=implanted, arm=arm)
     if patient_frame:
         truth = add_patient_frame(truth)
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

@@ -14,14 +14,13 @@ from uuid import uuid4
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
-from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
-from sim.kuka.controller_parameters import parse_parameters
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
+from sim.theatre.arm_controllers import CONTROLLERS, ArmController, device_name
 from sim.theatre.records import refer_to_tip
 from sim.theatre.theatre_file import identity_of, read_calibration_time, theatre_content, write_theatre_file
 from sim.world.control_port import ControlPort, Room
@@ -48,7 +47,8 @@ NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
 
 CALIBRATION_FILE = "calibration.toml"
 
-COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
+ROBOT, TRACKER = "robot", "tracker"  # devices by their names in fault scripts
+POLARIS = "polaris"
 
 
 class Theatre:
@@ -147,20 +147,20 @@ class Theatre:
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
-        free = "tcp://127.0.0.1:0"
-        cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
+        scene = self.world.scene
 
         def robot(role: ArmRole) -> tuple[str, ...]:
-            links = ("--rsi", own_udp_endpoint(role.number), "--eki", free, "--eki-project", free)
-            return ("kuka", *world, *cycle, *links, "--role", role.value)
+            variant = scene.arm_of(role).variant
+            controller = CONTROLLERS[variant]
+            return (controller.device, *world, *controller.arguments(variant, role, cycle_ms))
 
         commands: dict[str, tuple[str, ...]] = {
             "polaris": ("polaris", *world),
-            "kuka": robot(ArmRole.MASTER),
+            device_name(scene, ArmRole.MASTER): robot(ArmRole.MASTER),
             "basler": ("basler", *world),
         }
-        if self.world.scene.assistant is not None:
-            commands[ArmRole.ASSISTANT.value] = robot(ArmRole.ASSISTANT)
+        if scene.assistant is not None:
+            commands[device_name(scene, ArmRole.ASSISTANT)] = robot(ArmRole.ASSISTANT)
         self._children = [
             ChildProcess(
                 f"ronna-sim {name}",
@@ -222,21 +222,23 @@ def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
     return records
 
 
-def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def parameters_by_device(settings: Sequence[str], controller: ArmController) -> dict[str, tuple[str, ...]]:
     """Group `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
 
-    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
+    Raises SIM-010 for a device without parameters, PSU-001 or the error of the arm's controller for an
+    unknown parameter.
     """
+    commands = {ROBOT: controller.device, TRACKER: POLARIS}
     found: dict[str, tuple[str, ...]] = {}
     for setting in settings:
         device, dot, assignment = setting.partition(".")
-        if device not in COMMANDS or not dot or "=" not in assignment:
+        if device not in commands or not dot or "=" not in assignment:
             raise BadDeviceParameter(
                 f"{setting!r} is not DEVICE.NAME=VALUE",
-                expected=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS),
+                expected=" or ".join(f"{name}.NAME=VALUE" for name in commands),
             )
-        name = COMMANDS[device]
+        name = commands[device]
         found[name] = (*found.get(name, ()), assignment)
-    parse_parameters(found.get("kuka", ()))
-    parse_behaviour(found.get("polaris", ()))
+    controller.parse_parameters(found.get(controller.device, ()))
+    parse_behaviour(found.get(POLARIS, ()))
     return found

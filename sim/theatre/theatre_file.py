@@ -19,6 +19,7 @@ from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
+from sim.theatre.arm_controllers import CONTROLLERS, device_name
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
 from sim.world.noise import noise
@@ -39,7 +40,6 @@ DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be credible
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
-ROBOTS = {ArmRole.MASTER: "kuka", ArmRole.ASSISTANT: ArmRole.ASSISTANT.value}  # device in the READY line
 
 
 def theatre_content(
@@ -68,17 +68,11 @@ def theatre_content(
             "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
-            role.value: {
-                "driver": "kuka_rsi",
-                "endpoints": {key: endpoints[device][key] for key in ("rsi", "eki_project")},
-                "options": {
-                    "variant": scene.arm_of(role).variant,
-                    "silence_limit_s": silence_limit_s,
-                    **({} if cycle_ms is None else {"cycle_ms": cycle_ms}),
-                },
-            }
-            for role, device in ROBOTS.items()
-            if device in endpoints
+            role.value: CONTROLLERS[scene.arm_of(role).variant].device_entry(
+                scene.arm_of(role).variant, endpoints[device], silence_limit_s, cycle_ms
+            )
+            for role in ArmRole
+            if (device := device_name(scene, role)) in endpoints
         },
         "stereo": {
             "driver": "basler_stereo",

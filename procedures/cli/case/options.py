@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from procedures.runs.answers import Answers
     from procedures.runs.console_link import ConsoleRequest
 
-DRAWN = ("seed", "markers", "targets", "fiducials")  # which a scene file holds
+DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
 SIMULATED = (*DRAWN, "scene", "first_day", "calibration", "speed", "faults")
 
 ConfigOption = Annotated[
@@ -35,6 +35,14 @@ class FiducialChoice(StrEnum):
 
     FREE = "free"
     XFRAME = "xframe"
+
+
+class ArmChoice(StrEnum):
+    """Arm of the simulated theatre."""
+
+    KR6 = "kr6"
+    UR5 = "ur5"
+    UR5E = "ur5e"
 
 
 class SpeedChoice(StrEnum):
@@ -54,6 +62,7 @@ class TheatreOptions:
     seed: Annotated[
         int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")
     ] = 0
+    arm: Annotated[ArmChoice, typer.Option(help="Arm of the simulated theatre.")] = ArmChoice.KR6
     calibrated: Annotated[
         bool,
         typer.Option(
@@ -92,6 +101,7 @@ class TheatreOptions:
         return SceneChoice(
             self.scene,
             self.seed,
+            arm=self.arm.value,
             calibrated=self.calibrated,
             first_day=self.first_day,
             records=tuple(self.calibration or ()),

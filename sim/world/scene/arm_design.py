@@ -59,11 +59,12 @@ UR5E_ERRORS = ErrorSizes(
     sag_rad=radians(0.03),
     repeatability_mm=0.015,
 )
+# 0.1 mm of repeatability by ISO 9283: a mean and three standard deviations of the distance.
 UR5_ERRORS = UR5E_ERRORS._replace(
     link_translation_mm=0.30,
     link_rotation_rad=radians(0.04),
     joint_offset_rad=radians(0.04),
-    repeatability_mm=0.05,
+    repeatability_mm=0.028,
 )
 
 _UR_HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, -90.0)  # elbow up, forearm level
@@ -88,3 +89,8 @@ DESIGNS = {
         errors=UR5E_ERRORS,
     ),
 }
+
+
+def arm_named(variant: str) -> str:
+    """Return the name under which an arm is chosen, or that of its model if none is."""
+    return next((str(name) for name, design in DESIGNS.items() if design.variant == variant), variant)

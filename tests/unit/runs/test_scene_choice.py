@@ -25,6 +25,11 @@ def test_an_invalid_scene_file_gives_seed_zero(tmp_path: Path, text: str) -> Non
     assert SceneChoice(str(tmp_path / "scene.toml")).scene_seed == 0
 
 
+def test_theatre_and_patient_are_made_for_the_chosen_arm() -> None:
+    assert SceneChoice("mini", arm="ur5e").arguments()[-2:] == ["--arm", "ur5e"]
+    assert "--arm" not in SceneChoice("mini").arguments()
+
+
 def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:
     assert RunRequest(procedure=CaseProcedure()).seed == 0
     assert RunRequest(procedure=CaseProcedure(), config=tmp_path / "theatre.toml").seed is None

@@ -11,6 +11,8 @@ from user_commands import in_this_process, one_error
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from sim.cli import app as ronna_sim
+from sim.errors import BadDeviceParameter
+from sim.theatre.arm_controllers import KUKA, UNIVERSAL_ROBOTS
 from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
 from sim.theatre.theatre_file import write_theatre_file
 from sim.world.saved_world import WORLD_FILE, read_saved_world
@@ -92,11 +94,18 @@ def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(
 
 def test_settings_are_grouped_by_device() -> None:
     given = ("robot.lag_s=0.03", "tracker.line_after_close=kept", "robot.timeout_counting=total")
-    assert parameters_by_device(given) == {
+    assert parameters_by_device(given, KUKA) == {
         "kuka": ("lag_s=0.03", "timeout_counting=total"),
         "polaris": ("line_after_close=kept",),
     }
-    assert parameters_by_device(()) == {}
+    assert parameters_by_device((), KUKA) == {}
+
+
+def test_a_controller_whose_cycle_is_fixed_refuses_another() -> None:
+    KUKA.check_cycle(12)
+    UNIVERSAL_ROBOTS.check_cycle(None)
+    with pytest.raises(BadDeviceParameter):
+        UNIVERSAL_ROBOTS.check_cycle(4)
 
 
 def test_each_device_is_started_with_its_own_parameters(
@@ -119,7 +128,7 @@ def test_each_device_is_started_with_its_own_parameters(
             tmp_path,
             paced=False,
             cycle_ms=12,
-            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3")),
+            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3"), KUKA),
         )
     robot = started["ronna-sim kuka"]
     assert robot[robot.index("--cycle-ms") + 1] == "12"

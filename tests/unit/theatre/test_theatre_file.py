@@ -22,6 +22,7 @@ from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.options import ArmChoice
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import Scene
@@ -50,6 +51,20 @@ def _records(scene: Scene, folder: Path) -> Calibrations:
     calibration = read_theatre_file(_written(scene, folder)).calibration
     assert calibration is not None
     return calibration
+
+
+@pytest.mark.parametrize("arm", [ArmChoice.UR5, ArmChoice.UR5E])
+def test_the_file_of_another_arm_names_its_driver_its_addresses_and_its_model(
+    arm: ArmChoice, tmp_path: Path
+) -> None:
+    addresses = {"rtde": "tcp://127.0.0.9:30004", "dashboard": "tcp://127.0.0.9:29999"}
+    addresses |= {"primary": "tcp://127.0.0.9:30001"}
+    endpoints = ENDPOINTS | {"ur": {**addresses, "realtime": "tcp://127.0.0.9:30003"}}
+    path = tmp_path / "theatre.toml"
+    write_theatre_file(theatre_content(draw_scene("mini", arm=arm), endpoints, "host:", {}, 2.0), path)
+    robot = read_theatre_file(path).robot["master"]
+    assert (robot.driver, robot.options["model"]) == ("universal_robots", arm)
+    assert robot.endpoints == addresses
 
 
 def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:

@@ -11,10 +11,13 @@ from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.vectors import joint_vector
 from sim.polaris.measurement.line_of_sight import ArmBody
 from sim.world.descriptions import DESCRIPTIONS
+from sim.world.options import ArmChoice
+from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import JointChain, TrueArm
+from sim.world.universal_robots_arm import POSTURES, axes_of_branch
 from sim.world.world import ArmState
 
 NO_ERROR = (0.0,) * 6
@@ -29,6 +32,25 @@ def test_the_simulated_arm_stands_where_the_driver_computes_it(model: UrModel) -
         simulated = chain.flange(joints)
         assert simulated[:3, 3] == pytest.approx(pose.position_mm, abs=1e-9)
         assert simulated[:3, :3] == pytest.approx(np.reshape(pose.rotation, (3, 3)), abs=1e-12)
+
+
+@pytest.mark.parametrize("model", UrModel)
+def test_every_posture_is_among_its_poses_branches_and_each_leads_to_the_pose(model: UrModel) -> None:
+    generator = np.random.default_rng(4)
+    arm, chain = DESCRIPTIONS[model], JointChain(DESCRIPTIONS[model])
+    for joints in generator.uniform(-pi, pi, (50, 6)):
+        flange = chain.flange(joints).copy()
+        found = [axes for branch in range(8) if (axes := axes_of_branch(arm, flange, branch)) is not None]
+        assert all(chain.flange(axes) == pytest.approx(flange, abs=1e-9) for axes in found)
+        apart = (np.array(found) - joints + pi) % (2.0 * pi) - pi
+        assert np.abs(apart).max(axis=1).min() < 1e-6
+
+
+@pytest.mark.parametrize("arm", [ArmChoice.UR5, ArmChoice.UR5E])
+def test_the_usual_posture_is_that_of_home(arm: ArmChoice) -> None:
+    home, described = np.radians(DESIGNS[arm].home_deg), DESCRIPTIONS[DESIGNS[arm].variant]
+    found = axes_of_branch(described, JointChain(described).flange(home).copy(), POSTURES[0])
+    assert np.exp(1j * np.array(found)) == pytest.approx(np.exp(1j * home), abs=1e-9)
 
 
 def sagging(model: UrModel) -> ArmTruth:

@@ -3,31 +3,37 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
+from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame
+from sim.world.options import ArmChoice
 from sim.world.rigid import apply, inverse, matrix_of
-from sim.world.scene.model import Scene, Variant
+from sim.world.scene.arm_design import KR6
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
-from sim.world.scene.plan_feasibility import PlanFeasibility
+from sim.world.scene.parts import Guide
+from sim.world.scene.plan_feasibility import STANDOFF_MM, PlanFeasibility
 
-ARM: Variant = "kr6_r900_sixx"
 LEAST_BEND_RAD = math.radians(4.0)
 
 
 def setting_of(scene: Scene) -> ArmSetting:
-    arm = kr6_r900(scene.arm.variant)
+    arm = find_kinematics(scene.arm.variant)
     return ArmSetting(
         arm,
         scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),
@@ -71,7 +77,7 @@ def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.n
     place = matrix_of(scene.head.robot_from_ct)
     spheres = apply(place, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
     ends = [(apply(place, t.entry_ct_mm), apply(place, t.target_ct_mm)) for t in scene.head.targets]
-    return PlanFeasibility(spheres, ARM), ends
+    return PlanFeasibility(spheres, scene.arm.variant), ends
 
 
 @pytest.mark.parametrize("markers", [3, 5, 8])
@@ -94,13 +100,19 @@ def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() 
     apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
     crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
     down = (below + np.array([20.0, 20.0, 80.0]), below + np.array([20.0, 20.0, 20.0]))
-    assert not PlanFeasibility(crowded, ARM).is_feasible([down])
-    assert PlanFeasibility(crowded[:2], ARM).is_feasible([down])
+    assert not PlanFeasibility(crowded, KR6.variant).is_feasible([down])
+    assert PlanFeasibility(crowded[:2], KR6.variant).is_feasible([down])
 
 
 @pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])
 def test_the_planner_accepts_the_drawn_plans(seed: int) -> None:
     accept(draw_scene("default", seed=seed, markers=5, targets=3))
+
+
+@pytest.mark.parametrize("arm", [ArmChoice.UR5, ArmChoice.UR5E])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
+def test_another_arm_has_scenes_of_its_own_and_clears_everything_in_them(arm: ArmChoice, seed: int) -> None:
+    accept(draw_scene("default", seed=seed, arm=arm), among_bodies=True)
 
 
 @pytest.mark.slow  # 43 s of CPU
@@ -112,11 +124,20 @@ def test_the_planner_accepts_eight_markers_and_ten_targets_of_a_hundred_seeds() 
         accept(scene)
 
 
-def accept(scene: Scene) -> None:
+def hold_guide_outside(trajectory: Trajectory) -> Trajectory:
+    depth_mm = math.dist(trajectory.entry_mm, trajectory.target_mm)
+    return trajectory.with_rest(Guide().reach_mm - STANDOFF_MM - depth_mm, STANDOFF_MM)
+
+
+def accept(scene: Scene, *, among_bodies: bool = False) -> None:
     """Plan the drawn trajectories with the planner, which raises if it refuses them."""
+    setting, trajectories = setting_of(scene), trajectories_of(scene)
+    if among_bodies:
+        head = HeadEllipsoid(centre_mm=scene.head.centre_ct_mm, semi_axes_mm=scene.head.semi_axes_mm)
+        spheres = tuple(fiducial.centre_ct_mm for fiducial in scene.head.fiducials)
+        setting = replace(setting, scene=PlanningScene(CollisionConfig(), head, spheres))
+        trajectories = [hold_guide_outside(one) for one in trajectories]
     left, right = (inverse(matrix_of(camera.camera_from_tool))[:3, 3] for camera in (scene.left, scene.right))
     fiducials = [fiducial.centre_ct_mm for fiducial in scene.head.fiducials]
-    turned = choose_free_angles(
-        setting_of(scene), trajectories_of(scene), fiducials, StereoSight(left, right)
-    )
+    turned = choose_free_angles(setting, trajectories, fiducials, StereoSight(left, right))
     turned.check.require()

@@ -1,0 +1,88 @@
+"""Controllers of the simulated arms: the simulator of each, and the driver that a theatre file names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ronna_hw.host.network import own_address, own_udp_endpoint
+from sim.errors import BadDeviceParameter
+from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
+from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
+from sim.world import nominal_arm, universal_robots_arm
+from sim.world.options import ArmRole
+from sim.world.scene.model import Scene
+
+FREE = "tcp://127.0.0.1:0"
+
+
+@dataclass(frozen=True)
+class ArmController:
+    """Controller of an arm.
+
+    `device` is its command of ronna-sim, `roles` are the endpoints that its driver needs, `model_option` is
+    the driver's option for the arm's name.
+    """
+
+    device: str
+    driver: str
+    roles: tuple[str, ...]
+    model_option: str
+    addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
+    parse_parameters: Callable[[tuple[str, ...]], object]
+    cycles_ms: tuple[int, ...] = ()  # to choose from
+
+    def check_cycle(self, cycle_ms: int | None) -> None:
+        """Raise SIM-010 for a cycle that this controller does not have."""
+        if cycle_ms is not None and cycle_ms not in self.cycles_ms:
+            raise BadDeviceParameter(
+                f"the cycle of the {self.device} controller cannot be chosen",
+                got=f"--cycle-ms {cycle_ms}",
+                action="Omit --cycle-ms with this arm.",
+            )
+
+    def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
+        """Return the options of the command in a theatre."""
+        cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
+        return (*cycle, *self.addresses(variant, role.number), "--role", role.value)
+
+    def device_entry(
+        self, variant: str, endpoints: Mapping[str, str], silence_limit_s: float, cycle_ms: int | None
+    ) -> dict[str, Any]:
+        """Return the arm's table of a theatre file."""
+        cycle = {} if cycle_ms is None else {"cycle_ms": cycle_ms}
+        return {
+            "driver": self.driver,
+            "endpoints": {role: endpoints[role] for role in self.roles},
+            "options": {self.model_option: variant, "silence_limit_s": silence_limit_s, **cycle},
+        }
+
+
+KUKA = ArmController(
+    device="kuka",
+    driver="kuka_rsi",
+    roles=("rsi", "eki_project"),
+    model_option="variant",
+    addresses=lambda _, number: ("--rsi", own_udp_endpoint(number), "--eki", FREE, "--eki-project", FREE),
+    parse_parameters=parse_kuka_parameters,
+    cycles_ms=(4, 12),
+)
+# Its ports are fixed, so each arm of each theatre has an address of its own.
+UNIVERSAL_ROBOTS = ArmController(
+    device="ur",
+    driver="universal_robots",
+    roles=("rtde", "dashboard", "primary"),
+    model_option="model",
+    addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),
+    parse_parameters=parse_ur_parameters,
+)
+CONTROLLERS: dict[str, ArmController] = {
+    **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),
+    **dict.fromkeys(universal_robots_arm.DESCRIPTIONS, UNIVERSAL_ROBOTS),
+}
+
+
+def device_name(scene: Scene, role: ArmRole) -> str:
+    """Return the name of an arm in the READY line of a theatre: that of its controller, or `assistant`."""
+    return CONTROLLERS[scene.arm.variant].device if role is ArmRole.MASTER else role.value
