@@ -1,8 +1,14 @@
-"""A UR5e whose factory measured it, for tests of what any arm promises."""
+"""Arms whose factory measured them: one for tests of what any arm promises, and simulated ones."""
+
+from typing import Literal
 
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
 from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
+from ronna_hw.vectors import joint_vector
+from sim.universal_robots.factory_calibration import calibrate
+from sim.universal_robots.model import MODELS, ArmName
+from sim.world.scene.model import ArmTruth
 
 CALIBRATED_UR = CalibratedUniversalRobot(
     DIMENSIONS[UrModel.UR5E],
@@ -13,3 +19,16 @@ CALIBRATED_UR = CalibratedUniversalRobot(
         alpha_rad=(-3e-4, 4e-4, -5e-4, 3e-4, 2e-4, -1e-4),
     ),
 )
+
+
+def stated_kinematics(
+    truth: ArmTruth, seed: int, kind: Literal["linearised", "exact", "none"] = "linearised"
+) -> CalibratedUniversalRobot:
+    """Return what a driver computes of a simulated arm from the parameters that its controller sends."""
+    arm = DIMENSIONS[UrModel(truth.variant)]
+    stated = calibrate(MODELS[ArmName(truth.variant)], truth, seed, kind)
+    a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
+    theta_rad, alpha_rad = joint_vector(stated.theta_rad), joint_vector(stated.alpha_rad)
+    return CalibratedUniversalRobot(
+        arm, FactoryCalibration.from_parameters(arm, theta_rad, a_mm, d_mm, alpha_rad)
+    )
