@@ -28,6 +28,10 @@ class ControllerParameters:
     programs: Annotated[
         str, "Programs on the controller that the dashboard can load, separated by commas."
     ] = "external_control.urp,wait_program.urp"
+    external_control_host: Annotated[
+        str, "Client, on this computer, of which a loaded external_control program requests its script."
+    ] = "127.0.0.1"
+    external_control_port: Annotated[int, "Port of that client.", MaximumValue(65535)] = 50002
     serial_number: Annotated[int, "Serial number, the digits that the dashboard states."] = 20265500001
 
     # power and safety
@@ -105,6 +109,9 @@ class ControllerParameters:
     motion_speed_deg_s: Annotated[float, "Speed of a joint at which a new motion begins."] = 0.3
 
     # RTDE
+    newest_rtde_version: Annotated[
+        Literal["1", "2"], "Newest protocol version; old controllers know only the first."
+    ] = "2"
     send_buffer_bytes: Annotated[
         int, "Unread bytes after which a slow reader is disconnected.", MaximumValue(10_000_000)
     ] = 65536

@@ -107,7 +107,7 @@ def test_a_guided_arm_goes_with_the_hand_no_faster_than_its_limit() -> None:
     assert MODEL.forward(stand.goal).angle_rad(MODEL.forward(START)) < radians(0.01)
 
 
-@pytest.mark.hazard(53)
+@pytest.mark.hazard(57)
 def test_a_guided_arm_comes_to_rest_at_the_end_of_its_reach_however_hard_the_hand_pushes() -> None:
     stand = resting()
     guide(stand)
