@@ -267,7 +267,6 @@ SET_POINT_INPUTS: Final = tuple(f"input_double_register_{24 + number}" for numbe
 SEQUENCE_OUTPUT: Final = "output_int_register_24"  # of the set-point used in this cycle
 STATE_OUTPUT: Final = "output_int_register_25"  # ScriptState
 RUN_OUTPUT: Final = "output_int_register_26"
-UNCHANGED_OUTPUT: Final = "output_int_register_27"  # cycles since the sequence last changed
 
 
 class ScriptSettings(NamedTuple):
