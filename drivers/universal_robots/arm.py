@@ -107,6 +107,7 @@ class UniversalRobotsArm(StreamedArm):
                 self._request_state(timeout_s),
                 remote=connections.is_remote(timeout_s),
                 running=connections.dashboard.is_program_running(timeout_s),
+                registers="" if self._guard.state in RUNNING else connections.registers_taken(timeout_s),
             )
         )
 

@@ -27,6 +27,7 @@ from drivers.universal_robots.errors import (
     NoAnswer,
     NotPowered,
     ProtectivelyStopped,
+    RegistersInUse,
     ScriptNotStarted,
     SpeedAtZero,
     WrongArm,
@@ -138,6 +139,17 @@ class Connections:
             return self.primary.await_state(timeout_s, newer_than_s=time.monotonic())
         finally:
             self._clock.hold_back()
+
+    def registers_taken(self, timeout_s: float) -> str:
+        """Return who has the registers of our script, with the code of the error; empty if nobody has."""
+        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
+        try:
+            rtde.set_up_inputs()
+        except RegistersInUse as error:
+            return f"{error.code} {error.summary}"
+        finally:
+            rtde.close()  # frees them
+        return ""
 
     def find_controller(self, timeout_s: float, listener: UrWatch, *, retry: bool = False) -> Identity:
         """Open dashboard and primary interface, and identify arm and controller.

@@ -145,7 +145,10 @@ class ScriptNotStarted(DeviceError):
     """The controller did not start our script, or the script ended at once."""
 
     code = "URD-018"
-    action = "Read the messages on the pendant's log page; check the controller's version."
+    action = (
+        "Read the pendant's log page. If it has no message, the script did not arrive: check that endpoint "
+        "primary is of this controller, and that Settings > Security allows the primary client interface."
+    )
 
 
 class LinkNotStarted(ConnectError):

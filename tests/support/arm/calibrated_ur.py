@@ -10,15 +10,13 @@ from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS, ArmName
 from sim.world.scene.model import ArmTruth
 
-CALIBRATED_UR = CalibratedUniversalRobot(
-    DIMENSIONS[UrModel.UR5E],
-    FactoryCalibration(
-        theta_rad=(1e-4, 1.2e-3, -8e-4, 5e-4, -3e-4, 2e-4),
-        a_mm=(0.05, 0.4, -0.7, 0.03, -0.04, 0.02),
-        d_mm=(0.3, 150.0, -149.0, -0.6, 0.1, 0.2),
-        alpha_rad=(-3e-4, 4e-4, -5e-4, 3e-4, 2e-4, -1e-4),
-    ),
+CALIBRATION = FactoryCalibration(
+    theta_rad=(1e-4, 1.2e-3, -8e-4, 5e-4, -3e-4, 2e-4),
+    a_mm=(0.05, 0.4, -0.7, 0.03, -0.04, 0.02),
+    d_mm=(0.3, 150.0, -149.0, -0.6, 0.1, 0.2),
+    alpha_rad=(-3e-4, 4e-4, -5e-4, 3e-4, 2e-4, -1e-4),
 )
+CALIBRATED_UR = CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5E], CALIBRATION)
 
 
 def stated_kinematics(

@@ -175,10 +175,10 @@ def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> N
         pytest.param(
             "emergency stop pressed", ControllerStopped, "emergency stop", marks=pytest.mark.slow
         ),  # the arm is switched on again
-        ("protective stop", ControllerStopped, "protective stop"),
-        ("program pause", ProgramStopped, "stopped or paused"),
+        pytest.param("protective stop", ControllerStopped, "protective stop", marks=pytest.mark.hazard(53)),
+        pytest.param("program pause", ProgramStopped, "stopped or paused", marks=pytest.mark.hazard(53)),
         ("cut rtde", LinkBroken, ""),
-        ("local mode", ControllerStopped, "local control"),
+        pytest.param("local mode", ControllerStopped, "local control", marks=pytest.mark.hazard(55)),
     ],
 )
 def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
@@ -200,6 +200,7 @@ def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
     arm.move_joints(motion.start)
 
 
+@pytest.mark.hazard(54)
 def test_registers_that_another_client_owns_are_refused_until_it_has_gone(room: Room) -> None:
     other = room.cell.rtde()
     other.set_up()
@@ -237,6 +238,7 @@ def test_the_arm_passes_the_robot_cases_unchanged(room: Room) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.hazard(30)
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("victim", ["program", "real-time process"])
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
