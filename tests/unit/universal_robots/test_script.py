@@ -26,10 +26,11 @@ from ronna_hw.wire.universal_robots import (
 )
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Kinematics
-from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import recognise
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import index
+from sim.world.options import UrArm
 
 SETTINGS = script_settings(UrOptions())
 SCRIPT = render_script(SETTINGS)
@@ -72,7 +73,7 @@ class ScriptAndSimulator:
     def __init__(self, model: UrModel) -> None:
         settings = script_settings(UrOptions(model=model))
         self.largest_step_rad = settings.LARGEST_STEP_RAD
-        arm = MODELS[ArmName(model)]
+        arm = MODELS[UrArm(model)]
         self.robot = Robot(arm, ControllerParameters(), Kinematics(arm))
         text = render_script(settings)
         self.set_point = self.robot.drives.target
