@@ -113,10 +113,10 @@ def platform_shift(
 
 def _prediction_error_mm(places_mm: Array, at_mm: Array, seen_mm: float) -> float:
     """Return the 3-D standard error of a shift at a place, both relative to the middle of the places seen."""
-    rows = np.vstack([np.hstack([-_cross(one), np.eye(3)]) for one in places_mm])
+    rows = np.vstack([np.hstack([-cross_matrix(one), np.eye(3)]) for one in places_mm])
     # Seen twice: at the calibration and now.
     covariance = 2.0 * seen_mm**2 * np.linalg.inv(rows.T @ rows)
-    slope = np.hstack([-_cross(at_mm), np.eye(3)])
+    slope = np.hstack([-cross_matrix(at_mm), np.eye(3)])
     return float(np.sqrt(np.trace(slope @ covariance @ slope.T) + 2.0 * 3.0 * seen_mm**2))
 
 
@@ -124,6 +124,7 @@ def _places(references: Sequence[FrameReference]) -> Array:
     return np.array([one.tracker_from_frame_mm for one in references])
 
 
-def _cross(vector: Array) -> Array:
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with a vector."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -95,8 +95,8 @@ class ArmPair:
         """Move one arm while the other rests, and return the settled reading.
 
         Raises DUAL-001 while both are halted, also if they are halted on the way, DUAL-002 while one moves,
-        DUAL-003 if the state of the other is unknown, ARM-007 if it is in the way, TOOL-001 with an
-        instrument in the guide, and the errors of the arm.
+        and DUAL-003 if the state of the other is unknown. ARM-007 means that the other is in the way,
+        TOOL-001 that an instrument is in the guide. The arm's own errors pass through.
         """
         with self._under_way():
             other = _other(role)
@@ -257,7 +257,7 @@ class ArmPair:
         return PlacedArm(role, bodies, self._bases[role])
 
     def _grown_mm(self, role: str) -> float:
-        """Return by how much the other arm is thickened as an obstacle to keep it as far as two arms."""
+        """Return the thickening of the other arm that turns obstacle margins into those between two arms."""
         around = self._around[role]
         return max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
 
