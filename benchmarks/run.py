@@ -44,6 +44,7 @@ LONGER_LIMITS_S = {
 }
 MEASUREMENTS = {
     "robot-link": "robot.robot_link",
+    "ur-link": "robot.ur_link",
     "set-points": "robot.set_points",
     "tracker": "tracker",
     "stereo": "stereo_head.stereo",
@@ -59,8 +60,8 @@ MEASUREMENTS = {
     "planner": "pages.planner_page",
 }
 PEERS = (
-    "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",
-    "pydicom", "ruckig", "nicegui",
+    "ndicapi", "scikit-surgerynditracker", "RSIPI", "ur-rtde", "opencv-contrib-python-headless", "scipy",
+    "numpy", "pydicom", "ruckig", "nicegui",
 )  # fmt: skip
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

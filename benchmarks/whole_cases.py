@@ -2,6 +2,7 @@
 
     python -m benchmarks.whole_cases FOLDER                   # seeds 100 to 119, calibrated and not
     python -m benchmarks.whole_cases FOLDER --seating 0.22    # spheres off their places as in parameter set S
+    python -m benchmarks.whole_cases FOLDER --arm ur5e        # another arm than the KR 6
 
 Each case is `ronna-procedure run --sim`, as a user types it. `cases.jsonl` in the folder keeps every one that
 ended; the same command continues. No case is left out: a refused one counts as refused.
@@ -22,6 +23,7 @@ import typer
 
 from procedures.strategies.catalogue import STRATEGIES
 from ronna_hw.host.child_process import command, run_command
+from sim.world.options import ArmChoice
 from sim.world.scene.model import SEATING_ERROR_MM
 from sim.world.scene.named_scenes import draw_scene
 
@@ -33,14 +35,16 @@ TARGETS = 3  # of the default scene
 HEADER = "| arm | strategy | cases | refused | targets | mean mm | largest mm | predicted, rms mm |"
 
 
-def measure_cases(folder: Path, seeds: Sequence[int], seating_mm: float) -> None:
+def measure_cases(
+    folder: Path, seeds: Sequence[int], seating_mm: float, arm: ArmChoice = ArmChoice.KR6
+) -> None:
     """Run every case that is not in the folder yet, and append it."""
     folder.mkdir(parents=True, exist_ok=True)
     done = {_key(case) for case in load_cases(folder)}
     for calibrated, strategy, seed in product((False, True), [one.name for one in STRATEGIES], seeds):
-        if (calibrated, strategy, seed, seating_mm) in done:
+        if (arm, calibrated, strategy, seed, seating_mm) in done:
             continue
-        case = _run_case(folder, seed, strategy, calibrated, seating_mm)
+        case = _run_case(folder, seed, arm, strategy, calibrated, seating_mm)
         with (folder / CASES_FILE).open("a", encoding="utf-8") as file:
             file.write(json.dumps(case) + "\n")
         typer.echo(json.dumps(case), err=True)
@@ -54,11 +58,11 @@ def load_cases(folder: Path) -> list[dict[str, Any]]:
 
 
 def tabulate(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Yield a Markdown table, a row for each kind of arm and strategy."""
+    """Yield a Markdown table, a row for each arm, calibrated or not, and strategy."""
     yield HEADER
     yield "|" + "---|" * (HEADER.count("|") - 1)
-    for calibrated, strategy in dict.fromkeys((one["calibrated"], one["strategy"]) for one in cases):
-        own = [one for one in cases if (one["calibrated"], one["strategy"]) == (calibrated, strategy)]
+    for arm, calibrated, strategy in dict.fromkeys(_key(one)[:3] for one in cases):
+        own = [one for one in cases if _key(one)[:3] == (arm, calibrated, strategy)]
         errors_mm = np.array([error for one in own for error in one["errors_mm"]])
         predicted_mm = np.array([rms for one in own for rms in one["predicted_mm"]])
         figures = ("", "", "")
@@ -66,19 +70,23 @@ def tabulate(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
             predicted = f"{predicted_mm.min():.2f}-{predicted_mm.max():.2f}"
             figures = (f"{errors_mm.mean():.3f}", f"{errors_mm.max():.3f}", predicted)
         refused = sum(one["outcome"] not in FINISHED for one in own)
-        arm = "calibrated" if calibrated else "uncalibrated"
+        kind = "calibrated" if calibrated else "uncalibrated"
+        named = kind if arm == ArmChoice.KR6 else f"{arm}, {kind}"
         reached = f"{len(errors_mm)} of {TARGETS * len(own)}"
-        yield f"| {arm} | `{strategy}` | {len(own)} | {refused} | {reached} | {' | '.join(figures)} |"
+        yield f"| {named} | `{strategy}` | {len(own)} | {refused} | {reached} | {' | '.join(figures)} |"
 
 
-def _key(case: dict[str, Any]) -> tuple[bool, str, int, float]:
-    return case["calibrated"], case["strategy"], case["seed"], case["seating_mm"]
+def _key(case: dict[str, Any]) -> tuple[str, bool, str, int, float]:
+    arm = case.get("arm", ArmChoice.KR6.value)  # the only one of the first files
+    return arm, case["calibrated"], case["strategy"], case["seed"], case["seating_mm"]
 
 
-def _run_case(folder: Path, seed: int, strategy: str, calibrated: bool, seating_mm: float) -> dict[str, Any]:
+def _run_case(
+    folder: Path, seed: int, arm: ArmChoice, strategy: str, calibrated: bool, seating_mm: float
+) -> dict[str, Any]:
     runs = folder / "runs"
-    scene = folder / f"scene-{seed}.toml"
-    drawn = draw_scene("default", seed=seed)
+    scene = folder / f"scene-{arm}-{seed}.toml"
+    drawn = draw_scene("default", seed=seed, arm=arm)
     changed = drawn.model_copy(
         update={"head": drawn.head.model_copy(update={"seating_error_mm": seating_mm})}
     )
@@ -92,6 +100,7 @@ def _run_case(folder: Path, seed: int, strategy: str, calibrated: bool, seating_
     shutil.rmtree(runs, ignore_errors=True)
     reached = [one for one in said.get("targets", ()) if one.get("application_error_mm") is not None]
     return {
+        "arm": arm.value,
         "calibrated": calibrated,
         "strategy": strategy,
         "seed": seed,
@@ -110,9 +119,10 @@ def main(
     seating: Annotated[
         float, typer.Option(help="Error of a refitted sphere, mm per axis.")
     ] = SEATING_ERROR_MM,
+    arm: Annotated[ArmChoice, typer.Option(help="Arm of the simulated theatre.")] = ArmChoice.KR6,
 ) -> None:
     """Run whole cases with every strategy, and print their errors as a table."""
-    measure_cases(folder, range(first, last + 1), seating)
+    measure_cases(folder, range(first, last + 1), seating, arm)
     for line in tabulate(load_cases(folder)):
         typer.echo(line)
 

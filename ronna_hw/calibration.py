@@ -326,7 +326,10 @@ Rows = Annotated[
 
 
 class ArmCalibration(DatedRecord):
-    """Calibrated deviations of an arm from its nominal kinematics. Joints count from the base outwards."""
+    """Calibrated deviations of an arm from the kinematics of its driver. Joints count from the base outwards.
+
+    A driver computes with the model's, or with those that the arm's controller states (Universal Robots).
+    """
 
     arm: ArmName = Field(description="Name of the kinematic model to correct.")
     serial: Words | None = Field(

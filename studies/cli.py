@@ -447,6 +447,12 @@ def low_cost(
     coarse: Annotated[
         bool, typer.Option("--coarse", help="Scans of larger voxels, in a tenth of the time.")
     ] = False,
+    over_the_wire: Annotated[
+        bool,
+        typer.Option(
+            "--over-the-wire", help="Drive each arm through its simulated controller, instead of placing it."
+        ),
+    ] = False,
     *,
     study_options: StudyOptions,
 ) -> None:
@@ -456,15 +462,15 @@ def low_cost(
     """
     from studies.low_cost import tables as low_cost_tables
     from studies.low_cost.preparation import load_or_prepare
-    from studies.low_cost.study import LowCostStudy
+    from studies.low_cost.study import LowCostStudy, study_name
 
-    folder = study_options.out or Path("campaigns") / LowCostStudy.name
+    folder = study_options.out or Path("campaigns") / study_name(over_the_wire=over_the_wire)
     require_output_folder(folder)
     with terminal.progress_bar("scans, tool and registration") as progress:
         prepared = load_or_prepare(
             folder, study_options.seed, scans, frames, coarse=coarse, progress=progress
         )
-    study = LowCostStudy(arms, targets, study_options.seed, frames, prepared)
+    study = LowCostStudy(arms, targets, study_options.seed, frames, prepared, over_the_wire)
     sums = _run(
         study,
         lambda found: low_cost_tables.tables(prepared, found),

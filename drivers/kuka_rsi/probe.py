@@ -8,11 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import socket
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from ipaddress import IPv4Network
-from itertools import islice
+from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.client import EkiClient
@@ -36,16 +32,13 @@ from ronna_hw.devices.probing import (
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.network import Interface
+from ronna_hw.host.port_scan import describe_scan, find_listening
 from ronna_hw.host.port_users import LEAVE_A_CASE_ALONE, find_udp_port_user
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 DRIVER = "kuka_rsi"
 EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
-KNOCK_LIMIT_S = 0.5  # a controller on the same network accepts within milliseconds
-KNOCKS_AT_ONCE = 64
-MOST_ADDRESSES = 1024  # of one network; a cell's has 254
 VARIANT = "variant: see the name plate. The two variants of this arm differ by 10 mm in two links."
 STREAM = (
     "rsi: the address to which the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."
@@ -70,7 +63,7 @@ class KukaProbe:
 
         A controller serves one EKI client at a time; one that serves another is found but not identified.
         """
-        known = search.controllers or tuple(_find_listening(search.interfaces))
+        known = search.controllers or tuple(find_listening(search.interfaces, PROJECT_PORT))
         found = []
         for number, controller in enumerate(known, start=1):
             proposal = _make_proposal(controller, stream_address(search))
@@ -81,7 +74,8 @@ class KukaProbe:
 
     def example(self, search: Search) -> Proposal:
         endpoints = _endpoints(EXAMPLE_CONTROLLER, stream_address(search))
-        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM), _describe_scan(search))
+        absent = describe_scan(search.interfaces, f"EKI server of ours at port {PROJECT_PORT}")
+        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM), absent)
 
 
 probe = KukaProbe()
@@ -123,40 +117,6 @@ def stream_address(search: Search) -> str:
     """Return the receiving address for telegrams, by default from the shipped Ethernet file."""
     ethernet = load_context().ethernet
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
-
-
-def _find_listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
-    """Scan the networks for hosts that accept connections on our EKI server's port."""
-    hosts = [host for each in interfaces for host in _list_hosts(each)]
-    with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
-        for host, is_accepted in zip(hosts, pool.map(_is_listening, hosts), strict=True):
-            if is_accepted:
-                yield Endpoint("tcp", host, PROJECT_PORT)
-
-
-def _list_hosts(interface: Interface) -> list[str]:
-    """List the host addresses on a network except our own, or only our own for loopback."""
-    if interface.loopback:
-        return [interface.address]
-    network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
-    return [str(host) for host in islice(network.hosts(), MOST_ADDRESSES) if str(host) != interface.address]
-
-
-def _describe_scan(search: Search) -> str:
-    """Describe a scan that found no controller; empty if no network was scanned."""
-    hosts = [host for each in search.interfaces for host in _list_hosts(each)]
-    if not hosts:
-        return ""
-    tried = hosts[0] if len(hosts) == 1 else f"{len(hosts)} addresses, {hosts[0]} to {hosts[-1]}"
-    return f"no EKI server of ours at port {PROJECT_PORT} of {tried}"
-
-
-def _is_listening(host: str) -> bool:
-    try:
-        socket.create_connection((host, PROJECT_PORT), KNOCK_LIMIT_S).close()
-    except OSError:
-        return False
-    return True
 
 
 def _make_proposal(controller: Endpoint, stream: str) -> Proposal:

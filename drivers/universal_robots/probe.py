@@ -1,22 +1,48 @@
-"""Diagnosis of an unresponsive arm, and an example of its table in a theatre file."""
+"""Diagnosis of an unresponsive arm, and search for controllers on local networks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
+from drivers.universal_robots.connections import MAJOR_VERSION
+from drivers.universal_robots.errors import ControllerNotFound
+from drivers.universal_robots.options import UrOptions
+from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.arm.universal_robots import UrModel
+from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
+    CONNECT_LIMIT_S,
     Diagnostic,
     Inspection,
+    Option,
     Progress,
+    Proposal,
+    Search,
     connect_and_identify,
+    describe_options,
     inspect_nothing,
+)
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.port_scan import describe_scan, find_listening
+from ronna_hw.wire.universal_robots import DASHBOARD_PORT, PRIMARY_PORT, RTDE_PORT
+
+DRIVER = "universal_robots"
+PORTS = {"rtde": RTDE_PORT, "dashboard": DASHBOARD_PORT, "primary": PRIMARY_PORT}  # fixed by the controller
+EXAMPLE_HOST = "192.168.56.101"  # of the vendor's own examples
+MODEL = "model: ur5 (CB3 controller) or ur5e (e-Series)."
+ARM_OF_THIS_THEATRE = (
+    "serial, calibration: they bind this theatre to this one arm. Remove them to accept any of the model."
 )
 
 
 class UrProbe:
-    """Diagnosis for the Universal Robots driver."""
+    """Diagnosis and discovery for the Universal Robots driver."""
+
+    table = "robot"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
@@ -24,5 +50,58 @@ class UrProbe:
         """Connect, read identity and calibration, without starting anything or moving the arm."""
         return connect_and_identify(name, config, UniversalRobotsArm, inspect=inspect)
 
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        """Propose every controller at the given addresses, at any port, or else on local networks."""
+        given = [controller.host for controller in search.controllers]
+        hosts = given or [one.host for one in find_listening(search.interfaces, PORTS["dashboard"])]
+        found = []
+        for number, host in enumerate(hosts, start=1):
+            proposal = _make_proposal(host)
+            if given or not proposal.absent:  # on a network, other machines also listen
+                found.append(proposal)
+            progress(number / len(hosts))
+        return found
+
+    def example(self, search: Search) -> Proposal:
+        absent = describe_scan(search.interfaces, f"dashboard at port {PORTS['dashboard']}")
+        return Proposal(DRIVER, "", _endpoints(EXAMPLE_HOST), _options({}), (MODEL,), absent)
+
 
 probe = UrProbe()
+
+
+def _make_proposal(host: str) -> Proposal:
+    """Propose a controller with everything known about it, even if it cannot be identified."""
+    endpoints = _endpoints(host)
+    chosen: dict[str, Any] = {}
+    what, absent = "a Universal Robots controller", ""
+    remarks: tuple[str, ...] = (MODEL,)
+    try:
+        model = _read_model(host)
+        chosen["model"] = model.value
+        config = DeviceConfig(driver=DRIVER, endpoints=endpoints, options=dict(chosen))
+        with contextlib.closing(UniversalRobotsArm("found", config, HostClock())) as arm:
+            identity = arm.connect(CONNECT_LIMIT_S)
+        chosen |= {"serial": identity.serial, "calibration": dict(identity.details)["calibration"]}
+        what = f"a controller of {model} {identity.serial}, software {identity.firmware}"
+        remarks = (ARM_OF_THIS_THEATRE,)
+    except ControllerNotFound as error:
+        absent = error.what
+    except RonnaError as error:
+        remarks = (f"It could not be identified: {error.code} {error.summary}", *remarks)
+    return Proposal(DRIVER, what, endpoints, _options(chosen), remarks, absent)
+
+
+def _read_model(host: str) -> UrModel:
+    """Return the model that the controller's generation drives; what it is not, the driver refuses."""
+    with contextlib.closing(RtdeSetup(host, PORTS["rtde"], CONNECT_LIMIT_S)) as rtde:
+        major = rtde.read_version().major
+    return next((model for model, one in MAJOR_VERSION.items() if one == major), UrModel.UR5E)
+
+
+def _endpoints(host: str) -> dict[str, str]:
+    return {role: f"tcp://{host}:{port}" for role, port in PORTS.items()}
+
+
+def _options(chosen: Mapping[str, Any]) -> tuple[Option, ...]:
+    return describe_options(UrOptions, {"model": UrModel.UR5E.value, **chosen})

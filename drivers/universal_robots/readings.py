@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+from drivers.universal_robots.errors import RegistersInUse
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.safety import EMERGENCY_MODES, NORMAL_MODES, RESTART_MODES, safety_text
 from ronna_hw.arm_stream.readings import StreamReadings
@@ -23,6 +24,8 @@ class HasPrimary(HasLink, Protocol):
 
 class ArmReadings(StreamReadings):
     """Numbered readings from one arm, with the latest kept for observers."""
+
+    senses_force = True
 
     def __init__(self, connections: HasPrimary, clock: Clock, silence_limit_s: float) -> None:
         super().__init__(connections, clock, silence_limit_s)
@@ -86,8 +89,13 @@ def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
     )
 
 
-def readiness_facts(state: ControllerState, *, remote: bool | None, running: bool) -> Iterator[Fact]:
-    """Yield every condition that `activate` checks; `remote` is None for a controller without that mode."""
+def readiness_facts(
+    state: ControllerState, *, remote: bool | None, running: bool, registers: str
+) -> Iterator[Fact]:
+    """Yield every condition that `activate` checks.
+
+    `remote` is None for a controller without that mode. `registers` says who has them; empty: nobody.
+    """
     if remote is not None:
         yield Fact(
             "control",
@@ -102,6 +110,7 @@ def readiness_facts(state: ControllerState, *, remote: bool | None, running: boo
         not running,
         "Another program runs: stop it at the pendant.",
     )
+    yield Fact("registers", registers or "free", not registers, RegistersInUse.action)
     yield Fact(
         "at rest", "moving" if state.moving else "yes", not state.moving, "Wait until the arm is at rest."
     )

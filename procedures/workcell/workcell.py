@@ -39,7 +39,7 @@ from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
@@ -154,6 +154,11 @@ class Workcell:
         if self.second is not None:
             arms[ASSISTANT] = self._theatre.arms[ASSISTANT]
         return {"tracker": self._theatre.tracker, **arms, "stereo": self.stereo, **others}
+
+    @property
+    def device_tables(self) -> Mapping[str, DeviceConfig]:
+        """Tables of the devices in the theatre file: `tracker`, `robot.NAME`, `stereo`, `device.NAME`."""
+        return self._theatre.file.devices
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """Return the device from table `[device.NAME]` as `interface`.

@@ -10,9 +10,12 @@ from ronna_hw.host.network import own_address, own_udp_endpoint
 from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
 from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
+from sim.universal_robots.factory_calibration import calibrate
+from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.stated_chain import Chain, stated_chain
 from sim.world import nominal_arm, universal_robots_arm
 from sim.world.options import ArmRole
-from sim.world.scene.model import Scene
+from sim.world.scene.model import ArmTruth, Scene
 
 FREE = "tcp://127.0.0.1:0"
 
@@ -31,6 +34,8 @@ class ArmController:
     model_option: str
     addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
     parse_parameters: Callable[[tuple[str, ...]], object]
+    # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
+    state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
 
     def check_cycle(self, cycle_ms: int | None) -> None:
@@ -59,6 +64,13 @@ class ArmController:
         }
 
 
+def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> Chain:
+    """Return the chain that the factory has measured."""
+    kind = parse_ur_parameters(parameters).factory_calibration
+    measured = calibrate(MODELS[ArmName(truth.variant)], truth, seed, kind)
+    return stated_chain(measured, universal_robots_arm.DESCRIPTIONS[truth.variant])
+
+
 KUKA = ArmController(
     device="kuka",
     driver="kuka_rsi",
@@ -76,6 +88,7 @@ UNIVERSAL_ROBOTS = ArmController(
     model_option="model",
     addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),
     parse_parameters=parse_ur_parameters,
+    state_chain=_state_measured_chain,
 )
 CONTROLLERS: dict[str, ArmController] = {
     **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),

@@ -94,6 +94,7 @@ class Theatre:
                 limit_s,
                 cycle_ms,
                 calibrated,
+                parameters.get(CONTROLLERS[scene.arm.variant].device, ()),
             )
             if not paced:
                 for robot in content["robot"].values():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
+from sim.universal_robots.stated_chain import Chain, deviations_from
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
@@ -31,8 +32,14 @@ GAUGE_TURN_DEG = 40.0
 GAUGE_BASE_MM = 60.0
 
 
-def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
-    """Return the deviations for an arm record, keyed as in `ronna_hw.calibration.ArmCalibration`."""
+def arm_values(
+    truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator, stated: Chain | None = None
+) -> dict[str, Any]:
+    """Return the deviations for an arm record, keyed as in `ronna_hw.calibration.ArmCalibration`.
+
+    They are those from the kinematics that the arm's driver computes with: the model's, or those that its
+    controller has `stated`.
+    """
 
     def deviate(values: Any, sigma: float) -> Array:
         exact = np.asarray(values, dtype=float)
@@ -43,12 +50,17 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
     translations = np.array([link.translation_mm for link in truth.links])
     rotations = np.array([link.rotation_rad for link in truth.links])
     translations[-1], rotations[-1] = flange @ translations[-1], flange @ rotations[-1]
+    offsets = np.array(truth.joint_offset_rad)
+    if stated is not None:
+        arm = DESCRIPTIONS[truth.variant]
+        translations, rotations = deviations_from(stated, arm, translations, rotations, offsets)
+        offsets = np.zeros_like(offsets)
     amplitudes = np.stack([truth.harmonic_1_rad, truth.harmonic_2_rad], axis=1)
     phases = np.stack([truth.harmonic_1_phase_rad, truth.harmonic_2_phase_rad], axis=1)
     values = {
         "link_translation_mm": deviate(translations, residual.link_mm),
         "link_rotation_rad": deviate(rotations, residual.angle_rad),
-        "joint_offset_rad": deviate(truth.joint_offset_rad, residual.angle_rad),
+        "joint_offset_rad": deviate(offsets, residual.angle_rad),
         "sine_rad": amplitudes * np.vectorize(cos)(phases),
         "cosine_rad": amplitudes * np.vectorize(sin)(phases),
         "sag_rad": np.array([0.0, *truth.sag_rad, 0.0, 0.0, 0.0]),

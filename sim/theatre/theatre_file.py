@@ -7,7 +7,7 @@ measured it. The tool frame is the exception: its record has the nominal pose, a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.world.scene.assistant import FRAME_MM, FRAME_TURN
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
 from sim.world.scene.parts import ASSISTANT_FRAME_NAME
+from sim.world.true_arm import arm_seed
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
@@ -54,11 +55,12 @@ def theatre_content(
     silence_limit_s: float,
     cycle_ms: int | None = None,
     calibrated: datetime | None = None,
+    parameters: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the theatre file as plain data, valid for `ronna_hw.config.TheatreFile`.
 
     `cycle_ms` is the robot's cycle if it differs from its context's, `calibrated` the time of the records if
-    not now.
+    not now, `parameters` the NAME=VALUE of the arm's controller.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
     content: dict[str, Any] = {
@@ -83,7 +85,7 @@ def theatre_content(
             "endpoints": endpoints["basler"],
             "options": {"left_serial": scene.left.serial, "right_serial": scene.right.serial},
         },
-        "calibration": _make_calibrations(scene, made),
+        "calibration": _make_calibrations(scene, made, tuple(parameters)),
         "flange": FLANGE,
         "tools": tool_records(scene, lambda name: _record_header(scene, name, made), FLANGE),
         "procedure": {
@@ -143,7 +145,7 @@ def read_calibration_time(theatre_file: Path) -> datetime | None:
     return made
 
 
-def _make_calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
+def _make_calibrations(scene: Scene, created: datetime, parameters: tuple[str, ...]) -> dict[str, Any]:
     error = scene.calibration_error
     if error.first_day:
         as_drawn = {
@@ -206,7 +208,7 @@ def _make_calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             tool=scene.tracker.tools[0].name,
             tool_from_marker=_pose_document(marker),
         ),
-        **_arm_record(scene, record),
+        **_arm_record(scene, record, parameters),
         **_assistant_records(scene, record),
     }
 
@@ -225,11 +227,14 @@ def _record_header(scene: Scene, name: str, created: datetime) -> dict[str, Any]
     }
 
 
-def _arm_record(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+def _arm_record(
+    scene: Scene, record: Callable[..., dict[str, Any]], parameters: tuple[str, ...]
+) -> dict[str, Any]:
     residual, arm = scene.calibration_error.arm, scene.arm
     if residual is None:
         return {}
-    values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1))
+    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.MASTER), parameters)
+    values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1), stated)
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
@@ -242,7 +247,8 @@ def _assistant_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> d
         return {}
     arm = assistant.arm
     draws = noise(scene.seed, "assistant calibration", 0)
-    values = arm_values(arm, residual, draws)
+    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.ASSISTANT), ())
+    values = arm_values(arm, residual, draws, stated)
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
     twist = matrix_from(

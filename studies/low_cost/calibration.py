@@ -16,7 +16,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-from studies.low_cost.devices import PositionedArm
+from studies.low_cost.arms import PositionedArm
 from studies.low_cost.positioning import TipModel
 from studies.low_cost.sight import look
 from studies.low_cost.targets import REFERENCE

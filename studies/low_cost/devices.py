@@ -1,98 +1,26 @@
-"""The simulated devices: a Vicra read by its driver over the wire, and a UR5 in this process.
-
-The arm offers what the experiment needs of a `RobotArm`, so that one behind a driver can take its place.
-"""
+"""The room's tracker, a simulated Vicra read by its driver over the wire, and a person's hand."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Protocol, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import cast
 
 from ronna_hw import patient_frame
-from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
-from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
-from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
-from ronna_hw.vectors import JointVector, joint_vector
-from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.factory_calibration import calibrate
-from sim.universal_robots.model import MODELS, ArmName
 from sim.world.rigid import Matrix, inverse, matrix_of
-from sim.world.scene.model import ArmTruth, Scene
-from sim.world.true_arm import TrueArm
+from sim.world.scene.model import Scene
 from sim.world.world import ArmState, World
-
-Array = NDArray[np.float64]
 
 TOOL_FRAME, PHANTOM_FRAME = "robot_frame", patient_frame.NAME  # definitions shipped with the driver
 VICRA_HZ = 20
 NO_TOOL = 0  # the pointer is no tool of the theatre's: it hides nothing
 # Host time, as safeguards: in lock-step a busy computer only makes a frame late.
 START_LIMIT_S, FRAME_LIMIT_S = 60.0, 30.0
-AT_REST = (0.0,) * 6
-
-
-def factory_kinematics(truth: ArmTruth, seed: int) -> CalibratedUniversalRobot:
-    """Return the kinematics that an arm's controller states: as the factory measured this arm."""
-    arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(
-        MODELS[ArmName(truth.variant)], truth, seed, ControllerParameters().factory_calibration
-    )
-    a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
-    return CalibratedUniversalRobot(
-        arm,
-        FactoryCalibration.from_parameters(
-            arm, joint_vector(stated.theta_rad), a_mm, d_mm, joint_vector(stated.alpha_rad)
-        ),
-    )
-
-
-class PositionedArm(Protocol):
-    """What the experiment needs of an arm: `RobotArm` offers it."""
-
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        """Move all joints together to rest at the target and return the settled reading."""
-        ...
-
-
-class InstantArm:
-    """True UR5 that is at its target at once: neither path nor time, but errors, lost motion and scatter."""
-
-    def __init__(self, truth: ArmTruth, world: World, seed: int) -> None:
-        self._true = TrueArm(truth, seed)
-        self._world = world
-        self._motions = 0
-        self._flanks = AT_REST
-        self._joints_rad = joint_vector(np.radians(truth.home_deg))
-        self._publish()
-
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        del speed_fraction, timeout_s
-        moved = np.sign(np.subtract(target_rad, self._joints_rad))
-        self._flanks = joint_vector(np.where(moved == 0.0, self._flanks, moved))
-        self._joints_rad = target_rad
-        self._motions += 1
-        self._publish()
-        now_s = self._world.clock.now_s()
-        stamp = Stamp(self._motions, self._motions, now_s, now_s)
-        return ArmReading(stamp, Validity.OK, target_rad, target_rad, moving=False)
-
-    def _publish(self) -> None:
-        flange = self._true.at_rest(self._joints_rad, self._flanks, self._motions)
-        self._world.publish_arm(ArmState(self._joints_rad, flange, self._motions, True, self._flanks))
 
 
 class Hand:
@@ -106,7 +34,7 @@ class Hand:
     def hold(self, robot_from_tip: Matrix) -> None:
         """Hold the tool still at a true pose (4, 4) of its tip."""
         self._moved += 1
-        self._world.publish_arm(ArmState(AT_REST, robot_from_tip @ self._from_tool, self._moved, True))
+        self._world.publish_arm(ArmState((0.0,) * 6, robot_from_tip @ self._from_tool, self._moved, True))
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
 from sim.world.world import World
 from studies.campaign.study import Sums
-from studies.low_cost.devices import PositionedArm
+from studies.low_cost.arms import PositionedArm
 from studies.low_cost.positioning import TipModel
 from studies.low_cost.targets import Target
 

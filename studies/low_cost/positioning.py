@@ -19,7 +19,7 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from studies.errors import PhantomOutOfReach
-from studies.low_cost.devices import PositionedArm
+from studies.low_cost.arms import PositionedArm
 from studies.low_cost.sight import Sight, require_look
 
 SETTLED_MM, SETTLED_RAD = 0.1, math.radians(0.1)

@@ -7,7 +7,8 @@ relations between the figures, and a peer study, can be judged.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,12 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.frames import Frame, Transform
 from sim.world.rigid import matrix_of
-from sim.world.scene.model import Scene
+from sim.world.scene.model import ArmTruth, Scene
+from sim.world.world import World
 from studies.campaign.study import Sums, Unit
+from studies.low_cost.arms import InstantArm, PositionedArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import FrameCalibration, calibrate, take_looks
-from studies.low_cost.devices import InstantArm, factory_kinematics, open_room
+from studies.low_cost.devices import open_room
 from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation
@@ -51,7 +54,11 @@ class LowCostStudy:
     seed: int
     frames: int  # averaged for one look
     preparation: Preparation
-    name: str = "low-cost"
+    over_the_wire: bool = False  # the arm too: behind its driver and a simulated controller
+
+    @property
+    def name(self) -> str:
+        return study_name(over_the_wire=self.over_the_wire)
 
     def settings(self) -> dict[str, object]:
         return {
@@ -61,6 +68,7 @@ class LowCostStudy:
             "seed": self.seed,
             "frames": self.frames,
             "scans": len(self.preparation.scans_mm),
+            "over_the_wire": self.over_the_wire,
             "preparation_sha256": hashlib.sha256(self.preparation.model_dump_json().encode()).hexdigest(),
         }
 
@@ -71,12 +79,11 @@ class LowCostStudy:
     def run(self, unit: Unit) -> Sums:
         """Return an arm's figures, those at targets keyed `method|model|orientation|target|quantity`."""
         number = int(unit.condition.split()[1])
-        scene, truth = draw_room(self.seed), draw_ur5(self.seed, number, self.arms)
-        noise_seed = self.seed * self.arms + number
-        models = {NOMINAL: universal_robot(MODEL), FACTORY: factory_kinematics(truth, noise_seed)}
+        truth = draw_ur5(self.seed, number, self.arms)
+        scene = draw_room(self.seed).model_copy(update={"arm": truth})
         sums: Sums = {"nominal error|mm": nominal_error_mm(truth)}
-        with open_room(scene) as (world, tracker):
-            arm, judge = InstantArm(truth, world, noise_seed), Judge(scene, world)
+        with open_room(scene) as (world, tracker), self._open_arm(world, truth, number) as (arm, factory):
+            models, judge = {NOMINAL: universal_robot(MODEL), FACTORY: factory}, Judge(scene, world)
             drawn = TipModel(models[NOMINAL], _drawn_tip())
             sums |= _measure_alone(arm, judge, drawn, models, self.seed)
             points = [np.add(PHANTOM_MM, ABOVE_MM) + place for place in CUBE_MM]
@@ -101,6 +108,23 @@ class LowCostStudy:
                 sums[f"{CLOSED}|{NOMINAL}|{place}|settled"] = float(reached.residual.is_settled)
         return sums
 
+    @contextmanager
+    def _open_arm(
+        self, world: World, truth: ArmTruth, number: int
+    ) -> Iterator[tuple[PositionedArm, Kinematics]]:
+        """Open an arm, with the kinematics that its factory states."""
+        if self.over_the_wire:
+            with drive_arm(world) as driven:
+                yield driven, driven.kinematics
+        else:
+            noise_seed = self.seed * self.arms + number
+            yield InstantArm(truth, world, noise_seed), factory_kinematics(truth, noise_seed)
+
+
+def study_name(*, over_the_wire: bool) -> str:
+    """Return the name of the study, and of its folder."""
+    return "low-cost-over-the-wire" if over_the_wire else "low-cost"
+
 
 def plan_targets(scene: Scene, seed: int, count: int) -> tuple[Target, ...]:
     """Draw the targets of a room, in orientations that suit how the phantom lies on the table."""
@@ -116,7 +140,7 @@ def _drawn_tip() -> Transform:
 
 
 def _measure_alone(
-    arm: InstantArm, judge: Judge, drawn: TipModel, models: Mapping[str, Kinematics], seed: int
+    arm: PositionedArm, judge: Judge, drawn: TipModel, models: Mapping[str, Kinematics], seed: int
 ) -> Sums:
     """Measure repeatability and absolute error of the arm, over the same poses for every arm."""
     centre = np.add(PHANTOM_MM, ABOVE_MM)

@@ -86,6 +86,7 @@ def tabulate_relations(arms: list[Arm]) -> Table:
     mean_mm, apart = float(means.mean()), float(np.abs(means / means.mean() - 1.0).max())
     rise = _fit_rise_mm(np.array([arm["nominal error|mm"] for arm in arms]), means) / mean_mm
     rms_mm = float(np.sqrt(np.mean(closed**2)))
+    several = len(arms) > 1  # else there is nothing to compare an arm with
     rows: list[tuple[str, Cell, Cell, Cell]] = [
         (
             "arms with a smaller mean error by method 2 than by method 1",
@@ -107,15 +108,15 @@ def tabulate_relations(arms: list[Arm]) -> Table:
         ),
         (
             "farthest mean of an arm by method 2 from that of all, %",
-            100.0 * apart,
+            100.0 * apart if several else None,
             f"at most {100.0 * MOST_DEPENDENT:g}",
-            yes_or_no(apart <= MOST_DEPENDENT),
+            yes_or_no(apart <= MOST_DEPENDENT) if several else None,
         ),
         (
             "rise of that mean from the arm with the least DH error to that with the largest, %",
-            100.0 * rise,
+            100.0 * rise if several else None,
             f"at most ±{100.0 * MOST_DEPENDENT:g}",
-            yes_or_no(abs(rise) <= MOST_DEPENDENT),
+            yes_or_no(abs(rise) <= MOST_DEPENDENT) if several else None,
         ),
         (
             "rms error by method 2, mm, beside the peer's closed loop",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TypeVar
 
 from ronna_hw.command_line.errors import UsageMistake
@@ -137,22 +138,30 @@ def search_all(
     choose: Choose,
     progress: Progress,
 ) -> tuple[DeviceTable, ...]:
-    """Run every finder and choose where it finds several devices. Raises CLI-001 if nobody chooses."""
+    """Run every finder and choose where several devices are found for a table. CLI-001 if nobody chooses.
+
+    A table for which nothing is found has the example of its first finder.
+    """
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
-    for number, finder in enumerate(each):
+    done = 0
+    for table, of_table in groupby(each, key=lambda finder: finder.table):
+        group = tuple(of_table)
+        proposals: list[Proposal] = []
+        for finder in group:
 
-        def advance(share: float, before: int = number) -> None:
-            progress((before + share) / len(each))
+            def advance(share: float, before: int = done) -> None:
+                progress((before + share) / len(each))
 
-        proposals = finder.find(search, advance)
-        if finder.table == "stereo":
-            proposals = _select_pairs(proposals, cameras)
+            proposals += finder.find(search, advance)
+            done += 1
+            progress(done / len(each))
+        if table == "stereo":
+            proposals = list(_select_pairs(proposals, cameras))
         connected = [one for one in proposals if not one.absent]
-        chosen = _choose_proposal(finder.table, connected, choose)
-        fallback = proposals[0] if proposals else finder.example(search)
-        found.append(DeviceTable(finder.table, chosen or fallback, chosen is not None))
-        advance(1.0)
+        chosen = _choose_proposal(table, connected, choose)
+        fallback = proposals[0] if proposals else group[0].example(search)
+        found.append(DeviceTable(table, chosen or fallback, chosen is not None))
     return tuple(found)
 
 

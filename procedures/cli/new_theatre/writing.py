@@ -209,12 +209,14 @@ def with_options(
         place, equals, value = text.partition("=")
         table, _, key = place.strip().rpartition(".")
         names = [(one.table, TABLE_NAMES.get(one.table)) for one in changed]
-        number = next((n for n, of_device in enumerate(names) if table in of_device), None)
-        if not equals or number is None:
+        numbers = [n for n, of_device in enumerate(names) if table in of_device]
+        if not equals or not numbers:
             tables = ", ".join(TABLE_NAMES.get(one.table, one.table) for one in found)
             raise UsageMistake(f"--option {text!r}", expected=f"TABLE.KEY=VALUE, TABLE one of {tables}")
-        known = [option.key for option in changed[number].proposal.options]
-        if key not in known:
+        keys = {n: [option.key for option in changed[n].proposal.options] for n in numbers}
+        number = next((n for n in numbers if key in keys[n]), None)
+        if number is None:
+            known = dict.fromkeys(one for n in numbers for one in keys[n])
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )

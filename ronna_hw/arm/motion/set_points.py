@@ -74,8 +74,8 @@ class PathMotion:
     def prepare(self) -> Prepared:
         """Compute the next set-points; raises an error from `arm.errors` where the path has no solution."""
         go, stop = self._along.prepare()
-        go_rad = self._joints_at(go)
-        self._next = Prepared(go_rad, go_rad if stop is go else self._joints_at(stop))
+        go_rad = self._joints_at(go, self._joints)
+        self._next = Prepared(go_rad, go_rad if stop is go else self._joints_at(stop, go_rad))
         return self._next
 
     def take_go(self) -> None:
@@ -110,8 +110,8 @@ class PathMotion:
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
 
-    def _joints_at(self, state: State) -> JointVector:
-        return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
+    def _joints_at(self, state: State, near: JointVector) -> JointVector:
+        return self._path.joints(min(max(state.position[0], 0.0), 1.0), near)
 
 
 class StopMotion:

@@ -4,6 +4,8 @@ Forward kinematics multiply out the individual chain. The inverse has no closed 
 axes are not quite what it assumes. It iterates that of the nearest arm with axes exactly parallel and square:
 the pose asked for is corrected by what that arm and this one differ at the joints found so far. The error
 shrinks a hundredfold or more with every step, less near singular postures, and the branch is kept.
+
+Next to known joint angles, as from one set-point to the next, `LocalInverse` is several times faster.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from ronna_hw.arm.universal_robots import inverse
 from ronna_hw.arm.universal_robots.factory_calibration import ZEROS, FactoryCalibration, reduce_chain
 from ronna_hw.arm.universal_robots.geometry import Dimensions
 from ronna_hw.arm.universal_robots.kinematics import UniversalRobot, chain_frames, chain_jacobian
+from ronna_hw.arm.universal_robots.local_inverse import LocalInverse
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
 if TYPE_CHECKING:
@@ -41,6 +44,7 @@ class CalibratedUniversalRobot(UniversalRobot):
         *inner, hand = self.links
         self.links = (*inner, hand._replace(end_mm=self.chain.joints[hand.joint].to_next_mm))
         self._segments = self._link_ends()
+        self.local_inverse = LocalInverse(self.dimensions, self._transforms)
 
     def forward(self, joints_rad: JointVector) -> Pose:
         """Return the flange pose in the base; z points out of the flange."""
@@ -68,6 +72,10 @@ class CalibratedUniversalRobot(UniversalRobot):
             limit=f"{CONVERGED_MM:g} mm",
             got=f"{reached.distance_mm(pose):.2e} mm",
         )
+
+    def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
+        found = self.local_inverse.solve(pose, branch, near)
+        return super().solve_branch(pose, branch, near) if found is None else found
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
         frames, flange = chain_frames(self._transforms, joints_rad)

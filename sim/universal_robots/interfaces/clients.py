@@ -26,7 +26,7 @@ class ClientInterfaces:
         self._deaf: set[Connection] = set()  # real-time clients that never read: no longer sent to
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
         self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
-        self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect)
+        self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect_secondary)
         self.realtime = Listener(address, REALTIME_PORT, poll, self._connect_realtime)
         news, packages = controller.news, self._packages
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
@@ -40,18 +40,27 @@ class ClientInterfaces:
         return self.primary, self.secondary, self.realtime
 
     def _connect(self, connection: Connection) -> ScriptHandler:
+        packages = self._packages
+        connection.send(packages.version())
+        connection.send(packages.safety_mode(self._controller.modes.safety_mode))
+        connection.send(packages.state())
+        return self._handler()
+
+    def _connect_secondary(self, connection: Connection) -> ScriptHandler:
         connection.send(self._packages.version())
-        connection.send(self._packages.safety_mode(self._controller.modes.safety_mode))
         connection.send(self._packages.state())
-        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
+        return self._handler()
 
     def _connect_realtime(self, _connection: Connection) -> ScriptHandler:
+        return self._handler()
+
+    def _handler(self) -> ScriptHandler:
         return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
 
     def _tell(self, message: bytes) -> None:
-        for listener in (self.primary, self.secondary):
-            for connection in listener.connections:
-                connection.send(message)
+        """Send a message; secondary clients get none but the version."""
+        for connection in self.primary.connections:
+            connection.send(message)
 
     def send_state(self) -> None:
         """Send what is due in this cycle."""
@@ -60,6 +69,7 @@ class ClientInterfaces:
         if self._controller.cycles % self._period == 0:
             readers = [*self.primary.connections, *self.secondary.connections]
             if readers:
+                self._controller.loads.publish_torques()
                 state = self._packages.state()
                 for connection in readers:
                     connection.send(state)

@@ -9,11 +9,14 @@ from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
 from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
+from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program_request import requested_program
 from sim.universal_robots.programs.recognition import endless
 
 BANNER: Final = "Connected: Universal Robots Dashboard Server"
 LONGEST_LINE = 1000
 PROGRAM_FOLDER = "/programs/"
+EXTERNAL_CONTROL: Final = "external_control"  # begins the names of programs that request their script
 TOO_EARLY: Final = (
     "Cannot unlock protective stop until 5s after occurrence. "
     "Always inspect cause of protective stop before unlocking"
@@ -133,8 +136,14 @@ class Dashboard:
         if controller.program is not None:
             started = controller.resume() or controller.is_running
         else:
-            started = bool(controller.loaded) and not controller.start(endless(controller.loaded))
+            started = bool(controller.loaded) and not controller.start(self._loaded_program())
         return "Starting program" if started else "Failed to execute: play"
+
+    def _loaded_program(self) -> Program:
+        name, parameters = self._controller.loaded, self._controller.parameters
+        if not name.startswith(EXTERNAL_CONTROL):
+            return endless(name)
+        return requested_program(name, parameters.external_control_host, parameters.external_control_port)
 
     def _pause(self, _: str) -> str:
         return "Pausing program" if self._controller.pause() else "Failed to execute: pause"

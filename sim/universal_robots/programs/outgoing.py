@@ -55,6 +55,14 @@ class Outgoing:
         message, self._received = self._received[: layout.size], self._received[layout.size :]
         return layout.unpack(message)
 
+    def take_all(self) -> bytes:
+        """Return the bytes that have arrived."""
+        if self.cut:
+            return b""
+        self._read()
+        data, self._received = self._received, b""
+        return data
+
     def _read(self) -> None:
         if self._socket is None:
             return

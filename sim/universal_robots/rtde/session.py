@@ -24,7 +24,6 @@ from sim.universal_robots.model import Model
 from sim.universal_robots.rtde.recipes import InputRecipe, OutputRecipe, field_list, type_names
 
 HEADER = Struct(RTDE_HEADER)
-NEWEST_VERSION = 2
 SOURCE = "RTDE"
 DATA = PackageType.DATA.value
 
@@ -111,7 +110,7 @@ class Session:
     def _answer(self, kind: int, payload: bytes) -> None:
         if kind == PackageType.PROTOCOL_VERSION:
             asked = int(self._unpack(">H", payload)[0])
-            accepted = 1 <= asked <= NEWEST_VERSION
+            accepted = 1 <= asked <= int(self._server.parameters.newest_rtde_version)
             if accepted:
                 self.version = asked
             self._reply(kind, bytes([accepted]))

@@ -17,7 +17,7 @@ UR5E_A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
 UR5E_D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
 UR5E_ALPHA = (1.570796327, 0.0, 0.0, 1.570796327, -1.570796327, 0.0)
 HOME = (0.0, -1.5, -1.5, -1.5, 1.5, -1.5)
-OUTPUT_TYPES = "DOUBLE,VECTOR6D,VECTOR6D,DOUBLE,DOUBLE,INT32,INT32,UINT32,INT32,INT32,INT32"
+OUTPUT_TYPES = "DOUBLE,VECTOR6D,VECTOR6D,DOUBLE,DOUBLE,INT32,INT32,UINT32,INT32,INT32,INT32,VECTOR6D"
 INPUT_TYPES = "INT32,INT32,INT32,DOUBLE,DOUBLE,DOUBLE,DOUBLE,DOUBLE,DOUBLE"
 
 
@@ -35,13 +35,15 @@ def robot_state(
     checksums: tuple[int, ...] = (1, 2, 3, 4, 5, 6),
     theta: tuple[float, ...] = UR5E_THETA,
     a: tuple[float, ...] = UR5E_A,
+    safety_mode: int = 1,
 ) -> bytes:
     """Return a package of the primary interface with the parts of PolyScope 5."""
     stops = (True, True, True, False, False, False, False)  # connected, enabled, powered; nothing else
     mode = struct.pack(">Q7?BBdddB", 1_000_000, *stops, 7, 0, speed_fraction, 1.0, 1.0, 0)
     joints = b"".join(struct.pack(">3d4fB", angle, angle, 0.0, 0.1, 48.0, 30.0, 31.0, 253) for angle in HOME)
     board = struct.pack(
-        ">iibbddbbddffffB", digital_inputs, 0, 0, 0, 0.0, 0.0, 0, 0, 0.0, 0.0, 30.0, 48.0, 0.5, 0.1, 1
+        ">iibbddbbddffffB", digital_inputs, 0, 0, 0, 0.0, 0.0, 0, 0, 0.0, 0.0, 30.0, 48.0, 0.5, 0.1,
+        safety_mode,
     )  # fmt: skip
     kinematics = struct.pack(">6I24dI", *checksums, *theta, *a, *UR5E_D, *UR5E_ALPHA, 2)
     body = (
@@ -76,6 +78,7 @@ class HandmadeController:
         self.protocol_accepted = 1
         self.speed_fraction = 1.0
         self.digital_inputs = 0
+        self.safety_mode = 1
         self.theta = UR5E_THETA
         self.a = UR5E_A
         self.checksums = (1, 2, 3, 4, 5, 6)
@@ -95,7 +98,9 @@ class HandmadeController:
             server.close()
 
     def state(self) -> bytes:
-        return robot_state(self.speed_fraction, self.digital_inputs, self.checksums, self.theta, self.a)
+        return robot_state(
+            self.speed_fraction, self.digital_inputs, self.checksums, self.theta, self.a, self.safety_mode
+        )
 
     def _serve(self, talk: Callable[[socket.socket], None]) -> socket.socket:
         server = socket.create_server(("127.0.0.1", 0))

@@ -15,6 +15,7 @@ from ronna_hw.wire.universal_robots import ScriptState
 
 LIMIT_S = 30.0
 RUN = 4711
+HEADER_BYTES = 3
 SCRIPT = """def ronna_stream():
   CYCLE_S = {cycle_s}
   STARVED_CYCLES = {starved}
@@ -67,7 +68,7 @@ def own_address(number: int = 0) -> str:
 
 
 def package(kind: str, payload: bytes = b"") -> bytes:
-    return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
+    return struct.pack(">HB", HEADER_BYTES + len(payload), ord(kind)) + payload
 
 
 class RtdeClient:
@@ -87,12 +88,14 @@ class RtdeClient:
     def next(self, kind: str) -> bytes:
         """The payload of the next package of that type."""
         while True:
-            while len(self._received) < 3 or len(self._received) < self._size:
+            while len(self._received) < HEADER_BYTES or len(self._received) < self._size:
                 data = self.socket.recv(65536)
                 if not data:
                     raise ConnectionResetError
                 self._received += data
-            payload, found = self._received[3 : self._size], chr(self._received[2])
+            if self._size < HEADER_BYTES:
+                raise ConnectionAbortedError("what arrives is no RTDE")
+            payload, found = self._received[HEADER_BYTES : self._size], chr(self._received[2])
             self._received = self._received[self._size :]
             if found == kind:
                 return payload

@@ -7,12 +7,13 @@ import re
 import socket
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import isfinite
 from typing import cast
+from unittest import mock
 
 from good_inputs import DESCRIPTION, FORMULAS, PACKET_BYTES, REPLIES, STATE, TELEGRAM, Take, packets, zipped
-from handmade_ur import robot_state
+from handmade_ur import INPUT_TYPES, OUTPUT_TYPES, robot_state, rtde
 from rtde_stand import IN
 from rtde_stand import streaming as rtde_streaming
 
@@ -30,10 +31,12 @@ from drivers.ndi_polaris.measuring_volume import parse_volumes
 from drivers.ndi_polaris.replies import decode_bx, decode_tx
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tool_definition import decode_definition
+from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.primary.client import package_size
 from drivers.universal_robots.primary.packages import PackageKind, iterate_parts, read_message
 from drivers.universal_robots.realtime.line import RtdeLine, is_output
 from drivers.universal_robots.realtime.packages import OUTPUT
+from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.records import Orders
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
@@ -43,6 +46,19 @@ from sim.kuka.rsi.telegrams import ReplyReader
 
 OUTPUT_PACKAGE = rtde_streaming().package()
 PRIMARY_STATE = robot_state()
+SETUP_REPLIES = b"".join(
+    (
+        rtde("V", b"\1"),
+        rtde("v", struct.pack(">4I", 5, 11, 5, 1010327)),
+        rtde("M", b"\2hi\1m\3"),
+        rtde("O", b"\1" + OUTPUT_TYPES.encode()),
+        rtde("I", b"\1" + INPUT_TYPES.encode()),
+    )
+)
+DASHBOARD_LINES = (
+    b"Connected: Universal Robots Dashboard Server\nRobotmode: RUNNING\nSafetymode: NORMAL\ntrue\n"
+    b"Program running: false\n20265500001\nPowering on\n"
+)
 PRIMARY_MESSAGE = struct.pack(">iBQbB", 30, 20, 0, -2, 7) + b"PolyScope hello."
 _IN_PIECES = re.compile(rb"&|<[!?]")  # XML in which a text need not be together
 
@@ -89,6 +105,8 @@ def driver_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "EKI": ((STATE, STATE + b"\0\r\n" + STATE), _eki),
         "RSI": ((TELEGRAM,), _rsi(TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")))),
         "RTDE": ((OUTPUT_PACKAGE * 3,), _rtde),
+        "RTDE set-up": ((SETUP_REPLIES,), _rtde_setup),
+        "UR dashboard": ((DASHBOARD_LINES,), _dashboard),
         "UR primary": ((PRIMARY_STATE, PRIMARY_STATE + PRIMARY_MESSAGE), _primary),
         "RSI reply": (
             tuple(reply.replace(b"RONNA", sentype) for reply in REPLIES),
@@ -140,6 +158,52 @@ def _rtde(data: bytes) -> None:
     except OSError:
         if line.broken != "the controller closed the connection":
             raise InputRefused(line.broken) from None
+
+
+class _Replies:
+    """Socket that gives a line, or a piece, of what it was given at a time, whatever is asked."""
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        self._pieces = iter(pieces)
+
+    def setsockopt(self, *_option: object) -> None: ...
+
+    def settimeout(self, _seconds: float) -> None: ...
+
+    def sendall(self, _data: bytes) -> None: ...
+
+    def shutdown(self, _how: int) -> None: ...
+
+    def close(self) -> None: ...
+
+    def recv(self, _most: int) -> bytes:
+        return next(self._pieces, b"")
+
+
+@contextlib.contextmanager
+def _answered(pieces: list[bytes]) -> Iterator[None]:
+    """Let whoever connects get these pieces."""
+    with mock.patch("socket.create_connection", return_value=_Replies(pieces)):
+        yield
+
+
+def _rtde_setup(data: bytes) -> None:
+    with _answered([data]):
+        setup = RtdeSetup("127.0.0.1", 1, 1.0)
+    assert all(number >= 0 for number in setup.read_version())
+    assert 0 < setup.set_up_outputs(500.0) < 256
+    assert 0 < setup.set_up_inputs() < 256
+
+
+def _dashboard(data: bytes) -> None:
+    with _answered(data.splitlines(keepends=True)):
+        client = DashboardClient("127.0.0.1", 1, 1.0)
+    client.robot_mode(1.0)
+    client.safety_mode(1.0)
+    client.is_remote(1.0)
+    client.is_program_running(1.0)
+    client.ask("get serial number", 1.0)
+    client.require("power on", "Powering on", 1.0)
 
 
 def _primary(data: bytes) -> None:

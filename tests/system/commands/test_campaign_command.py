@@ -105,6 +105,16 @@ def test_a_low_cost_theatre_positions_its_tool_on_feedback(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
+def test_a_low_cost_theatre_positions_its_tool_with_the_arm_behind_its_driver(tmp_path: Path) -> None:
+    arguments = ("low-cost", "--over-the-wire", "--arms", "1", "--targets", "4", "--scans", "1", "--coarse")
+    done = in_this_process(app, *arguments, "--workers", "1", "--out", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    relations, *_ = json.loads(done.stdout)["tables"]
+    assert [row[3] for row in relations["rows"]] == ["yes", None, "yes", None, None, "yes"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_killed_campaign_resumes_to_the_same_numbers(commands: Commands, tmp_path: Path) -> None:
     def arguments(folder: str, workers: int) -> tuple[str, ...]:
         place = str(tmp_path / folder)

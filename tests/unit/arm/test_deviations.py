@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
+from calibrated_ur import stated_kinematics
 
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
@@ -13,13 +15,17 @@ from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm, flange_poses
+from sim.theatre.arm_controllers import CONTROLLERS
 from sim.theatre.records import arm_values
+from sim.world.options import ArmChoice
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual, ArmTruth
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
 EXACT = ArmResidual(link_mm=0.0, angle_rad=0.0, tool_mm=0.0)
+SAME_MM = 0.005  # of two chains whose joints are at other points of nearly the same axes
 SAG_MISMATCH_MM = 0.06  # the lever of the wrist has the elbow's offset in it; the simulator's leaves it out
 
 
@@ -54,6 +60,28 @@ def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm(variant
         TrueArm(truth, 5).moving(joints, side) for joints, side in zip(_postures(50), flanks, strict=True)
     ]
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["linearised", "exact", "none"])
+@pytest.mark.parametrize("variant", ["ur5", "ur5e"])
+def test_a_record_of_an_arm_whose_factory_measured_it_counts_no_deviation_twice(
+    variant: str, kind: Literal["linearised", "exact", "none"]
+) -> None:
+    truth = draw_scene("mini", seed=3, arm=ArmChoice(variant)).arm.model_copy(update={"sag_rad": (0.0, 0.0)})
+    stated = CONTROLLERS[variant].state_chain(truth, 3, (f"factory_calibration={kind}",))
+    values = arm_values(truth, EXACT, np.random.default_rng(0), stated)
+    record = ArmDeviations(**{name: np.array(one) for name, one in values.items()})
+    kinematics = stated_kinematics(truth, 3, kind)
+    true = TrueArm(truth, 3)
+    theirs = np.array([true.moving(joints, (0.0,) * 6) for joints in _postures(50)])
+    off_mm = {
+        name: np.linalg.norm((poses - theirs)[:, :3, 3], axis=1).max()
+        for name, poses in {
+            "stated": flange_poses(kinematics.chain, ArmDeviations.none(6), _postures(50)),
+            "with its record": flange_poses(kinematics.chain, record, _postures(50)),
+        }.items()
+    }
+    assert off_mm["with its record"] < SAME_MM < 0.1 < off_mm["stated"]
 
 
 def test_the_compensated_command_brings_the_flange_to_the_wanted_pose() -> None:

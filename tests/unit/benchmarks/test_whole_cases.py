@@ -23,3 +23,9 @@ def test_a_refused_case_counts_as_refused_and_its_targets_as_not_reached() -> No
 def test_a_strategy_whose_cases_were_all_refused_keeps_its_row() -> None:
     *_, row = tabulate([case(100, "refused")])
     assert row == "| uncalibrated | `ocs` | 1 | 1 | 0 of 3 |  |  |  |"
+
+
+def test_cases_of_another_arm_have_rows_of_their_own() -> None:
+    *_, first, second = tabulate([case(100), {**case(100, "done", 0.1), "arm": "ur5e"}])
+    assert first.startswith("| uncalibrated | `ocs` | 1 |")
+    assert second.startswith("| ur5e, uncalibrated | `ocs` | 1 |")

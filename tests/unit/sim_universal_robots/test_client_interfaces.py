@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import struct
 from collections.abc import Callable, Iterator
 
@@ -11,6 +12,7 @@ from ur_clients import own_address, script
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
+from sim.universal_robots.interfaces.clients import ClientInterfaces
 from sim.universal_robots.interfaces.dashboard import Dashboard
 from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -19,15 +21,22 @@ from sim.universal_robots.programs.recognition import recognise
 from sim.universal_robots.variables import DIGITAL_OUTPUTS
 
 MakeController = Callable[..., Controller]
+LIMIT_S = 10.0
+MESSAGE = 20  # type of a package
 
 
 @pytest.fixture
-def ask(controller: Controller) -> Iterator[Callable[[str], str]]:
+def poll() -> Iterator[Poll]:
     poll = Poll()
+    yield poll
+    poll.close()
+
+
+@pytest.fixture
+def ask(controller: Controller, poll: Poll) -> Iterator[Callable[[str], str]]:
     dashboard = Dashboard(controller, own_address(), poll)
     yield dashboard.answer
     dashboard.listener.close()
-    poll.close()
 
 
 def parts(package: bytes) -> dict[int, bytes]:
@@ -105,6 +114,35 @@ def test_the_realtime_package_has_the_size_of_its_version(
     assert len(package) == size
 
 
+def test_secondary_clients_get_the_version_and_states_but_no_other_messages(
+    controller: Controller, poll: Poll
+) -> None:
+    clients = ClientInterfaces(controller, own_address(), poll)
+    kinds = {}
+    for listener in clients.primary, clients.secondary:
+        host, port = listener.endpoint.removeprefix("tcp://").split(":")
+        with socket.create_connection((host, int(port)), timeout=LIMIT_S) as client:
+            while not listener.connections:
+                poll.serve(LIMIT_S)
+            controller.hold(SafetyMode.SAFEGUARD_STOP)
+            controller.hold(SafetyMode.SAFEGUARD_STOP, holds=False)
+            kinds[port] = message_kinds(client.recv(65536))
+        listener.close()
+    clients.realtime.close()
+    state, version, safety = (16, None), (20, 3), (20, 5)
+    assert list(kinds.values()) == [[version, safety, state, safety, safety], [version, state]]
+
+
+def message_kinds(data: bytes) -> list[tuple[int, int | None]]:
+    """The type of each package, and the kind of each message."""
+    found = []
+    while data:
+        size, kind = struct.unpack_from(">iB", data)
+        found.append((kind, data[14] if kind == MESSAGE else None))
+        data = data[size:]
+    return found
+
+
 # -- dashboard
 
 
@@ -128,16 +166,31 @@ def test_the_dashboard_answers(ask: Callable[[str], str], line: str, answer: str
 
 
 def test_a_loaded_program_plays_pauses_and_stops(ask: Callable[[str], str], controller: Controller) -> None:
-    assert ask("load external_control.urp") == "Loading program: external_control.urp"
+    assert ask("load wait_program.urp") == "Loading program: wait_program.urp"
     assert ask("play") == "Starting program"
     controller.step()
-    assert ask("programState") == "PLAYING external_control.urp"
+    assert ask("programState") == "PLAYING wait_program.urp"
     assert ask("pause") == "Pausing program"
     controller.step()
     assert ask("play") == "Starting program"
     ask("stop")
     controller.step()
     assert ask("running") == "Program running: false"
+
+
+def test_a_loaded_external_control_program_requests_its_script(make: MakeController, poll: Poll) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as sender:
+        sender.settimeout(LIMIT_S)
+        controller = make(f"external_control_port={sender.getsockname()[1]}")
+        dashboard = Dashboard(controller, own_address(), poll)
+        dashboard.answer("load external_control.urp")
+        assert dashboard.answer("play") == "Starting program"
+        controller.step()
+        with sender.accept()[0] as connection:
+            controller.step()
+            assert connection.recv(100) == b"request_program\n"
+    controller.stop()
+    dashboard.listener.close()
 
 
 def test_a_protective_stop_is_not_unlocked_within_five_seconds(

@@ -20,6 +20,7 @@ from sim.universal_robots.programs.external_trajectory import (
     cubic,
     quintic,
 )
+from sim.universal_robots.programs.program_request import FIRST_WAIT_S, QUIET_S, requested_program
 from sim.universal_robots.programs.recognition import recognise
 
 UNITS = 1_000_000
@@ -47,10 +48,13 @@ class Client:
         self._listeners = {name: socket.create_server(("127.0.0.1", 0)) for name in names}
         self.sockets: dict[str, socket.socket] = {}
 
-    def start(self, host: str = "127.0.0.1") -> None:
+    def script(self, host: str = "127.0.0.1") -> str:
         ports = {name: listener.getsockname()[1] for name, listener in self._listeners.items()}
-        text = SCRIPT.format(host=host, **ports)
-        assert not self.controller.start(recognise(text, self.controller.model.cycle_s))
+        return SCRIPT.format(host=host, **ports)
+
+    def start(self, host: str = "127.0.0.1") -> None:
+        program = recognise(self.script(host), self.controller.model.cycle_s)
+        assert not self.controller.start(program)
 
     def accept(self) -> None:
         """Accept in the order in which the robot dials."""
@@ -215,6 +219,56 @@ def test_no_other_computer_is_dialled(controller: Controller, host: str) -> None
     assert controller.program is not None
     assert host in controller.program.failure
     client.close()
+
+
+def request_script(controller: Controller, answer: str, *, hangs_up: bool) -> list[str]:
+    """Play the program of the pendant and answer its request; returns the reports of failure."""
+    failures: list[str] = []
+    controller.news.failure.append(failures.append)
+    with socket.create_server(("127.0.0.1", 0)) as sender:
+        sender.settimeout(LIMIT_S)
+        assert not controller.start(requested_program("external_control.urp", *sender.getsockname()))
+        controller.step()
+        connection = sender.accept()[0]
+        controller.step()
+        with connection:
+            assert connection.recv(100) == b"request_program\n"
+            connection.sendall(answer.encode())
+            if hangs_up:
+                connection.close()
+            for _ in range(round(max(QUIET_S, 0.0 if answer else FIRST_WAIT_S) / controller.robot.cycle_s)):
+                controller.step()
+    return failures
+
+
+def test_the_program_of_the_pendant_runs_the_script_that_it_requested(controller: Controller) -> None:
+    client = Client(controller)
+    assert not request_script(controller, client.script(), hangs_up=False)
+    client.accept()
+    client.send(Mode.IDLE, limit_ms=0)
+    assert controller.runtime_state is RuntimeState.PLAYING
+    client.send(Mode.STOPPED)
+    client.steps(2)
+    assert controller.program is None
+    client.close()
+
+
+@pytest.mark.parametrize("hangs_up", [True, False])
+def test_without_a_script_the_program_of_the_pendant_fails(controller: Controller, hangs_up: bool) -> None:
+    (failure,) = request_script(controller, "", hangs_up=hangs_up)
+    assert "no script" in failure
+
+
+@pytest.mark.parametrize("host", ["192.168.1.2", "127.0.0.1"])
+def test_a_program_of_the_pendant_that_reaches_no_client_fails(controller: Controller, host: str) -> None:
+    failures: list[str] = []
+    controller.news.failure.append(failures.append)
+    with socket.create_server(("127.0.0.1", 0)) as sender:
+        port = sender.getsockname()[1]
+    controller.start(requested_program("external_control.urp", host, port))
+    while controller.program is not None:
+        controller.step()
+    assert failures == [f"external_control.urp: no connection to {host}:{port}"]
 
 
 def test_splines_meet_their_ends() -> None:

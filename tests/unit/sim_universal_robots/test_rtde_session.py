@@ -11,7 +11,9 @@ from ur_clients import package
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.universal_robots.rtde.session import BadPackage, Session
+from sim.universal_robots.variables import TIMESTAMP
 
+MakeController = Callable[..., Controller]
 Serve = Callable[[Controller], RtdeServer]
 
 
@@ -46,12 +48,39 @@ def test_a_refused_protocol_version_leaves_the_connection_as_it_is(server: RtdeS
     assert client.outputs("timestamp") == b"\1DOUBLE"
 
 
-def test_version_1_knows_neither_rate_nor_recipe_number(server: RtdeServer, controller: Controller) -> None:
+# Version 1 as the guide describes it, byte by byte: what a client sends, and the answer.
+VERSION_1_LOG = (
+    ("0003 76", "0013 76 00000005 0000000b 00000005 000f6a97"),  # v: 5.11.5, build 1010327
+    ("000c 4f" + b"timestamp".hex(), "0009 4f" + b"DOUBLE".hex()),  # O: neither rate nor recipe number
+    ("0018 49" + b"input_int_register_24".hex(), "0009 49 01" + b"INT32".hex()),  # I: recipe 1
+    ("0003 53", "0004 53 01"),  # S
+    ("0008 55 01 fffffff9", ""),  # U: -7, without answer
+    ("0003 50", "0004 50 01"),  # P
+    ("0005 56 0009", "0004 56 00"),  # V: 9 is refused
+    ("0011 4f" + b"no_such_field,".hex(), "000c 4f" + b"NOT_FOUND".hex()),
+    ("0003 53", "0004 53 00"),
+)
+
+
+def test_version_1_byte_by_byte(server: RtdeServer, controller: Controller) -> None:
     client = Client(server, version=1)
+    for request, answer in VERSION_1_LOG:
+        client.session.receive(bytes.fromhex(request))
+        answers, client.session.answers = client.session.answers, []
+        assert b"".join(answers) == bytes.fromhex(answer)
+        if client.session.started and client.session.output is not None:
+            package_1_s = bytes.fromhex("000b 55 3ff0000000000000")
+            controller.robot.values[TIMESTAMP] = 1.0
+            assert client.session.output.pack(controller.robot.values) == package_1_s
+    assert controller.robot.input_int(24) == -7
+    client.session.receive(bytes.fromhex("0004 55 01"))
+    assert client.session.answers[0][2:4] == b"M\2"  # a warning, then its text
+
+
+def test_an_old_controller_leaves_its_client_at_version_1(make: MakeController, serve: Serve) -> None:
+    client = Client(serve(make("newest_rtde_version=1")), version=1)
+    assert client.ask("V", b"\0\2") == b"\0"
     assert client.ask("O", b"timestamp,robot_mode") == b"DOUBLE,INT32"
-    recipe = client.session.output
-    assert recipe is not None
-    assert recipe.pack(controller.robot.values) == package("U", struct.pack(">di", 0.0, 7))
 
 
 def test_an_unknown_output_is_named_and_nothing_starts(server: RtdeServer) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +17,12 @@ from ronna_hw.devices.readings import ArmReading, Stamp, ToolReading, TrackerFra
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.world.true_arm import TrueArm
+from sim.world.world import World
 from studies.campaign.study import Sums
 from studies.errors import LedgerUnreadable, OtherStudy
+from studies.low_cost.arms import InstantArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import fit_pivot
-from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, InstantArm, factory_kinematics, open_room
+from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room
 from studies.low_cost.judge import Judge, distance_errors_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation, load_or_prepare
@@ -227,6 +230,27 @@ def test_a_relation_that_does_not_hold_is_named(arms: list[tuple[float, ...]], m
     sums = {f"arm {number}": figures(*errors) for number, errors in enumerate(arms)}
     assert list_missed_relations(sums) == missed
     assert len(tabulate_relations(collect_arms(sums)).rows) == 6
+
+
+def test_one_arm_alone_says_nothing_about_dependence_on_the_arm() -> None:
+    relations = tabulate_relations(collect_arms({"arm 0": figures(0.2, 0.9)}))
+    assert [row[3] for row in relations.rows] == ["yes", None, "yes", None, None, "yes"]
+
+
+def test_an_arm_behind_its_driver_goes_where_it_is_sent_and_states_its_factorys_kinematics() -> None:
+    truth = draw_ur5(0, 1, 2)
+    world = World.create(draw_room(0).model_copy(update={"arm": truth}), paced=False)
+    with drive_arm(world) as arm:
+        target = TipModel(ARM, FLANGE_FROM_TIP).joints(named_pose(np.array(PHANTOM_MM), REFERENCE))
+        reading = arm.move_joints(target)
+        assert reading.joints_rad == pytest.approx(target, abs=math.radians(0.001))
+        assert world.arm().at_rest
+        true_mm = world.arm().robot_from_flange[:3, 3]
+        nominal_mm, factory_mm = (
+            np.linalg.norm(one.forward(reading.joints_rad).position_mm - true_mm)
+            for one in (ARM, arm.kinematics)
+        )
+    assert factory_mm < nominal_mm / 3.0
 
 
 @pytest.fixture(scope="module")

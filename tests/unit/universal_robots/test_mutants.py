@@ -1,9 +1,9 @@
-"""Mutated packages in a stream move nothing, and end it with words when they cannot be framed."""
+"""Mutants of what a controller sends: they move nothing, and are refused in words where they are no good."""
 
 from __future__ import annotations
 
 import pytest
-from driver_inputs import OUTPUT_PACKAGE, PRIMARY_STATE, driver_parsers
+from driver_inputs import DASHBOARD_LINES, OUTPUT_PACKAGE, PRIMARY_STATE, SETUP_REPLIES, driver_parsers
 from mutations import mutations
 
 from ronna_hw.bounded_input import InputRefused
@@ -11,7 +11,12 @@ from ronna_hw.errors import RonnaError
 
 IN_A_RUN = 600
 IN_A_SOAK, SHARES = 1_000_000, 10
-ORIGINALS = {"RTDE": (OUTPUT_PACKAGE,), "UR primary": (PRIMARY_STATE,)}
+ORIGINALS = {
+    "RTDE": (OUTPUT_PACKAGE,),
+    "RTDE set-up": (SETUP_REPLIES,),
+    "UR dashboard": (DASHBOARD_LINES,),
+    "UR primary": (PRIMARY_STATE,),
+}
 
 
 def take_mutants(name: str, count: int, seed: int) -> tuple[int, int]:

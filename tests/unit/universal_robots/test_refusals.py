@@ -110,7 +110,7 @@ def test_an_address_where_nothing_answers_is_refused(controller: HandmadeControl
 @pytest.mark.parametrize(
     ("answers", "code"),
     [
-        pytest.param({"is in remote control": "false"}, "URD-006", marks=pytest.mark.hazard(30)),
+        pytest.param({"is in remote control": "false"}, "URD-006", marks=pytest.mark.hazard(55)),
         ({"safetymode": "Safetymode: ROBOT_EMERGENCY_STOP"}, "URD-007"),
         ({"robotmode": "Robotmode: POWER_OFF"}, "URD-008"),
         ({"safetymode": "Safetymode: PROTECTIVE_STOP"}, "URD-009"),
@@ -134,6 +134,7 @@ def test_a_controller_that_is_not_ready_is_not_started(
     arm.close()
 
 
+@pytest.mark.hazard(52)
 def test_a_speed_slider_at_zero_is_refused_and_reported(controller: HandmadeController) -> None:
     controller.speed_fraction = 0.0
     arm = make_arm(controller)
@@ -145,6 +146,7 @@ def test_a_speed_slider_at_zero_is_refused_and_reported(controller: HandmadeCont
     arm.close()
 
 
+@pytest.mark.hazard(54)
 def test_registers_of_another_client_are_refused(controller: HandmadeController) -> None:
     controller.input_types = controller.input_types.replace("DOUBLE", "IN_USE")
     endpoint = parse_endpoint(controller.endpoints["rtde"])
@@ -156,6 +158,7 @@ def test_registers_of_another_client_are_refused(controller: HandmadeController)
     setup.close()
 
 
+@pytest.mark.hazard(53)
 def test_a_protective_stop_is_released_in_the_name_of_a_person_when_the_controller_permits_it(
     controller: HandmadeController,
 ) -> None:

@@ -95,6 +95,7 @@ def test_losing_half_of_the_set_points_for_long_stops_the_arm() -> None:
     assert stand.session.fault is Fault.LOSSES
 
 
+@pytest.mark.hazard(52)
 @pytest.mark.parametrize("fraction", [0.0, 0.3])
 def test_the_speed_slider_slows_the_path_and_at_zero_holds_it_until_it_is_raised(fraction: float) -> None:
     stand = moving()
@@ -118,6 +119,7 @@ def test_a_speed_that_is_no_share_holds_the_arm(scaling: float) -> None:
     assert stand.session.state(real_time=False, locked=False).speed_share == 0.0
 
 
+@pytest.mark.hazard(53)
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
@@ -142,6 +144,7 @@ def test_a_stop_by_the_controller_is_latched_in_its_cycle_and_nothing_is_sent_an
     assert not stand.session.moving
 
 
+@pytest.mark.hazard(54)
 def test_another_script_in_our_registers_ends_the_stream() -> None:
     stand = moving()
     stand.inputs = (*stand.inputs[:2], RUN + 1, *stand.inputs[3:])

@@ -9,10 +9,12 @@ from sim.world.faults import (
     begin_now,
     begin_with_step,
     check_faults,
+    language,
     parse_faults,
     parse_request,
     read_faults,
 )
+from sim.world.faults.plain_lines import read_plain_line
 from sim.world.options import ArmRole
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
@@ -254,3 +256,24 @@ def test_a_fault_of_the_assistant_acts_on_no_other_arm() -> None:
 def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=said):
         check_faults(parse_faults(line), draw_scene("mini"))
+
+
+@pytest.mark.parametrize("beginning", ["at 12.5 s: ", "at cycle 40: ", "now: "])
+def test_a_plain_line_reads_as_by_the_grammar(monkeypatch: pytest.MonkeyPatch, beginning: str) -> None:
+    endings = {True: ("",), False: ("", " for 2 s", " for 0.25 s")}
+    lines = [
+        beginning + kind.example.partition(": ")[2].partition(" for ")[0] + ending
+        for kind in FAULT_KINDS
+        for ending in endings[kind.momentary]
+    ]
+    plain = [read_plain_line(line, number, FAULT_KINDS) for number, line in enumerate(lines, 1)]
+    monkeypatch.setattr(language, "read_plain_line", lambda *_: None)
+    assert None not in plain
+    assert tuple(plain) == parse_faults("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    "line", ["", "# nothing", "now: ur protective stop for 1 s", "at 1 s: ur lose five %", "robot drop 5 %"]
+)
+def test_other_lines_are_left_to_the_grammar(line: str) -> None:
+    assert read_plain_line(line, 1, FAULT_KINDS) is None

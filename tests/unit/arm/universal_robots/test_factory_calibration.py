@@ -57,6 +57,44 @@ def test_the_inverse_of_any_calibration_is_exact_in_every_branch(model: UrModel)
                 assert arm.branch_of(one.joints_rad) == one.branch
 
 
+@each_model
+def test_next_to_known_joint_angles_the_inverse_is_as_exact_and_depends_on_nothing_before(
+    model: UrModel,
+) -> None:
+    rng = random.Random(5)
+    followed = 0
+    for _ in range(10):
+        arm = CalibratedUniversalRobot(DIMENSIONS[model], random_calibration(rng))
+        for _ in range(10):
+            joints = random_joints(rng)
+            if arm.singular_measure(joints).least < 0.02:
+                continue
+            pose, branch = arm.forward(joints), arm.branch_of(joints)
+            near = joint_vector(
+                angle + rng.uniform(-1.0, 1.0) * 10 ** rng.uniform(-6, -2) for angle in joints
+            )
+            found = arm.local_inverse.solve(pose, branch, near)
+            if found is None:
+                continue
+            followed += 1
+            assert found == pytest.approx(joints, abs=1e-10)
+            assert arm.forward(found).distance_mm(pose) < 1e-9
+            arm.local_inverse.solve(pose, branch, joints)
+            assert arm.local_inverse.solve(pose, branch, near) == found
+    assert followed > 80
+
+
+def test_another_branch_and_a_range_that_ends_in_between_are_left_to_the_closed_form() -> None:
+    arm = CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5E], random_calibration(random.Random(6)))
+    joints: JointVector = (0.3, -1.4, -1.3, -1.2, 1.1, 0.4)
+    for solution in arm.solutions(arm.forward(joints)):
+        is_here = solution.branch == arm.branch_of(joints)
+        found = arm.local_inverse.solve(arm.forward(joints), solution.branch, joints)
+        assert (found is not None) == is_here
+    beyond = (2.0 * pi + 1e-3, *joints[1:])
+    assert arm.local_inverse.solve(arm.forward(beyond), arm.branch_of(joints), beyond) is None
+
+
 def axes_of(arm: CalibratedUniversalRobot, tilt_rad: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the axes at joint zero, those of elbow and wrist 1 tilted towards the shoulder's."""
     point, axes = np.array(arm.chain.base_mm), []

@@ -1,0 +1,235 @@
+"""Controllers of Universal Robots that measure the turnaround of a client, and one in lock-step."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+import time
+from contextlib import ExitStack
+from typing import Self
+
+from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
+from drivers.universal_robots import UniversalRobotsArm
+from drivers.universal_robots.realtime.packages import INPUT, OUTPUT
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.vectors import JointVector
+from ronna_hw.wire.universal_robots import (
+    RTDE_PORT,
+    PackageType,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+    ScriptState,
+)
+from sim.world.options import ArmChoice
+from sim.world.scene.named_scenes import draw_scene
+from sim.world.world import World
+
+HOME_RAD: JointVector = (0.0, -1.5, -1.5, -1.5, 1.5, -1.5)
+ROLES = ("rtde", "dashboard", "primary")
+REPLY_LIMIT_S = 0.2
+CYCLE_S = 0.002
+FIRST_RECIPE = 1
+FULL_SPEED = 1.0
+LONGEST = 65536
+SCENE_SEED = 3
+SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
+TYPE_PLACE = 2  # in a package
+
+
+def own_address(number: int) -> str:
+    """Return a loopback address that no other process uses: from its process number, at most 22 bits."""
+    process = os.getpid()
+    return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
+
+
+class ControllerStandIn:
+    """Listens for one client, which gets the packages of a controller and of our script at a given pace."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+        self._link: socket.socket | None = None
+        self._timestamp_s = 100.0
+        self._goal = HOME_RAD
+        self._used = self._run = 0
+        self.turnarounds_s: list[float] = []
+        self.unanswered = 0
+        self.moved_rad = 0.0  # travel of the base so far: shows that a moving client really moves
+
+    def block(self, count: int, pace_s: float) -> list[float]:
+        """Send `count` packages `pace_s` apart on an absolute schedule. Return the turnarounds in s."""
+        link = self._connected()
+        found: list[float] = []
+        due_s = time.perf_counter()
+        for _ in range(count):
+            due_s = max(due_s + pace_s, time.perf_counter())
+            package = self._next_package()
+            pause_s = due_s - time.perf_counter()
+            if pause_s > 0.0:
+                time.sleep(pause_s)
+            began_s = time.perf_counter()
+            link.send(package)
+            try:
+                reply = link.recv(LONGEST)
+            except TimeoutError:
+                self.unanswered += 1
+                continue
+            found.append(time.perf_counter() - began_s)
+            self._follow(reply)
+        self.turnarounds_s += found
+        return found
+
+    def exchange(self) -> None:
+        """Send a package and wait for the reply."""
+        link = self._connected()
+        link.send(self._next_package())
+        link.recv(LONGEST)
+
+    def share(self, share: float) -> float:
+        """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
+        return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
+
+    def close(self) -> None:
+        if self._link is not None:
+            self._link.close()
+        self._server.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _connected(self) -> socket.socket:
+        if self._link is None:
+            self._link, _ = self._server.accept()
+            self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._link.settimeout(REPLY_LIMIT_S)
+            self._link.setblocking(False)
+            with contextlib.suppress(BlockingIOError):  # its request to start, which an echo does not send
+                self._link.recv(LONGEST)
+            self._link.settimeout(REPLY_LIMIT_S)
+        return self._link
+
+    def _next_package(self) -> bytes:
+        self._timestamp_s += CYCLE_S
+        state = ScriptState.STREAMING if self._used else ScriptState.WAITING
+        return OUTPUT.pack(
+            OUTPUT.size, PackageType.DATA, FIRST_RECIPE, self._timestamp_s, *self._goal, *self._goal,
+            FULL_SPEED, FULL_SPEED,
+            RobotMode.RUNNING, SafetyMode.NORMAL, RuntimeState.PLAYING, self._used, state, self._run,
+        )  # fmt: skip
+
+    def _follow(self, reply: bytes) -> None:
+        if len(reply) != INPUT.size:
+            return  # an echo commands nothing
+        _, _, _, sequence, _, self._run, a, b, c, d, e, f = INPUT.unpack(reply)
+        if sequence:
+            self._used = sequence
+            self.moved_rad += abs(a - self._goal[0])
+            self._goal = (a, b, c, d, e, f)
+
+
+class Relay:
+    """Passes on what client and controller send at the fixed ports of an address, and measures RTDE clients.
+
+    The turnaround is from a data package until the client's next one.
+    """
+
+    def __init__(self, address: str, controller: str) -> None:
+        self.address = address
+        self._controller = controller
+        self.turnarounds_s: list[float] = []
+        self._servers = [
+            socket.create_server((address, port)) for port in (RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT)
+        ]
+        for server in self._servers:
+            threading.Thread(target=self._accept, args=(server,), daemon=True).start()
+
+    def close(self) -> None:
+        for server in self._servers:
+            with contextlib.suppress(OSError):
+                server.shutdown(socket.SHUT_RDWR)
+            server.close()
+
+    def _accept(self, server: socket.socket) -> None:
+        port = server.getsockname()[1]
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = server.accept()
+                controller = socket.create_connection((self._controller, port))
+                for end in (client, controller):
+                    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                passage = _Passage(client, controller, self.turnarounds_s if port == RTDE_PORT else [])
+                for pass_on in (passage.to_client, passage.to_controller):
+                    threading.Thread(target=pass_on, daemon=True).start()
+
+
+class _Passage:
+    """One connection through a relay."""
+
+    def __init__(self, client: socket.socket, controller: socket.socket, turnarounds_s: list[float]) -> None:
+        self._client, self._controller = client, controller
+        self._turnarounds_s = turnarounds_s
+        self._sent_s = 0.0
+
+    def to_client(self) -> None:
+        with contextlib.suppress(OSError):
+            while data := self._controller.recv(LONGEST):
+                if _is_data(data):
+                    self._sent_s = time.perf_counter()
+                self._client.sendall(data)
+            self._client.shutdown(socket.SHUT_WR)
+
+    def to_controller(self) -> None:
+        with contextlib.suppress(OSError):
+            while data := self._client.recv(LONGEST):
+                if self._sent_s and _is_data(data):
+                    self._turnarounds_s.append(time.perf_counter() - self._sent_s)
+                    self._sent_s = 0.0
+                self._controller.sendall(data)
+            self._controller.shutdown(socket.SHUT_WR)
+
+
+def _is_data(data: bytes) -> bool:
+    return len(data) > TYPE_PLACE and data[TYPE_PLACE] == PackageType.DATA
+
+
+class UrCell:
+    """`ronna-sim ur` with an active arm driver; in lock-step, or in real time behind a relay."""
+
+    def __init__(self, *, lock_step: bool = True) -> None:
+        self._ending = ExitStack()
+        scene = draw_scene("bench", seed=SCENE_SEED, arm=ArmChoice.UR5E)
+        self.world = World.create(scene, paced=not lock_step)
+        self.address = own_address(0)
+        arguments = command("sim.cli", "ur", "--address", self.address, "--world", self.world.endpoint)
+        self.controller = self._ending.enter_context(ChildProcess("ronna-sim ur", arguments))
+        ready = self.controller.ready["endpoints"]
+        self.relay = None if lock_step else Relay(own_address(1), self.address)
+        endpoints = {role: ready[role] for role in ROLES}
+        if self.relay is not None:
+            self._ending.callback(self.relay.close)
+            endpoints["rtde"] = f"tcp://{self.relay.address}:{parse_endpoint(ready['rtde']).port}"
+        options = {"silence_limit_s": SILENCE_LIMIT_S}
+        config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options=options)
+        self.arm = UniversalRobotsArm("robot.master", config, open_clock(self.world.clock_endpoint))
+        self._ending.callback(self.arm.close)
+
+    def start(self) -> None:
+        """Begin to stream."""
+        self.arm.connect()
+        self.arm.configure()
+        self.arm.activate()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.close()

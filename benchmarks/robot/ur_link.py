@@ -1,0 +1,178 @@
+"""Stream of set-points to a Universal Robots controller, against bare exchanges and ur-rtde.
+
+Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record, on
+joint moves and on straight lines with the factory calibration. Turnaround: package sent to set-point read, as
+a controller sees it, in cycles of 2 ms, next to an echo. Against ur-rtde a relay in front of the simulator
+measures both: it needs a whole controller.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from statistics import median
+
+from benchmarks.figures import Figure, compare_samples, process_cpu_s, run_contest
+from benchmarks.robot.robot_cell import peer
+from benchmarks.robot.robot_link import rate_in_motion
+from benchmarks.robot.ur_cell import CYCLE_S, ControllerStandIn, UrCell
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
+
+SWING_RAD = 0.6
+LINE_MM = 100.0
+BARE_EXCHANGES = 1000
+LOCK_STEP_GOAL_HZ = 5_000.0
+MEDIAN_ABOVE_ECHO_GOAL_US = 15.0
+P99_OVER_ECHO_GOAL = 3.0
+RTDE_SHARE_GOAL = 0.5
+ECHO, AT_REST, MOVING, UNREHEARSED = (
+    "bare TCP echo",
+    "driver at rest",
+    "driver moving",
+    "driver moving, without rehearsal",
+)
+JOINT_MOVE, LINE, BARE = "joint move", "straight line, calibrated", "bare TCP exchange"
+OURS, POLLED, PACED = "driver", "ur-rtde servoJ, on each new state", "ur-rtde servoJ, by its own clock"
+SETTLING_S = 1.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Numbers of rounds, and of packages in a block."""
+
+    lock_step: int = 10
+    turnaround: int = 20
+    block: int = 500
+    relayed_s: float = 10.0
+
+
+SMALLEST = Size(1, 1, 20, 0.5)
+
+
+def measure(smallest: bool = False) -> list[Figure]:
+    size = SMALLEST if smallest else Size()
+    return [*_measure_lock_step(size), *_measure_turnaround(size), *_measure_beside_ur_rtde(size)]
+
+
+def _measure_lock_step(size: Size) -> list[Figure]:
+    name = "UR: lock-step cycles per second"
+    with UrCell() as cell, ControllerStandIn() as stand_in, peer("tcp_echo", stand_in.endpoint):
+        cell.start()
+        arm, link = cell.arm, cell.arm.connections.link
+        home = arm.read_state().commanded_rad
+        assert home is not None
+        away: JointVector = (home[0] + SWING_RAD, *home[1:])
+        ends = [away, home]
+        line_ends = [_beside(arm.kinematics.forward(home), LINE_MM), arm.kinematics.flange_pose(home)]
+        pids = {"simulator": cell.controller.process.pid, "driver's process": link.process.pid}
+        spent = dict.fromkeys(pids, 0.0)
+        cycles = 0
+
+        def joint_move() -> float:
+            nonlocal cycles
+            before, count = {name: process_cpu_s(pid) for name, pid in pids.items()}, link.state.cycles
+            for end in ends:
+                arm.move_joints(end)
+            cycles += link.state.cycles - count
+            for who, pid in pids.items():
+                spent[who] += process_cpu_s(pid) - before[who]
+            return rate_in_motion(link.recorded_cycles())
+
+        def line() -> float:
+            for end in line_ends:
+                arm.move_linear(end)
+            return rate_in_motion(link.recorded_cycles())
+
+        def exchange() -> float:
+            began = time.perf_counter()
+            for _ in range(BARE_EXCHANGES):
+                stand_in.exchange()
+            return BARE_EXCHANGES / (time.perf_counter() - began)
+
+        samples = run_contest({JOINT_MOVE: joint_move, LINE: line, BARE: exchange}, size.lock_step)
+        figures = compare_samples(name, "1/s", samples, BARE)
+        return [
+            figures[0].at_least(LOCK_STEP_GOAL_HZ),
+            *figures[1:],
+            *(
+                Figure(f"CPU per cycle of {name}", who, cpu_s / cycles * 1e6, "µs")
+                for who, cpu_s in spent.items()
+            ),
+        ]
+
+
+def _beside(flange: Pose, by_mm: float) -> Transform:
+    x, y, z = flange.position_mm
+    return Pose((x, y + by_mm, z), flange.rotation).to_transform()
+
+
+def _measure_turnaround(size: Size) -> list[Figure]:
+    """Alternate blocks of packages between the driver's process and an echo."""
+    name = "UR: turnaround at 2 ms"
+    arguments = {
+        ECHO: ("tcp_echo",),
+        AT_REST: ("ur_link", "rest"),
+        MOVING: ("ur_link", "move"),
+        UNREHEARSED: ("ur_link", "move", "unrehearsed"),
+    }
+    with ExitStack() as stack:
+        controllers = {who: stack.enter_context(ControllerStandIn()) for who in arguments}
+        for who, (program, *more) in arguments.items():
+            stack.enter_context(peer(program, controllers[who].endpoint, *more))
+
+        def block(who: str) -> float:
+            return median(controllers[who].block(size.block, CYCLE_S))
+
+        samples = run_contest({who: partial(block, who) for who in arguments}, size.turnaround)
+        figures = [
+            replace(figure, more=_tail(controllers[figure.who]))
+            for figure in compare_samples(name, "µs", samples, ECHO, scale=1e6)
+        ]
+        echo = controllers[ECHO]
+        for who, controller in controllers.items():
+            is_judged = who in (AT_REST, MOVING)
+            if who != ECHO:
+                above_us = (controller.share(0.5) - echo.share(0.5)) * 1e6
+                above = Figure(f"median above echo, {name}", who, above_us, "µs")
+                figures.append(above.at_most(MEDIAN_ABOVE_ECHO_GOAL_US) if is_judged else above)
+            ratio = None if who == ECHO else controller.share(0.99) / echo.share(0.99)
+            p99_us = controller.share(0.99) * 1e6
+            tail = Figure(f"99th percentile, {name}", who, p99_us, "µs", ratio, "" if ratio is None else ECHO)
+            figures.append(tail.ratio_at_most(P99_OVER_ECHO_GOAL) if is_judged else tail)
+            lost = Figure(f"replies lost, {name}", who, float(controller.unanswered), "")
+            figures.append(lost.at_most(0.0) if is_judged else lost)
+        return figures
+
+
+def _tail(controller: ControllerStandIn) -> dict[str, float]:
+    return {
+        "median_us": controller.share(0.5) * 1e6,
+        "p99_us": controller.share(0.99) * 1e6,
+        "packages": float(len(controller.turnarounds_s)),
+        "moved_rad": controller.moved_rad,
+    }
+
+
+def _measure_beside_ur_rtde(size: Size) -> list[Figure]:
+    """Measure one client after the other through a relay in front of a controller in real time."""
+    medians: dict[str, list[float]] = {}
+    for who in (OURS, POLLED, PACED):
+        with UrCell(lock_step=False) as cell, ExitStack() as stack:
+            relay = cell.relay
+            assert relay is not None
+            if who == OURS:
+                cell.start()
+            else:
+                stack.enter_context(
+                    peer("ur_rtde_client", relay.address, "polled" if who == POLLED else "paced")
+                )
+            time.sleep(SETTLING_S)
+            relay.turnarounds_s.clear()
+            time.sleep(size.relayed_s)
+            medians[who] = [median(relay.turnarounds_s)]
+    figures = compare_samples("UR: turnaround beside ur-rtde", "µs", medians, POLLED, scale=1e6)
+    return [figures[0].ratio_at_most(RTDE_SHARE_GOAL), *figures[1:]]
