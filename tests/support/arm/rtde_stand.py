@@ -35,7 +35,7 @@ SETTINGS = LinkSettings(
     model="ur5e",
     cycle_s=CYCLE_S,
 )
-OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i")
+OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
 IN = struct.Struct(">HBB i i i 6d")
 WAITING, STREAMING, ENDED, STARVED = 1, 2, 3, 4
 STARVED_CYCLES = 10
@@ -59,6 +59,7 @@ class RtdeStand:
         self.inputs: tuple[Any, ...] = (0, 0, 0, *START)
         self.goal: JointVector = START
         self.follows = True
+        self.force_N = (0.0, 0.0, 0.0)
         self.measured: JointVector = START
         self.goals: list[JointVector] = []  # set-points used, one a cycle
         self.is_late = False  # the reply arrives only with the next one, which takes its place
@@ -85,7 +86,7 @@ class RtdeStand:
         return OUT.pack(
             OUT.size, ord("U"), 1, self.timestamp_s, *self.goal, *self.measured, self.scaling, self.fraction,
             self.robot_mode, self.safety_mode, self.runtime_state, self.used, self.script_state,
-            self.script_run,
+            self.script_run, *self.force_N, 0.0, 0.0, 0.0,
         )  # fmt: skip
 
     def cycle(self, lost: int = 0) -> bytes | None:
