@@ -224,7 +224,7 @@ class CaseOptions(TheatreOptions):
         bool,
         typer.Option(
             "--dual",
-            help="With two calibrated arms, the master and an assistant, measured against each other. "
+            help="With two calibrated arms: an assistant inserts the instrument through the master's guide. "
             "--config must name [robot.assistant] and the records of both.",
         ),
     ] = False
