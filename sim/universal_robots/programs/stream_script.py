@@ -24,6 +24,7 @@ from ronna_hw.wire.universal_robots import (
 )
 from sim.universal_robots.programs.motions import stopj
 from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.statements import run_at_once
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import index
 
@@ -34,6 +35,7 @@ _SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_I
 _SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)
 _USED, _STATE, _RUN_ECHO = map(index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT))
 NO_SET_POINT: Final = 0
+LOAD_CALLS: Final = ("set_payload(", "set_tcp(")  # carried out at the start
 _RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
 
 
@@ -66,11 +68,13 @@ def read_settings(text: str) -> ScriptSettings | str:
 def stream_program(name: str, text: str) -> Program:
     """Return the script as a program."""
     settings = read_settings(text)
+    load = "\n".join(line for line in text.splitlines() if line.strip().startswith(LOAD_CALLS))
 
     def steps(robot: Robot, program: Program) -> Iterator[None]:
         if isinstance(settings, str):
             program.failure = settings
             return
+        run_at_once(robot, load)
         yield from _stream(robot, program, settings)
 
     return Program(name, steps)

@@ -40,7 +40,7 @@ SETTINGS = LinkSettings(
     model="ur5e",
     cycle_s=CYCLE_S,
 )
-OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i")
+OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
 IN = struct.Struct(">HBB i i i 6d")
 SCRIPT = render_script(script_settings(UrOptions()))
 RUNS = (ScriptState.NONE, ScriptState.WAITING, ScriptState.STREAMING)  # states of a script that goes on
@@ -65,6 +65,7 @@ class RtdeStand:
         self.inputs: tuple[Any, ...] = (0, 0, 0, *START)
         self.goal: JointVector = START
         self.follows = True
+        self.force_N = (0.0, 0.0, 0.0)
         self.measured: JointVector = START
         self.goals: list[JointVector] = []  # set-points used, one a cycle
         self.is_late = False  # the reply arrives only with the next one, which takes its place
@@ -91,7 +92,7 @@ class RtdeStand:
         return OUT.pack(
             OUT.size, ord("U"), 1, self.timestamp_s, *self.goal, *self.measured, self.scaling, self.fraction,
             self.robot_mode, self.safety_mode, self.runtime_state, self.used, self.script_state,
-            self.script_run,
+            self.script_run, *self.force_N, 0.0, 0.0, 0.0,
         )  # fmt: skip
 
     def cycle(self, lost: int = 0) -> bytes | None:

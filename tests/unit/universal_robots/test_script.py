@@ -64,7 +64,7 @@ def test_the_script_is_short_plain_ascii() -> None:
 
 def test_a_payload_is_set_only_where_it_is_given() -> None:
     assert "set_payload" not in SCRIPT
-    assert "\n  set_payload(1.25)\n" in render_script(SETTINGS, payload_kg=1.25)
+    assert "\n  set_payload(1.25)\n" in render_script(SETTINGS, ("set_payload(1.25)",))
 
 
 class ScriptAndSimulator:
