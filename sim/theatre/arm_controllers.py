@@ -38,15 +38,6 @@ class ArmController:
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
 
-    def check_cycle(self, cycle_ms: int | None) -> None:
-        """Raise SIM-010 for a cycle that this controller does not have."""
-        if cycle_ms is not None and cycle_ms not in self.cycles_ms:
-            raise BadDeviceParameter(
-                f"the cycle of the {self.device} controller cannot be chosen",
-                got=f"--cycle-ms {cycle_ms}",
-                action="Omit --cycle-ms with this arm.",
-            )
-
     def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
         """Return the options of the command in a theatre."""
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
@@ -94,6 +85,22 @@ CONTROLLERS: dict[str, ArmController] = {
     **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),
     **dict.fromkeys(universal_robots_arm.DESCRIPTIONS, UNIVERSAL_ROBOTS),
 }
+
+
+def arms_of(scene: Scene) -> dict[ArmRole, ArmTruth]:
+    """Return the arms of a scene by role."""
+    return {role: scene.arm_of(role) for role in ArmRole if role is ArmRole.MASTER or scene.assistant}
+
+
+def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
+    """Raise SIM-010 for a cycle that the controller of an arm in the scene does not have."""
+    for role, arm in arms_of(scene).items():
+        if cycle_ms is not None and cycle_ms not in CONTROLLERS[arm.variant].cycles_ms:
+            raise BadDeviceParameter(
+                f"the {role} is a {arm.variant}, whose cycle cannot be chosen",
+                got=f"--cycle-ms {cycle_ms}",
+                action="Omit --cycle-ms with this arm.",
+            )
 
 
 def device_name(scene: Scene, role: ArmRole) -> str:

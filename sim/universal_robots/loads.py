@@ -13,14 +13,13 @@ from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Frame
-from sim.universal_robots.model import JOINTS
+from sim.universal_robots.model import JOINTS, TORQUES_NM
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
 from sim.world.options import UrArm
 
 GRAVITY_M_S2: Final = 9.81
 MM: Final = 1000.0
-TORQUES_NM: Final = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  # largest of each joint
 LINK_CENTRES_M: Final = (
     (0.0, -0.02561, 0.00193),
     (0.2125, 0.0, 0.11336),

@@ -22,6 +22,7 @@ HOME_RAD: Final[Vector6] = (0.0, -pi / 2, -pi / 2, -pi / 2, pi / 2, -pi / 2)
 JOINT_RANGE_RAD: Final = radians(RANGE_DEG)
 FULL_SPEED_RAD_S: Final = radians(FULL_SPEED_DEG_S)
 LARGEST_ACCELERATION_RAD_S2: Final = 40.0  # that a program may ask for
+TORQUES_NM: Final[Vector6] = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
 
 @dataclass(frozen=True)
