@@ -21,9 +21,9 @@ CellArgument = Annotated[
 def env(cell: CellArgument = None) -> None:
     """Print the endpoints of a running simulator as shell variables: eval "$(ronna-sim env CELL)".
 
-    RONNA_CONTROL is the control port, THEATRE the theatre file, LINE the tracker, CONTROLLER and STREAM the
-    arm, LEFT and RIGHT the cameras, CLOCK the clock. RONNA_CONTROL contains the secret token. Without such a
-    simulator the eval fails, and unsets them.
+    RONNA_CONTROL is the control port, THEATRE the theatre file, LINE the tracker, CONTROLLER and STREAM a
+    KUKA arm, ARM the address of a Universal Robots arm, LEFT and RIGHT the cameras, CLOCK the clock.
+    RONNA_CONTROL contains the secret token. Without such a simulator the eval fails, and unsets them.
     """
     from ronna_hw.errors import RonnaError
     from sim.world.running import NO_VARIABLES, find_running

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import select
 import socket
+import time
 from collections.abc import Callable
 from typing import Protocol
 
+from ronna_hw.command_line.terminal import tell
 from ronna_hw.host.port_users import find_tcp_listener
 from sim.errors import EndpointTaken
 
 READ_BYTES = 65536
 MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
+NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # a client waits, and cannot be accepted
+ACCEPT_PAUSE_S = 1.0  # host time until it is tried again: a waiting client is readable all the time
 ANOTHER_ADDRESS = "Stop that program, or give an address of its own: --address 127.0.0.9."
 
 
@@ -22,19 +27,31 @@ class Poll:
     def __init__(self) -> None:
         self._epoll = select.epoll()
         self._actions: dict[int, Callable[[], None]] = {}
+        self._paused: dict[socket.socket, tuple[float, Callable[[], None]]] = {}
 
     def register(self, one: socket.socket, action: Callable[[], None]) -> None:
         """Add a socket to wait for."""
+        self._paused.pop(one, None)
         self._actions[one.fileno()] = action
         self._epoll.register(one, select.EPOLLIN)
 
     def unregister(self, one: socket.socket) -> None:
         """Remove a socket; does nothing if it is not registered."""
+        self._paused.pop(one, None)
         if self._actions.pop(one.fileno(), None) is not None:
             self._epoll.unregister(one)
 
+    def pause(self, one: socket.socket, pause_s: float) -> None:
+        """Wait for a socket again after some host time."""
+        action = self._actions[one.fileno()]
+        self.unregister(one)
+        self._paused[one] = time.monotonic() + pause_s, action
+
     def serve(self, timeout_s: float) -> None:
         """Wait once and run the actions of all readable sockets."""
+        for one, (until_s, resumed) in tuple(self._paused.items()):
+            if time.monotonic() >= until_s:
+                self.register(one, resumed)
         actions = self._actions
         for number, _ in self._epoll.poll(timeout_s):
             action = actions.get(number)
@@ -166,6 +183,7 @@ class Listener:
         self._send_buffer_bytes = send_buffer_bytes
         self.connections: tuple[Connection, ...] = ()  # open ones
         self._holds = False
+        self._has_room = True
         self._socket = _listen(address, port)
         poll.register(self._socket, self._accept)
 
@@ -199,8 +217,14 @@ class Listener:
         self._socket.close()
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):
+        try:
             client, _ = self._socket.accept()
+        except OSError as error:
+            if error.errno in NO_ROOM:
+                self._wait_for_room(error)
+            return
+        self._has_room = True
+        with contextlib.suppress(OSError):
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._send_buffer_bytes:
@@ -210,6 +234,13 @@ class Listener:
             connection.handler = self._connect(connection)
             if connection.handler is None:
                 connection.close()
+
+    def _wait_for_room(self, error: OSError) -> None:
+        """Let a client wait, and say so once."""
+        self._poll.pause(self._socket, ACCEPT_PAUSE_S)
+        if self._has_room:
+            self._has_room = False
+            tell(f"warning: {self.endpoint} cannot accept a client ({error.strerror}); it is tried again")
 
     def _forget(self, connection: Connection) -> None:
         self.connections = tuple(one for one in self.connections if one is not connection)

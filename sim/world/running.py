@@ -67,7 +67,7 @@ class RunningSimulator:
         return (f"export {name}={shlex.quote(value)}" for name, value in variables_of(self.ready).items())
 
 
-VARIABLES = ("RONNA_CONTROL", "THEATRE", "LINE", "CONTROLLER", "STREAM", "LEFT", "RIGHT", "CLOCK")
+VARIABLES = ("RONNA_CONTROL", "THEATRE", "LINE", "CONTROLLER", "STREAM", "ARM", "LEFT", "RIGHT", "CLOCK")
 NO_VARIABLES = f"unset {' '.join(VARIABLES)}; false"  # for `eval`, which fails, and leaves none of another
 
 
@@ -75,12 +75,14 @@ def variables_of(ready: Mapping[str, Any]) -> dict[str, str]:
     """Return shell variables with the endpoints of a READY line, under the names that the pages use."""
     endpoints = ready.get("endpoints", {})
     kuka, basler = endpoints.get("kuka", endpoints), endpoints.get("basler", endpoints)
+    rtde = endpoints.get("ur", endpoints).get("rtde")
     found = {
         "RONNA_CONTROL": ready.get("control", endpoints.get("control")),
         "THEATRE": ready.get("file"),
         "LINE": ready.get("endpoint", endpoints.get("polaris")),
         "CONTROLLER": kuka.get("eki_project"),
         "STREAM": kuka.get("rsi"),
+        "ARM": rtde and parse_endpoint(rtde).host,
         "LEFT": basler.get("left") and parse_endpoint(basler["left"]).host,
         "RIGHT": basler.get("right") and parse_endpoint(basler["right"]).host,
         "CLOCK": endpoints.get("clock"),

@@ -110,7 +110,10 @@ class ClientInterfaces:
                 self._waiting.append((cycles - 1, text))
                 continue
             controller = self._controller
-            why_not = controller.start(recognise(text, controller.model.cycle_s))
+            try:
+                why_not = controller.start(recognise(text, controller.model.cycle_s))
+            except (ArithmeticError, ValueError) as error:
+                why_not = str(error)
             if why_not:
                 for tell in controller.news.failure:
                     tell(f"{name_of(text)} cannot run: {why_not}")

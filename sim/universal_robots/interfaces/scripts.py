@@ -24,14 +24,15 @@ class ScriptText:
         """Yield what is complete; raises ValueError for a text without end."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            yield from self._add(line.decode("utf-8", "replace").rstrip("\r"))
+            if line.strip():
+                yield from self._add(line.decode("utf-8", "replace").rstrip("\r"))
         if self._size + len(self._rest) > self._longest_bytes:
             raise ValueError("a script without end")
 
     def _add(self, line: str) -> Iterator[str]:
         code = _STRING_OR_COMMENT.sub("", line)
         if not self._lines:
-            if not code.strip():
+            if not code.strip():  # a comment
                 return
             if not _BEGINS.match(code):
                 yield line.strip()

@@ -33,8 +33,9 @@ MOST_NUMBERS: Final = 64  # in one message
 LEAST_COMMAND_NUMBERS: Final = 7
 
 _DIALS = re.compile(r'\(\s*"([^"\s]+)"\s*,\s*(\d+)\s*,\s*"(\w+_socket)"')
-_CONSTANT = re.compile(r"^\s*(?:global\s+)?(\w+)\s*=\s*(-?[0-9.]+)\s*$", re.MULTILINE)
-_LOOKAHEAD = re.compile(r"servoj\([^\n]*lookahead_time\s*=\s*([0-9.]+)")
+_CONSTANT = re.compile(r"^\s*+(?:global\s+)?(\w+)\s*=\s*(-?[0-9.]+)\s*$")
+_SERVOJ: Final = "servoj("
+_LOOKAHEAD = re.compile(r"lookahead_time\s*=\s*([0-9.]+)")
 
 
 class Mode(IntEnum):
@@ -79,13 +80,12 @@ class Settings:
 def read_external_control(text: str) -> Settings | None:
     """Return the settings of a script, or None if it is another one."""
     endpoints = {name: (host, int(port)) for host, port, name in _DIALS.findall(text)}
-    constants = {name: float(value) for name, value in _CONSTANT.findall(text) if _is_number(value)}
+    constants = _read_constants(text)
     units = constants.get("MULT_jointstate", 0.0)
     numbers = int(constants.get("REVERSE_INTERFACE_DATA_DIMENSION", JOINTS + 2))
     if REVERSE not in endpoints or units <= 0.0 or not JOINTS + 2 <= numbers <= MOST_NUMBERS:
         return None
     commands = int(constants.get("SCRIPT_COMMAND_DATA_DIMENSION", LEAST_COMMAND_NUMBERS))
-    lookahead = _LOOKAHEAD.search(text)
     return Settings(
         endpoints,
         units,
@@ -94,8 +94,23 @@ def read_external_control(text: str) -> Settings | None:
         constants.get("JOINT_IGNORE_SPEED", 20.0),
         numbers,
         min(max(commands, LEAST_COMMAND_NUMBERS), MOST_NUMBERS),
-        float(lookahead[1]) if lookahead and _is_number(lookahead[1]) else LEAST_LAG_S,
+        _read_lookahead_s(text),
     )
+
+
+def _read_constants(text: str) -> dict[str, float]:
+    found = filter(None, map(_CONSTANT.match, text.splitlines()))
+    return {name: float(value) for name, value in map(re.Match.groups, found) if _is_number(value)}
+
+
+def _read_lookahead_s(text: str) -> float:
+    """Return the look-ahead of the first servoj that states one."""
+    for line in text.splitlines():
+        place = line.find(_SERVOJ)
+        found = None if place < 0 else _LOOKAHEAD.search(line, place)
+        if found:
+            return float(found[1]) if _is_number(found[1]) else LEAST_LAG_S
+    return LEAST_LAG_S
 
 
 def _is_number(text: str) -> bool:

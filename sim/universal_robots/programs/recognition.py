@@ -18,9 +18,9 @@ from sim.universal_robots.variables import PLACES, index
 REGISTER_LOOP_MARK: Final = "RTDE Control Script Loaded"  # in the text of the script that ur_rtde sends
 _NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(")
 _WATCHDOG = re.compile(
-    r"^\s*rtde_set_watchdog\(\s*\"(\w+)\"\s*,\s*([0-9.]+)\s*,\s*\"(\w+)\"\s*\)", re.MULTILINE
+    r"^[^\S\n]*+rtde_set_watchdog\(\s*\"(\w+)\"\s*,\s*([0-9.]+)\s*,\s*\"(\w+)\"\s*\)", re.MULTILINE
 )
-_OFFSET = re.compile(r"^\s*global\s+reg_offset_int\s*=\s*(\d+)", re.MULTILINE)
+_OFFSET = re.compile(r"^[^\S\n]*+global\s+reg_offset_int\s*=\s*(\d+)", re.MULTILINE)
 
 
 def name_of(text: str) -> str:
@@ -30,7 +30,7 @@ def name_of(text: str) -> str:
 
 
 def recognise(text: str, cycle_s: float) -> Program:
-    """Return the program that a script is."""
+    """Return the program that a script is; raises ArithmeticError or ValueError for numbers out of range."""
     name = name_of(text)
     if name == SCRIPT_NAME:
         program = stream_program(name, text)

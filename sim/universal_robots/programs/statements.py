@@ -11,8 +11,9 @@ from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import DIGITAL_OUTPUTS
 
 _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
-_VECTOR = re.compile(r"(p?)\[([^\]]*)\]")
-_NUMBER = re.compile(r"(?:(\w+)\s*=\s*)?([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?|True|False)")
+# Whatever a client sends, each pattern looks at a character a bounded number of times.
+_VECTOR = re.compile(r"[^\[]*?(p?)\[([^\]]*)\]")  # matched from the start: only the first bracket counts
+_NUMBER = re.compile(r"(?:(?<!\w)(\w++)\s*+=\s*+)?([-+]?[0-9.]++(?:[eE][-+]?[0-9]++)?|True|False)")
 FIRST_OUTPUT: Final = {  # bit of output 0
     "set_digital_out": 0,
     "set_standard_digital_out": 0,
@@ -44,9 +45,9 @@ def run_at_once(robot: Robot, text: str) -> None:
 
 
 def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
-    vector = _VECTOR.search(arguments)
+    vector = _VECTOR.match(arguments)
     vectors = [float(number) for number in vector[2].split(",")] if vector and _is_numeric(vector[2]) else []
-    rest = arguments[: vector.start()] + arguments[vector.end() :] if vector else arguments
+    rest = arguments[: vector.start(1)] + arguments[vector.end() :] if vector else arguments
     named: dict[str, float] = {}
     plain: list[float] = []
     for key, word in _NUMBER.findall(rest):

@@ -29,7 +29,8 @@ from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import index
 
 _SETTING = re.compile(
-    r"^\s*(?:global\s+|local\s+)?([A-Z0-9_a-z]+)\s*=\s*([-+0-9.eE]+)\s*(?:#.*)?$", re.MULTILINE
+    r"^[^\S\n]*+(?:global\s+|local\s+)?([A-Z0-9_a-z]++)\s*+=\s*+([-+0-9.eE]++)[^\S\n]*+(?:#.*)?$",
+    re.MULTILINE,
 )
 _SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_INPUT)
 _SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)

@@ -105,6 +105,7 @@ def test_every_endpoint_of_a_theatre_is_a_quoted_variable() -> None:
     )
     assert said.stdout.splitlines() == [CONTROL, THEATRE["file"], "127.77.0.1", "udp://127.0.0.1:1"]
     assert variables_of(THEATRE)["CONTROLLER"] == "tcp://127.0.0.1:3"
+    assert variables_of({"endpoints": {"ur": {"rtde": "tcp://127.0.0.9:30004"}}}) == {"ARM": "127.0.0.9"}
 
 
 def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_apart(

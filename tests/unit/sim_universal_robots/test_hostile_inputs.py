@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import resource
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -11,13 +14,21 @@ import pytest
 from ur_clients import own_address
 from ur_mutants import COMMANDS, LINES, RTDE, SCRIPTS, SET_POINTS, mutants
 
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.wire.universal_robots import DASHBOARD_PORT, SCRIPT_NAME
+from sim.universal_robots import connections
 from sim.universal_robots.connections import Handler, HangUp, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
 from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
+<<<<<<< HEAD
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import recognise
+=======
+from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.programs.recognition import REGISTER_LOOP_MARK, recognise
+>>>>>>> w-ursim3
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.universal_robots.rtde.session import BadPackage, Session
 from sim.world.options import UrArm
@@ -79,8 +90,14 @@ class Target:
     def renew(self) -> None:
         """Begin anew with a controller that may move."""
         self._opened.close()
+<<<<<<< HEAD
         self.controller = Controller(MODELS[UrArm.UR5E], parse_parameters(("power_on_s=0.01",)))
         poll, address = Poll(), own_address()
+=======
+        self.controller = Controller(MODELS[ArmName.UR5E], parse_parameters(("power_on_s=0.01",)))
+        self.poll, address = Poll(), own_address()
+        poll = self.poll
+>>>>>>> w-ursim3
         self._opened.callback(poll.close)
         self.rtde = RtdeServer(self.controller.robot, address, poll, seed=1)
         self.clients = ClientInterfaces(self.controller, address, poll)
@@ -154,6 +171,63 @@ def test_set_points_in_registers(target: Target, count: int, seed: int) -> None:
 @COUNTS
 def test_lines_of_the_dashboard(target: Target, count: int, seed: int) -> None:
     attack(target, LINES, count, seed, lambda: LineHandler(target.dashboard))
+
+
+def _external(constant: str) -> str:
+    dial = 'socket_open("127.0.0.1", 1, "reverse_socket")'
+    return f"def a():\n  MULT_jointstate = 1000000\n  {constant}\n  {dial}\nend\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def a():\n  set_payload(" + "e1" * 100_000 + ")\nend\n",
+        "def a():\n  set_tcp(" + "[" * 300_000 + ")\nend\n",
+        _external("servoj(lookahead_time" * 20_000),
+        "def a():\n" + "if True: end\n" * 20_000 + "end\n",
+        "def a():\n" + "\n" * 400_000 + "end\n",
+    ],
+    ids=["numbers", "brackets", "look-aheads", "blocks", "blank lines"],
+)
+def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> None:
+    assert target.feed(ScriptClient(target), text.encode())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        _external(f"REVERSE_INTERFACE_DATA_DIMENSION = {'9' * 400}"),
+        f"def a():\n  # {REGISTER_LOOP_MARK}\n  global reg_offset_int = {'9' * 5000}\nend\n",
+        f'def {SCRIPT_NAME}():\n  rtde_set_watchdog("input_int_register_24", 0.{"0" * 320}1, "stop")\nend\n',
+    ],
+    ids=["numbers of a message", "register", "watchdog"],
+)
+def test_a_number_out_of_range_is_a_runtime_exception(target: Target, text: str) -> None:
+    failures: list[str] = []
+    target.controller.news.failure.append(failures.append)
+    assert target.feed(ScriptClient(target), text.encode())
+    assert "cannot run" in failures[0]
+
+
+def test_without_a_descriptor_a_client_waits_at_rest_and_is_accepted_later(
+    target: Target, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(connections, "ACCEPT_PAUSE_S", 0.0)
+    listener, poll = target.dashboard.listener, target.poll
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with socket.socket() as client:
+        os.close(free := os.dup(client.fileno()))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (free, before[1]))
+        try:
+            client.connect((parse_endpoint(listener.endpoint).host, DASHBOARD_PORT))
+            for _ in range(3):
+                poll.serve(1.0)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        assert listener.connections == ()
+        assert capsys.readouterr().err.count("cannot accept a client") == 1
+        poll.serve(1.0)
+        assert len(listener.connections) == 1
 
 
 @COUNTS
