@@ -30,13 +30,14 @@ from drivers.universal_robots.errors import (
     ControllerStopped,
     LinkBroken,
     LinkProcessDied,
+    LinkProcessStalled,
     LoadNotTaken,
     MotionStopped,
     ProgramStopped,
     RegistersInUse,
     ScriptNotStarted,
 )
-from ronna_hw.arm.errors import ForceLimitExceeded
+from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
@@ -302,6 +303,36 @@ def inserted(arm: UniversalRobotsArm, depth_mm: float, limit_N: float | None = F
     )
 
 
+@pytest.mark.slow
+@pytest.mark.hazard(30)
+def test_a_real_time_process_that_freezes_in_mid_insertion_leaves_the_instrument_at_rest_and_is_named(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    start = arm.read_state().joints_rad
+    ended: list[RonnaError] = []
+
+    def insert() -> None:
+        try:
+            arm.insert(inserted(arm, 20.0))
+        except RonnaError as error:
+            ended.append(error)
+
+    inserting = threading.Thread(target=insert)
+    inserting.start()
+    eventually(lambda: travelled_mm(arm, start) > 0.5)
+    pid = arm.connections.link.process.pid
+    os.kill(pid, signal.SIGSTOP)
+    eventually(lambda: room.world.arm().at_rest)
+    depth_rad = room.world.arm().joints_rad
+    inserting.join()
+    os.kill(pid, signal.SIGKILL)
+    assert isinstance(ended[0], LinkProcessStalled)
+    assert arm.state is Lifecycle.FAULT
+    assert room.world.arm().joints_rad == depth_rad
+    way = arm.kinematics.flange_pose(start).inverse() @ arm.kinematics.flange_pose(depth_rad)
+    assert 0.5 < way.translation_mm[2] < 19.0
+
+
 def travelled_mm(arm: UniversalRobotsArm, start: JointVector) -> float:
     before, after = (arm.kinematics.flange_pose(q) for q in (start, arm.read_state().joints_rad))
     return float((before.inverse() @ after).translation_mm[2])
@@ -337,10 +368,21 @@ def test_a_load_is_read_back_and_one_that_the_controller_does_not_take_is_refuse
     assert read.centre_mm == pytest.approx(load.centre_mm)
     assert read.tip_mm == pytest.approx(load.tip_mm)
     room.inject("load kept")
+    room.clock.sleep(0.02)  # the controller sees faults only in its next cycle
     with pytest.raises(LoadNotTaken):
         arm.set_tool_load(ToolLoad(1.0), timeout_s=1.0)
     room.inject()
+    room.clock.sleep(0.02)
     arm.set_tool_load(ToolLoad(0.0))
+
+
+@pytest.mark.hazard(57)
+def test_a_hand_that_pushes_before_the_guidance_is_not_followed(room: Room, arm: UniversalRobotsArm) -> None:
+    room.inject("hand +0 +0 +30 N")
+    room.clock.sleep(0.5)
+    with pytest.raises(LoadedAtStart):
+        arm.guide_by_hand(HandGuidance(), lambda: True)
+    assert arm.read_state().moving is False
 
 
 @pytest.mark.hazard(57)
