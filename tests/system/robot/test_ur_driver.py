@@ -388,7 +388,7 @@ def test_a_hand_that_pushes_before_the_guidance_is_not_followed(room: Room, arm:
 @pytest.mark.hazard(57)
 def test_the_arm_follows_a_hand_until_it_is_released(room: Room, arm: UniversalRobotsArm) -> None:
     def height_mm() -> float:
-        return arm.kinematics.flange_pose(arm.read_state().joints_rad).translation_mm[2]
+        return float(arm.kinematics.flange_pose(arm.read_state().joints_rad).translation_mm[2])
 
     begin_mm = height_mm()
     looks = 0
