@@ -70,7 +70,7 @@ class BadDeviceParameter(ConfigurationError):
     """A device parameter of the theatre is invalid."""
 
     code = "SIM-010"
-    action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."
+    action = "Write --set robot.NAME=VALUE, or assistant or tracker in place of robot."
 
 
 class FolderNotEmpty(ConfigurationError):

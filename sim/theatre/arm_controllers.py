@@ -11,10 +11,10 @@ from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
 from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
 from sim.universal_robots.factory_calibration import calibrate
-from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.model import MODELS
 from sim.universal_robots.stated_chain import Chain, stated_chain
 from sim.world import nominal_arm, universal_robots_arm
-from sim.world.options import ArmRole
+from sim.world.options import ArmRole, UrArm
 from sim.world.scene.model import ArmTruth, Scene
 
 FREE = "tcp://127.0.0.1:0"
@@ -38,15 +38,6 @@ class ArmController:
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
 
-    def check_cycle(self, cycle_ms: int | None) -> None:
-        """Raise SIM-010 for a cycle that this controller does not have."""
-        if cycle_ms is not None and cycle_ms not in self.cycles_ms:
-            raise BadDeviceParameter(
-                f"the cycle of the {self.device} controller cannot be chosen",
-                got=f"--cycle-ms {cycle_ms}",
-                action="Omit --cycle-ms with this arm.",
-            )
-
     def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
         """Return the options of the command in a theatre."""
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
@@ -67,7 +58,7 @@ class ArmController:
 def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> Chain:
     """Return the chain that the factory has measured."""
     kind = parse_ur_parameters(parameters).factory_calibration
-    measured = calibrate(MODELS[ArmName(truth.variant)], truth, seed, kind)
+    measured = calibrate(MODELS[UrArm(truth.variant)], truth, seed, kind)
     return stated_chain(measured, universal_robots_arm.DESCRIPTIONS[truth.variant])
 
 
@@ -94,6 +85,22 @@ CONTROLLERS: dict[str, ArmController] = {
     **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),
     **dict.fromkeys(universal_robots_arm.DESCRIPTIONS, UNIVERSAL_ROBOTS),
 }
+
+
+def arms_of(scene: Scene) -> dict[ArmRole, ArmTruth]:
+    """Return the arms of a scene by role."""
+    return {role: scene.arm_of(role) for role in ArmRole if role is ArmRole.MASTER or scene.assistant}
+
+
+def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
+    """Raise SIM-010 for a cycle that the controller of an arm in the scene does not have."""
+    for role, arm in arms_of(scene).items():
+        if cycle_ms is not None and cycle_ms not in CONTROLLERS[arm.variant].cycles_ms:
+            raise BadDeviceParameter(
+                f"the {role} is a {arm.variant}, whose cycle cannot be chosen",
+                got=f"--cycle-ms {cycle_ms}",
+                action="Omit --cycle-ms with this arm.",
+            )
 
 
 def device_name(scene: Scene, role: ArmRole) -> str:

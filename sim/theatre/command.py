@@ -86,8 +86,15 @@ def theatre(
         bool, typer.Option("--target-balls", help="Put a ball at each target, as on a phantom.")
     ] = False,
     dual: Annotated[
-        bool, typer.Option("--dual", help="Add a second arm, the assistant, on a cart of its own.")
+        bool,
+        typer.Option(
+            "--dual",
+            help="Add a second arm, the assistant, on a cart of its own, and records of both arms.",
+        ),
     ] = False,
+    assistant_arm: Annotated[
+        ArmChoice, typer.Option(help="With --dual: the model of the assistant.")
+    ] = ArmChoice.KR6,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -105,7 +112,7 @@ def theatre(
         typer.Option(
             "--set",
             metavar="DEVICE.NAME=VALUE",
-            help="Change a parameter of the robot or the tracker, such as robot.lag_s=0.03; repeatable.",
+            help="Change a parameter of robot, assistant or tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
     run: Annotated[str, typer.Option(hidden=True, help="Run that it belongs to, and is listed as.")] = "",
@@ -115,7 +122,7 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
-    from sim.theatre.arm_controllers import CONTROLLERS
+    from sim.theatre.arm_controllers import check_cycle
     from sim.theatre.launch import Theatre, parameters_by_device, read_calibrations
     from sim.world.faults import read_faults
     from sim.world.process import end_with_parent, fail, load_scene
@@ -143,12 +150,13 @@ def theatre(
         first_day=first_day,
         target_balls=target_balls,
         dual=dual,
+        assistant_arm=assistant_arm,
     )
     records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""
-    controller, chosen_ms = CONTROLLERS[truth.arm.variant], None if cycle_ms is None else int(cycle_ms.value)
-    controller.check_cycle(chosen_ms)
-    parameters = parameters_by_device(parameter or (), controller)
+    chosen_ms = None if cycle_ms is None else int(cycle_ms.value)
+    check_cycle(truth, chosen_ms)
+    parameters = parameters_by_device(parameter or (), truth)
     ended = threading.Event()
     end_with_parent(ended.set)
     with lock_folder(out):

@@ -20,9 +20,14 @@ from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
-from sim.theatre.arm_controllers import CONTROLLERS, ArmController, device_name
-from sim.theatre.records import refer_to_tip
-from sim.theatre.theatre_file import identity_of, read_calibration_time, theatre_content, write_theatre_file
+from sim.theatre.arm_controllers import CONTROLLERS, arms_of, device_name
+from sim.theatre.theatre_file import (
+    NO_RECORDS,
+    identity_of,
+    read_calibration_time,
+    theatre_content,
+    write_theatre_file,
+)
 from sim.world.control_port import ControlPort, Room
 from sim.world.options import ArmRole
 from sim.world.saved_world import SavedWorld, save_world
@@ -42,7 +47,6 @@ SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so the silence limit must be higher.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
 HEARTBEAT_LIMIT_LOCK_STEP_S = 5.0  # with ten cases on two cores a program waits seconds for a processor
-NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
 
 CALIBRATION_FILE = "calibration.toml"
@@ -68,7 +72,7 @@ class Theatre:
     ) -> None:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
-        `parameters` are NAME=VALUE by command; `saved` is the world of an earlier theatre, to continue from;
+        `parameters` are NAME=VALUE by device; `saved` is the world of an earlier theatre, to continue from;
         `records` replace the theatre's own calibrations. Raises PRC-001 when a device does not become ready,
         SIM-012 if the earlier theatre's file is lost.
         """
@@ -92,15 +96,14 @@ class Theatre:
                 self.world.clock_endpoint,
                 self._write_tools(),
                 limit_s,
-                cycle_ms,
-                calibrated,
-                parameters.get(CONTROLLERS[scene.arm.variant].device, ()),
+                cycle_ms=cycle_ms,
+                calibrated=calibrated,
+                parameters=parameters.get(device_name(scene, ArmRole.MASTER), ()),
+                records=records,
             )
             if not paced:
                 for robot in content["robot"].values():
                     robot["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
-            content["calibration"] |= records
-            refer_to_tip(content)
             save_world(self.world, folder)  # from here on it can be continued, also if it is killed
             write_theatre_file({"identity": identity, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
@@ -165,7 +168,7 @@ class Theatre:
         self._children = [
             ChildProcess(
                 f"ronna-sim {name}",
-                command("sim.cli", *more, *(f"--set={one}" for one in parameters.get(more[0], ()))),
+                command("sim.cli", *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
                 on_message=_pass_on_pendant,
             )
@@ -223,23 +226,29 @@ def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
     return records
 
 
-def parameters_by_device(settings: Sequence[str], controller: ArmController) -> dict[str, tuple[str, ...]]:
-    """Group `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
+def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Group `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by the device's name in the READY line.
 
-    Raises SIM-010 for a device without parameters, PSU-001 or the error of the arm's controller for an
-    unknown parameter.
+    `robot` is the master. Raises SIM-010 for a device without parameters, PSU-001 or the error of the arm's
+    controller for an unknown parameter.
     """
-    commands = {ROBOT: controller.device, TRACKER: POLARIS}
+    arms = arms_of(scene)
+    names = {TRACKER: POLARIS, **{_option_name(role): device_name(scene, role) for role in arms}}
     found: dict[str, tuple[str, ...]] = {}
     for setting in settings:
         device, dot, assignment = setting.partition(".")
-        if device not in commands or not dot or "=" not in assignment:
+        if device not in names or not dot or "=" not in assignment:
             raise BadDeviceParameter(
                 f"{setting!r} is not DEVICE.NAME=VALUE",
-                expected=" or ".join(f"{name}.NAME=VALUE" for name in commands),
+                expected=" or ".join(f"{name}.NAME=VALUE" for name in names),
             )
-        name = commands[device]
+        name = names[device]
         found[name] = (*found.get(name, ()), assignment)
-    controller.parse_parameters(found.get(controller.device, ()))
+    for role, arm in arms.items():
+        CONTROLLERS[arm.variant].parse_parameters(found.get(device_name(scene, role), ()))
     parse_behaviour(found.get(POLARIS, ()))
     return found
+
+
+def _option_name(role: ArmRole) -> str:
+    return ROBOT if role is ArmRole.MASTER else role.value

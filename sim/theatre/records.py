@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 STATED_ERROR_MM = 0.10
 # Effect of such an arm on the points of one head, all approached alike, per axis: its links and offsets
 # retain 15 and 16 % of an uncalibrated arm's errors, whose effect is 0.10 mm.
-ARM_ERROR_MM = 0.016
+CALIBRATED_ARM_ERROR_MM = 0.016
 
 STEREO_HEAD_KG = 2.1
 CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame

@@ -7,7 +7,7 @@ measured it. The tool frame is the exception: its record has the nominal pose, a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -20,25 +20,36 @@ from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.arm_controllers import CONTROLLERS, device_name
-from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
-from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
+from sim.theatre.records import (
+    CALIBRATED_ARM_ERROR_MM,
+    STATED_ERROR_MM,
+    arm_values,
+    draw_mount_record,
+    refer_to_tip,
+    tool_records,
+)
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
+from sim.world.scene.assistant import FRAME_MM, FRAME_TURN
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
+from sim.world.scene.parts import ASSISTANT_FRAME_NAME
 from sim.world.true_arm import arm_seed
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
 # Effect of an arm of parameter set S on the points of one head, all approached alike. Chosen on seeds 0 to
 # 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
-ARM_ERROR_MM = 0.10
+UNCALIBRATED_ARM_ERROR_MM = 0.10
 # For a frame and a guide mounted according to their drawing and never measured, per axis.
 DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
 DRAWN_DIRECTION_RAD = 1.2e-3  # of the bore about either axis: 0.1 degrees in total
 DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be credible
+# Clamp and ball of the assistant's holder on its flange, as a laboratory measures them, per axis.
+HOLDER_MM, HOLDER_RAD = 0.02, 2e-4
+NO_RECORDS: Mapping[str, Any] = {}
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
 
@@ -49,14 +60,17 @@ def theatre_content(
     clock: str,
     tool_files: dict[str, str],
     silence_limit_s: float,
+    *,
     cycle_ms: int | None = None,
     calibrated: datetime | None = None,
     parameters: Sequence[str] = (),
+    records: Mapping[str, Any] = NO_RECORDS,
 ) -> dict[str, Any]:
     """Return the theatre file as plain data, valid for `ronna_hw.config.TheatreFile`.
 
     `cycle_ms` is the robot's cycle if it differs from its context's, `calibrated` the time of the records if
-    not now, `parameters` the NAME=VALUE of the arm's controller.
+    not now, `parameters` the NAME=VALUE of the master's controller. `records` replace the calibrations
+    drawn here.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
     content: dict[str, Any] = {
@@ -81,13 +95,13 @@ def theatre_content(
             "endpoints": endpoints["basler"],
             "options": {"left_serial": scene.left.serial, "right_serial": scene.right.serial},
         },
-        "calibration": _make_calibrations(scene, made, tuple(parameters)),
+        "calibration": _make_calibrations(scene, made, tuple(parameters)) | dict(records),
         "flange": FLANGE,
         "tools": tool_records(scene, lambda name: _record_header(scene, name, made), FLANGE),
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
-            "arm_error_mm": ARM_ERROR_MM,
+            "arm_error_mm": UNCALIBRATED_ARM_ERROR_MM,
             "tool_error_mm": TOOL_ERROR_MM,
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
             **(
@@ -205,6 +219,7 @@ def _make_calibrations(scene: Scene, created: datetime, parameters: tuple[str, .
             tool_from_marker=_pose_document(marker),
         ),
         **_arm_record(scene, record, parameters),
+        **_assistant_records(scene, record),
     }
 
 
@@ -233,6 +248,37 @@ def _arm_record(
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
+
+
+def _assistant_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    """Return the records of the assistant: its arm, and its holder with the frame and the ball as drawn."""
+    residual, assistant = scene.calibration_error.arm, scene.assistant
+    if residual is None or assistant is None:
+        return {}
+    arm = assistant.arm
+    draws = noise(scene.seed, "assistant calibration", 0)
+    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.ASSISTANT), ())
+    values = arm_values(arm, residual, draws, stated)
+    scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
+    values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
+    twist = matrix_from(
+        draws.normal(0.0, HOLDER_MM, 3), rotation_from_vector(draws.normal(0.0, HOLDER_RAD, 3))
+    )
+    ball_mm = np.array(assistant.flange_from_ball_mm) + draws.normal(0.0, HOLDER_MM, 3)
+    return {
+        "assistant_arm": record(
+            "assistant-arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values
+        ),
+        "assistant_holder": record(
+            "assistant-holder",
+            3**0.5 * HOLDER_MM,
+            stated_direction_error_rad=2**0.5 * HOLDER_RAD,
+            flange_from_clamp=_pose_document(matrix_of(assistant.flange_from_clamp) @ twist),
+            flange_from_ball_mm=[float(value) for value in ball_mm],
+            flange_from_frame=_pose_document(matrix_from(FRAME_MM, FRAME_TURN)),
+            frame=ASSISTANT_FRAME_NAME,
+        ),
+    }
 
 
 def _camera_record(

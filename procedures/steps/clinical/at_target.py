@@ -21,6 +21,12 @@ from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question, Task, Topic
 from procedures.steps.branches import HOLD
+from procedures.steps.clinical.assisted_insertion import (
+    insert_with_assistant,
+    send_assistant_home,
+    withdraw_assistant,
+)
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
@@ -96,7 +102,9 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
                 _look_at_guide(context, stage, rest, work_so_far)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.done_statement} at {trajectory}")
+        withdraw_assistant(context)
         context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
+    send_assistant_home(context)
     if work_so_far.finished_before:
         return _build_unwatched_outcome(work_so_far)
     pushed = work_so_far.pushed_mm > PUSHED_MM
@@ -146,7 +154,11 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
+    assisted = stage is STAGES[-1] and context.workcell.second is not None
+    if assisted:
+        insert_with_assistant(context, stop)
+    else:
+        context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
         f"at {trajectory}: {stage.done_statement}",
@@ -223,7 +235,7 @@ STEP = StepSpec(
     run,
     asks=(Topic.DEPTH_STOP, *(stage.topic for stage in STAGES), Topic.INSTRUMENT_OUT),
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide, CheckedPlan, *ROOM_READS),
+    reads=(PositionedGuide, CheckedPlan, *ROOM_READS, LocalizedFiducials),
     continues=True,
     finishes=True,
     preconditions=needs_insertion,

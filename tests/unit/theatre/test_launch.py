@@ -12,10 +12,14 @@ from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from sim.cli import app as ronna_sim
 from sim.errors import BadDeviceParameter
-from sim.theatre.arm_controllers import KUKA, UNIVERSAL_ROBOTS
+from sim.theatre.arm_controllers import check_cycle
 from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
 from sim.theatre.theatre_file import write_theatre_file
+from sim.universal_robots.errors import UnknownParameter
+from sim.world.options import ArmChoice
 from sim.world.saved_world import WORLD_FILE, read_saved_world
+from sim.world.scene.assistant import add_assistant
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import SCENE_FILE
 
@@ -94,24 +98,46 @@ def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(
 
 def test_settings_are_grouped_by_device() -> None:
     given = ("robot.lag_s=0.03", "tracker.line_after_close=kept", "robot.timeout_counting=total")
-    assert parameters_by_device(given, KUKA) == {
+    assert parameters_by_device(given, draw_scene("mini")) == {
         "kuka": ("lag_s=0.03", "timeout_counting=total"),
         "polaris": ("line_after_close=kept",),
     }
-    assert parameters_by_device((), KUKA) == {}
+    assert parameters_by_device((), draw_scene("mini")) == {}
 
 
-def test_a_controller_whose_cycle_is_fixed_refuses_another() -> None:
-    KUKA.check_cycle(12)
-    UNIVERSAL_ROBOTS.check_cycle(None)
+@pytest.fixture(scope="module")
+def mixed() -> Scene:
+    """A scene whose master is a KR6 and whose assistant a UR5e."""
+    scene = add_assistant(draw_scene("mini"))
+    assert scene.assistant is not None
+    arm = draw_scene("mini", arm=ArmChoice.UR5E).arm
+    return scene.model_copy(update={"assistant": scene.assistant.model_copy(update={"arm": arm})})
+
+
+def test_settings_of_two_arms_are_told_apart_and_checked_by_the_controller_of_each(mixed: Scene) -> None:
+    given = ("robot.lag_s=0.03", "assistant.drive_delay_cycles=2")
+    assert parameters_by_device(given, mixed) == {
+        "kuka": ("lag_s=0.03",),
+        "assistant": ("drive_delay_cycles=2",),
+    }
+    with pytest.raises(UnknownParameter, match="lag_s"):
+        parameters_by_device(("assistant.lag_s=0.03",), mixed)
     with pytest.raises(BadDeviceParameter):
-        UNIVERSAL_ROBOTS.check_cycle(4)
+        parameters_by_device(("assistant.drive_delay_cycles=2",), draw_scene("mini"))
+
+
+def test_a_cycle_that_one_of_the_arms_does_not_have_is_refused_with_the_arms_role(mixed: Scene) -> None:
+    check_cycle(draw_scene("mini"), 12)
+    check_cycle(mixed, None)
+    with pytest.raises(BadDeviceParameter, match="the assistant is a ur5e"):
+        check_cycle(mixed, 12)
 
 
 def test_each_device_is_started_with_its_own_parameters(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     started: dict[str, list[str]] = {}
+    scene = draw_scene("mini", seed=1)
 
     class Enough(Exception):
         pass
@@ -124,11 +150,11 @@ def test_each_device_is_started_with_its_own_parameters(
     monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
     with pytest.raises(Enough):
         Theatre(
-            draw_scene("mini", seed=1),
+            scene,
             tmp_path,
             paced=False,
             cycle_ms=12,
-            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3"), KUKA),
+            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3"), scene),
         )
     robot = started["ronna-sim kuka"]
     assert robot[robot.index("--cycle-ms") + 1] == "12"

@@ -132,7 +132,7 @@ def test_a_calibration_with_a_non_finite_number_is_refused(value: float) -> None
 def test_another_cycle_time_is_passed_to_the_robot_driver() -> None:
     scene = draw_scene("mini")
     for cycle_ms, said in ((12, 12), (None, None)):
-        theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
+        theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms=cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == said
 
 

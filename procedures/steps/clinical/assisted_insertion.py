@@ -1,0 +1,203 @@
+"""Insertion of the instrument by the assistant, through the guide that the master holds.
+
+The instrument is clamped at its depth stop. The assistant brings it over the guide, coaxial with the bore,
+and leads it straight and slowly until the stop rests on the guide; then its clamp slides. Nothing retreats
+unasked.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.engine.context import StepContext
+from procedures.journal.errors import GateFailed
+from procedures.operator.question import Task, Topic
+from procedures.planning.errors import NotReachable
+from procedures.steps.clinical.base_to_base import KnownBases, working_joints
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.surroundings import planning_scene_of
+from procedures.steps.clinical.work_progress import DepthStop
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.assistant import AT_GUIDE, INSERTION_MM_S, Assistant
+from ronna_hw.config import ASSISTANT, MASTER
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Transform
+from ronna_hw.text import format_against_limit
+from ronna_hw.vectors import JointVector
+from ronna_hw.wire.room_tasks import HOLDER, SEATED
+
+COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
+ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
+PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
+LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
+TURN_STEP_RAD = math.radians(15.0)
+NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
+
+
+def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
+    """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
+    workcell, second, trajectory = context.workcell, context.workcell.second, context.trajectory
+    assert second is not None
+    if second.place.is_on_axis:  # halted on its way earlier
+        workcell.start()
+        second.retreat()
+    context.request_instrument_removal()
+    load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
+    context.perform_task(Task(HOLDER, load, trajectory))
+    known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
+    assert known is not None
+    shift = np.asarray(known.flange_from_ball_mm) - second.holder.flange_from_ball_mm
+    second.shift_mm = (float(shift[0]), float(shift[1]), float(shift[2]))
+    second.hold_instrument(stop.read_mm)
+    workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
+    _surround(context)
+    axis, start_rad = _find_axis(context, second, stop, known.head_shift_mm)
+    workcell.start()
+    second.supervised.confirm(
+        Topic.APPROACH,
+        f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
+        f"{axis.travel_mm:.0f} mm along the bore at {INSERTION_MM_S:g} mm/s, until its stop rests there",
+        [second.settle_motion(start_rad, axis.arriving)],
+        trajectory,
+    )
+    context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
+    second.settle(start_rad, axis.arriving)
+    _require_coaxial(context, second, axis, known.head_shift_mm)
+    workcell.instrument.record_insertion(trajectory)
+    context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
+    second.insert(second.axis_in_base(axis))
+    task = Task(
+        SEATED,
+        f"look whether the depth stop rests on the guide at {trajectory}",
+        trajectory,
+        reads=("gap between stop and guide in mm",),
+        plausible_mm=(0.0, 10.0),
+    )
+    (gap_mm,) = context.perform_task(task)
+    if gap_mm > LARGEST_GAP_MM:
+        raise GateFailed(
+            f"the depth stop does not rest on the guide at {trajectory}",
+            limit=f"{LARGEST_GAP_MM:g} mm",
+            got=f"{gap_mm:.2f} mm",
+            action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
+        )
+
+
+def withdraw_assistant(context: StepContext) -> None:
+    """Have the assistant lead the instrument straight out, once the operator confirms it."""
+    second = context.workcell.second
+    if second is not None and second.place.is_on_axis:
+        context.workcell.start()
+        second.retreat()
+
+
+def send_assistant_home(context: StepContext) -> None:
+    """Send the assistant home after the instrument was taken out of its holder."""
+    workcell, second = context.workcell, context.workcell.second
+    if second is None:
+        return
+    if second.place.is_out:
+        second.hold_instrument(0.0)
+        _surround(context)
+        second.go_home()
+    workcell.touch({})
+
+
+def _guide_pose(context: StepContext, head_shift_mm: tuple[float, float, float]) -> Transform:
+    """Return the guide as the stereo head has seen its mount: the shift belongs to both."""
+    workcell = context.workcell
+    axis = workcell.place.axis
+    pose = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
+    return pose.displace(pose.rotation_matrix @ np.asarray(head_shift_mm))
+
+
+def _find_axis(
+    context: StepContext, second: Assistant, stop: DepthStop, head_shift_mm: tuple[float, float, float]
+) -> tuple[Insertion, JointVector]:
+    """Return the clamp's axis in the robot frame, and the joints at its start. Raises PLAN-007."""
+    guide, bore = _guide_pose(context, head_shift_mm), context.workcell.tools.guide.bore
+    top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
+    travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
+    axes = []
+    for step in range(round(2.0 * math.pi / TURN_STEP_RAD)):
+        turn = guide.rigid.rotation * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD])
+        held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
+        axes.append(Insertion(context.trajectory, held, travel_mm))
+    assert second.base is not None
+    to_base = second.base.inverse()
+    onto_flange = second.flange_from_clamp.inverse()
+    near = working_joints(second, [to_base @ one.held @ onto_flange for one in axes])
+    found: list[tuple[float, Insertion, JointVector]] = []
+    for one in axes:
+        try:
+            at_start = second.clamp_joints(one.start, near)
+            at_end = second.clamp_joints(one.held, at_start)
+            signs = tuple(1 if end >= begin else -1 for begin, end in zip(at_start, at_end, strict=True))
+            start_rad = second.clamp_joints(one.start, near, signs)
+        except LimitError:
+            continue
+        way_rad = max(abs(a - b) for a, b in zip(start_rad, second.home_rad, strict=True))
+        turned_rad = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True))
+        axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
+        found.append((way_rad + turned_rad, axis, start_rad))
+    here_rad = second.joints_rad()
+    for _, axis, start_rad in sorted(found, key=lambda one: one[0]):
+        onto = second.settle_motion(start_rad, axis.arriving)
+        along = second.insert_motion(second.axis_in_base(axis), start_rad)
+        if second.is_clear([onto, along], here_rad):
+            return axis, start_rad
+    raise NotReachable(
+        f"the assistant cannot bring the instrument into the guide at {context.trajectory}: "
+        f"of {len(axes)} turns about its axis {len(found)} are in reach, none is clear",
+        action="Place the assistant's cart elsewhere and localize again, or start a run without --dual.",
+    )
+
+
+def _require_coaxial(
+    context: StepContext, second: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
+) -> None:
+    """Raise PRO-007 unless the instrument is coaxial with the bore, by the joints of both arms."""
+    guide = _guide_pose(context, head_shift_mm)
+    clamp = guide.inverse() @ second.clamp_pose(second.joints_rad(), axis.arriving)
+    turned_rad = math.acos(min(1.0, float(clamp.rotation_matrix[2, 2])))
+    bore = context.workcell.tools.guide.bore
+    ends = [clamp.inverse().apply((0.0, 0.0, z)) for z in (-bore.reach_mm - bore.length_mm, -bore.reach_mm)]
+    off_mm = max(math.hypot(end[0], end[1]) for end in ends)
+    if off_mm > COAXIAL_MM or turned_rad > COAXIAL_RAD:
+        raise GateFailed(
+            f"the instrument is not coaxial with the guide at {context.trajectory}",
+            limit=f"{COAXIAL_MM:g} mm, {math.degrees(COAXIAL_RAD):g} deg",
+            got=f"{format_against_limit(off_mm, COAXIAL_MM, 2)} mm, {math.degrees(turned_rad):.2f} deg",
+            action="The assistant stays where it is. Repeat the step, or send the arms home.",
+        )
+    context.find(
+        f"at {context.trajectory} the instrument is {off_mm:.2f} mm and "
+        f"{math.degrees(turned_rad):.2f} deg from the axis of the guide"
+    )
+
+
+def _surround(context: StepContext) -> None:
+    """Surround the assistant with the patient, leaving the corridor of this trajectory open."""
+    workcell = context.workcell
+    robot_from_ct = context.result_among(RegisteredRobot, lambda made: made[-1] if made else None)
+    by = (
+        context.result(Correspondence).robot_from_ct if robot_from_ct is None else robot_from_ct.robot_from_ct
+    )
+    trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
+    guide = workcell.flange_from(MountedTool.GUIDE)
+    workcell.surround_assistant(planning_scene_of(context).with_guide(by.transform, guide, trajectory))
+
+
+def _parts_at_bore(context: StepContext) -> tuple[str, ...]:
+    """Return the names of the guide's parts around its bore."""
+    bodies = context.setting.surroundings.guide
+    return tuple(
+        one.name
+        for one in bodies
+        if min(math.hypot(*one.start_mm[:2]), math.hypot(*one.end_mm[:2])) < NEAR_BORE_MM
+    )
