@@ -94,6 +94,7 @@ class StreamSession(ABC):
         self.device_clock = 0
         self.controller_word = 0  # packed by the driver for its errors
         self._heartbeat = (0, 0)  # value, and when it was first seen
+        self._is_parent_frozen = False  # no heartbeat for too long, also after another fault
         self._stop_word = 0  # last order seen
         self._command_number = 0
         self._received_ns = self._previous_ns = 0
@@ -348,7 +349,7 @@ class StreamSession(ABC):
             if self._force is not None and self.result is not Result.RUNNING:
                 self._force.end()
         if self.phase in (Phase.RUNNING, Phase.FAULT) and (
-            self.is_parent_gone or self.fault is Fault.HEARTBEAT
+            self.is_parent_gone or self._is_parent_frozen or self.fault is Fault.HEARTBEAT
         ):
             self.phase = Phase.ENDING
 
@@ -378,8 +379,11 @@ class StreamSession(ABC):
         seen, since = self._heartbeat
         if value != seen or not since:
             self._heartbeat = (value, now_ns)
-        elif now_ns - since > self._heartbeat_ns and self.phase in (Phase.ARMED, Phase.RUNNING):
-            self._latch(Fault.HEARTBEAT)
+            self._is_parent_frozen = False
+        elif now_ns - since > self._heartbeat_ns:
+            self._is_parent_frozen = True
+            if self.phase in (Phase.ARMED, Phase.RUNNING):
+                self._latch(Fault.HEARTBEAT)
         if self.is_parent_gone:
             self._stopping = self.moving
 

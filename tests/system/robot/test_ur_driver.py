@@ -30,16 +30,18 @@ from drivers.universal_robots.errors import (
     ControllerStopped,
     LinkBroken,
     LinkProcessDied,
+    LinkProcessStalled,
+    LoadNotTaken,
     MotionStopped,
     ProgramStopped,
     RegistersInUse,
     ScriptNotStarted,
 )
-from ronna_hw.arm.errors import ForceLimitExceeded
+from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.contact import Insertion, ToolLoad
+from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
@@ -53,8 +55,10 @@ ROLES = ("rtde", "dashboard", "primary")
 TURN_RAD = radians(20.0)
 BARE_FLANGE = Transform.of(Frame.FLANGE, Frame.TOOL)
 FORCE_LIMIT_N = 15.0
-# Tissue 1 mm ahead, 5 mm of skin, then bone, whose resistance rises by 40 N/mm.
-LIMIT_DEPTH_MM = 6.0 + FORCE_LIMIT_N / 40.0
+# Tissue 1 mm ahead, thin skin, then bone, whose resistance rises by 40 N/mm.
+SKIN_MM = 0.5
+LIMIT_DEPTH_MM = 1.0 + SKIN_MM + FORCE_LIMIT_N / 40.0
+GUIDED_MM = 10.0
 
 MOVER = """
 import sys, threading
@@ -84,8 +88,8 @@ class Room:
     def __init__(self, stack: ExitStack) -> None:
         scene = draw_scene("bench", seed=3, arm=ArmChoice.UR5E)
         self.world = World.create(scene, paced=False)
-        options = ("--world", self.world.endpoint, "--set", "protective_stop_lock_s=0.1")
-        self.cell = UrCell(stack, *options, number=2)
+        settings = ("--set", "protective_stop_lock_s=0.1", "--set", f"skin_mm={SKIN_MM}")
+        self.cell = UrCell(stack, "--world", self.world.endpoint, *settings, number=2)
         self.config = DeviceConfig(
             driver="universal_robots",
             endpoints={role: self.cell.endpoints[role] for role in ROLES},
@@ -299,6 +303,36 @@ def inserted(arm: UniversalRobotsArm, depth_mm: float, limit_N: float | None = F
     )
 
 
+@pytest.mark.slow
+@pytest.mark.hazard(30)
+def test_a_real_time_process_that_freezes_in_mid_insertion_leaves_the_instrument_at_rest_and_is_named(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    start = arm.read_state().joints_rad
+    ended: list[RonnaError] = []
+
+    def insert() -> None:
+        try:
+            arm.insert(inserted(arm, 20.0))
+        except RonnaError as error:
+            ended.append(error)
+
+    inserting = threading.Thread(target=insert)
+    inserting.start()
+    eventually(lambda: travelled_mm(arm, start) > 0.5)
+    pid = arm.connections.link.process.pid
+    os.kill(pid, signal.SIGSTOP)
+    eventually(lambda: room.world.arm().at_rest)
+    depth_rad = room.world.arm().joints_rad
+    inserting.join()
+    os.kill(pid, signal.SIGKILL)
+    assert isinstance(ended[0], LinkProcessStalled)
+    assert arm.state is Lifecycle.FAULT
+    assert room.world.arm().joints_rad == depth_rad
+    way = arm.kinematics.flange_pose(start).inverse() @ arm.kinematics.flange_pose(depth_rad)
+    assert 0.5 < way.translation_mm[2] < 19.0
+
+
 def travelled_mm(arm: UniversalRobotsArm, start: JointVector) -> float:
     before, after = (arm.kinematics.flange_pose(q) for q in (start, arm.read_state().joints_rad))
     return float((before.inverse() @ after).translation_mm[2])
@@ -311,15 +345,15 @@ def test_an_insertion_stops_in_bone_at_its_force_limit_and_ends_at_its_depth_wit
     start = arm.read_state().joints_rad
     room.inject("tissue 1 mm ahead")
     with pytest.raises(ForceLimitExceeded):
-        arm.insert(inserted(arm, 20.0))
+        arm.insert(inserted(arm, 10.0))
     assert arm.state is Lifecycle.HOLD
     beyond_mm = travelled_mm(arm, start) - LIMIT_DEPTH_MM
     assert -0.1 < beyond_mm < 0.7
     arm.resume()
     arm.insert(inserted(arm, -travelled_mm(arm, start), limit_N=None))
     room.inject()
-    done = arm.insert(inserted(arm, 8.0))
-    assert done.travel_mm == pytest.approx(8.0, abs=0.02)
+    done = arm.insert(inserted(arm, 2.0))
+    assert done.travel_mm == pytest.approx(2.0, abs=0.02)
     assert done.peak_force_N is not None
     assert done.peak_force_N < FORCE_LIMIT_N
 
@@ -333,4 +367,51 @@ def test_a_load_is_read_back_and_one_that_the_controller_does_not_take_is_refuse
     assert read.mass_kg == pytest.approx(load.mass_kg)
     assert read.centre_mm == pytest.approx(load.centre_mm)
     assert read.tip_mm == pytest.approx(load.tip_mm)
+    room.inject("load kept")
+    room.clock.sleep(0.02)  # the controller sees faults only in its next cycle
+    with pytest.raises(LoadNotTaken):
+        arm.set_tool_load(ToolLoad(1.0), timeout_s=1.0)
+    room.inject()
+    room.clock.sleep(0.02)
     arm.set_tool_load(ToolLoad(0.0))
+
+
+@pytest.mark.hazard(57)
+def test_a_hand_that_pushes_before_the_guidance_is_not_followed(room: Room, arm: UniversalRobotsArm) -> None:
+    room.inject("hand +0 +0 +30 N")
+    room.clock.sleep(0.5)
+    with pytest.raises(LoadedAtStart):
+        arm.guide_by_hand(HandGuidance(), lambda: True)
+    assert arm.read_state().moving is False
+
+
+@pytest.mark.hazard(57)
+def test_the_arm_follows_a_hand_until_it_is_released(room: Room, arm: UniversalRobotsArm) -> None:
+    def height_mm() -> float:
+        return float(arm.kinematics.flange_pose(arm.read_state().joints_rad).translation_mm[2])
+
+    begin_mm = height_mm()
+    looks = 0
+
+    def is_held() -> bool:
+        nonlocal looks
+        looks += 1
+        if looks == 2:  # a hand that pushes at the start is refused
+            room.inject("hand +0 +0 +30 N")
+        return height_mm() < begin_mm + GUIDED_MM
+
+    guided = arm.guide_by_hand(HandGuidance(), is_held)
+    room.inject()
+    assert guided.end is GuidanceEnd.RELEASED
+    assert not guided.reading.moving
+    assert arm.state is Lifecycle.ACTIVE
+
+
+@pytest.mark.hazard(53)
+def test_a_force_above_the_safety_limit_stops_the_arm_as_the_controller_does(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    motion = Motion(arm)
+    room.inject("load axial 200 N")
+    assert isinstance(motion.end(), ControllerStopped)
+    room.inject()

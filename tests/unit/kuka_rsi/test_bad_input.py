@@ -20,11 +20,14 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     WrongController,
 )
+from ronna_hw.arm.errors import ForceNotSensed
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.contact import Insertion
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.kuka_context import ContextInvalid, context_hash, load_context
 
 
@@ -137,3 +140,11 @@ def test_tool_and_base_can_be_set_only_at_rest(controller: Any, make_arm: Any) -
     arm.activate()
     with pytest.raises(WrongState):
         arm.controller.set_tool(2, Pose(), mass_kg=1.2)
+
+
+@pytest.mark.hazard(56)
+def test_an_insertion_with_a_force_limit_is_refused_by_an_arm_that_senses_none(make_arm: Any) -> None:
+    target = Transform.of(Frame.ROBOT, Frame.TOOL)
+    insertion = Insertion(target, Transform.of(Frame.FLANGE, Frame.TOOL), force_limit_N=15.0)
+    with pytest.raises(ForceNotSensed, match="15 N"):
+        make_arm().insert(insertion)

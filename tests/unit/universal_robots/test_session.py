@@ -189,6 +189,20 @@ def test_a_program_that_ends_or_hangs_leaves_an_arm_at_rest_and_an_ended_script(
         assert stand.largest_step_rad < 1.3 * WORKING_STEP_RAD
 
 
+@pytest.mark.hazard(30)
+def test_a_program_that_freezes_after_another_fault_leaves_an_ended_script_and_the_first_fault() -> None:
+    stand = moving()
+    stand.stop(StopOrder.PROTECTIVE)
+    stand.cycles(REST_CYCLES)
+    assert stand.session.phase is Phase.FAULT
+    stand.cycles(2000)
+    assert stand.script_state == 2, "the program lives, and may still acknowledge"
+    stand.beats = False
+    stand.cycles(600)
+    assert stand.script_state == 3
+    assert stand.session.fault is Fault.PROTECTIVE
+
+
 def test_silence_beyond_the_limit_latches_a_fault() -> None:
     stand = moving()
     orders = (stand.beat, 0, stand.commands)
