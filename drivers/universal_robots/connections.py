@@ -192,6 +192,7 @@ class Connections:
             handover_fd=theirs.fileno(),
             model=options.model.value,
             cycle_s=options.cycle_s,
+            starved_cycles=script_settings(options).STARVED_CYCLES,
             calibration=self._calibration,
         )
         with theirs:

@@ -2,7 +2,8 @@
 
 Safety, power and program are watched by the real-time process in every cycle. From here the arm is stopped
 when the primary interface breaks or falls silent, as when the pendant is switched to local control. A program
-that the controller has only paused is ended: resumed, it would follow set-points of another moment.
+that the controller has only paused is ended: resumed, it would follow set-points of another moment. So is one
+that has taken the place of ours.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from drivers.universal_robots.primary.client import ControllerState, PrimaryClie
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState, Phase
 from ronna_hw.arm_stream.watch import HasLink, StreamWatch
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 
@@ -75,13 +76,13 @@ class UrWatch(StreamWatch):
 
     def on_state(self, state: ControllerState) -> None:
         """Check a state of the primary interface; called on its reader thread."""
+        self._end_program()  # first: another one may be driving the arm
         self.check()
-        self._end_paused_program()
 
     def on_silence(self) -> None:
         """Check whether the controller has been silent for too long; called on the reader thread."""
+        self._end_program()
         self.check()
-        self._end_paused_program()
 
     def on_loss(self, failure: RonnaError) -> None:
         """Stop the arm after losing the primary interface, and find out whether the control was switched."""
@@ -103,18 +104,17 @@ class UrWatch(StreamWatch):
         else:
             super()._check_idle()
 
-    def _end_paused_program(self) -> None:
-        """End the program once after a fault for which nothing is sent any more."""
+    def _end_program(self) -> None:
+        """End whatever program runs, once after a fault for which nothing is sent any more."""
         link, dashboard = self._connections.open_link, self._connections.open_dashboard
-        if self._guard.state is not Lifecycle.FAULT or link is None or dashboard is None:
-            self._program_ended = False
+        if link is None or dashboard is None:
             return
         state = link.state
-        if self._program_ended or not (state.phase is Phase.SILENT or state.fault in LINK_FAULTS):
-            return
-        self._program_ended = True
-        with contextlib.suppress(RonnaError):
-            dashboard.ask("stop", DASHBOARD_LIMIT_S)
+        must_end = state.phase is Phase.SILENT or state.fault in LINK_FAULTS
+        was_ended, self._program_ended = self._program_ended, must_end
+        if must_end and not was_ended:
+            with contextlib.suppress(RonnaError):
+                dashboard.ask("stop", DASHBOARD_LIMIT_S)
 
     def _state_error(self, state: LinkState) -> RonnaError | None:
         link = self._connections.open_link

@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
-STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
+STOP_S = 1.0  # for an arm that must stop: host time at the motion's time limit, theatre time after a fault
 
 
 class MotionPlanner:
@@ -110,6 +110,7 @@ class MotionFollower:
         number = link.command(CommandKind.MOVE, plan, stop_count)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
+        faulted_cycles: int | None = None  # when a fault was first seen
 
         def has_ended(state: LinkState) -> bool:
             if state.fault:
@@ -122,11 +123,16 @@ class MotionFollower:
                 self._watch.raise_any()
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             state = link.state
+            if state.fault and faulted_cycles is None:
+                faulted_cycles = state.cycles
+            if faulted_cycles is not None and (state.cycles - faulted_cycles) * self._cycle_s > STOP_S:
+                break  # the fault is news, whether the arm has come to rest or not
             if state.moving or state.command_number < number or state.result is not Result.RUNNING:
                 rested_cycles = None
             elif rested_cycles is None:  # the next check is a while later also where theatre time runs fast
                 rested_cycles = state.cycles
             elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
+                self._watch.raise_any()
                 losses = self._faults.losses_text(start, state)
                 raise self._errors.not_finished(
                     f"{self._name}: the arm did not settle at the end of its path{losses}",
@@ -137,6 +143,7 @@ class MotionFollower:
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
+                self._watch.raise_any()
                 losses = self._faults.losses_text(start, link.state)
                 raise self._errors.not_finished(
                     f"{self._name}: the motion did not end or settle{losses}",

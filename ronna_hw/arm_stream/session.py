@@ -120,6 +120,10 @@ class StreamSession:
     def _forget_reply(self) -> None:
         """Discard a reply that was complete: something has changed."""
 
+    def _judge_measured(self, violation: Violation) -> None:
+        """Act on measured axes that are not where the set-points were."""
+        self._trip(violation)
+
     def _silence_fault(self) -> Fault:
         """Return the fault to latch when no telegram has come for too long."""
         return Fault.SILENCE
@@ -169,7 +173,7 @@ class StreamSession:
         self._measure()
         following_violation = points.monitor.check_measured(self._measured)
         if following_violation is not None:
-            self._trip(following_violation)
+            self._judge_measured(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
         if command is not None:

@@ -65,7 +65,7 @@ class Cause(IntEnum):
     ROBOT_MODE = 2  # power or brakes
     PROGRAM = 3  # the program was stopped or paused
     SCRIPT = 4  # our script has stopped the arm
-    OTHER_SCRIPT = 5  # another program writes the registers of ours
+    OTHER_SCRIPT = 5  # another program runs in place of ours
 
 
 class ControllerWord(NamedTuple):
