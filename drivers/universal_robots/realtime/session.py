@@ -2,8 +2,9 @@
 
 The script reports the sequence number of the set-point that it used. If it has not advanced with the cycles,
 a set-point came late and the arm was held: the path waits. If that lasts for longer than the script itself
-puts up with, and the script does not say so, it no longer runs: another program does. What the controller reports of safety, power and
-program is compared in every cycle; a stop of its own ends the stream, and nothing is sent any more.
+puts up with, and the script does not say so, another program runs in its place. What the controller reports
+of safety, power and program is compared in every cycle; a stop of its own ends the stream, and nothing is
+sent any more.
 """
 
 from __future__ import annotations
