@@ -185,7 +185,14 @@ def test_a_dashboard_that_is_silent_or_gone_is_told_apart(controller: HandmadeCo
 
 @pytest.mark.parametrize(
     "options",
-    [{"model": "ur10"}, {"speed": 1}, {"tool_inputs": [18]}, {"lookahead_s": 0.01}, {"speed_fraction": 0.9}],
+    [
+        {"model": "ur10"},
+        {"speed": 1},
+        {"tool_inputs": [18]},
+        {"lookahead_s": 0.01},
+        {"speed_fraction": 0.9},
+        {"line_speed_mm_s": 0.25},
+    ],
 )
 def test_bad_options_are_listed(controller: HandmadeController, options: dict[str, Any]) -> None:
     with pytest.raises(BadOptions):
