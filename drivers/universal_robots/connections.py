@@ -20,6 +20,7 @@ from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
     CalibrationOfAnotherArm,
+    ControllerExchanged,
     ControllerLost,
     ControllerNotFound,
     LinkNotStarted,
@@ -90,6 +91,7 @@ class Connections:
         self.recorder = LinkRecorder(name)
         self.kinematics: UniversalRobot = universal_robot(options.model)
         self._calibration: tuple[float, ...] = ()
+        self._identity: Identity | None = None  # found first: another one is refused
         self._channel: socket.socket | None = None  # over which connections are handed to the process
 
     @property
@@ -155,7 +157,7 @@ class Connections:
         """Open dashboard and primary interface, and identify arm and controller.
 
         With `retry`, try until the time limit at growing pauses. Raises URD-002 when nothing answers, URD-003
-        to URD-005 for another arm, version or calibration.
+        to URD-005 for another arm, version or calibration, URD-042 for another than at the first call.
         """
         self.close_control()
         deadline, pause_s = time.monotonic() + timeout_s, FIRST_PAUSE_S
@@ -324,10 +326,18 @@ class Connections:
             self.open_primary.await_state(remaining_s(deadline))
         finally:
             self._clock.hold_back()
-        self._use_calibration(info)
         details = (("calibration", info.fingerprint), ("cycle_ms", f"{options.cycle_s * 1e3:g}"))
         model_name = universal_robot(options.model).name
-        return Identity("Universal Robots", model_name, serial, str(version), details)
+        identity = Identity("Universal Robots", model_name, serial, str(version), details)
+        if self._identity is not None and self._identity != identity:
+            raise ControllerExchanged(
+                f"{self._name}: another arm or controller answers than at the start",
+                expected=_describe(self._identity),
+                got=_describe(identity),
+            )
+        self._use_calibration(info)
+        self._identity = identity
+        return identity
 
     def _read_version(self, timeout_s: float) -> Version:
         """Read the controller's version by RTDE, and check that it has the fields of our stream."""
@@ -507,6 +517,11 @@ class LinkRecorder:
     def rtde_sink(self) -> TrafficHandler | None:
         """Recorder callback for RTDE traffic, or None without a recorder."""
         return None if self.sink is None else pass_traffic(self.sink, f"{self._arm}.rtde")
+
+
+def _describe(identity: Identity) -> str:
+    calibration = dict(identity.details)["calibration"]
+    return f"{identity.serial}, software {identity.firmware}, calibration {calibration}"
 
 
 def _ascii(name: str) -> str:

@@ -299,6 +299,16 @@ class PoseImplausible(DeviceError):
     )
 
 
+class ControllerExchanged(ConnectError):
+    """Another arm, software or factory calibration is found at a recovery than when this program connected."""
+
+    code = "URD-042"
+    action = (
+        "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end this "
+        "run, and connect anew."
+    )
+
+
 STREAM_ERRORS = StreamErrors(
     not_started=LinkNotStarted,
     died=LinkProcessDied,
