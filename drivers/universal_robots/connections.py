@@ -229,7 +229,9 @@ class Connections:
         link, name = self.link, self._name
         mode = self._operating_mode(self.dashboard.safety_mode(ASK_LIMIT_S))
         run = 1 + secrets.randbits(30)
-        self._hand_over(run, remaining_s(deadline))
+        is_reduced = mode is OperatingMode.REDUCED_SPEED
+        safety = SafetyMode.REDUCED if is_reduced else SafetyMode.NORMAL
+        self._hand_over(run, safety, remaining_s(deadline))
         number = link.command(CommandKind.OPEN, limits=limits(mode))
         opened = link.wait(
             lambda s: s.command_number >= number and (s.device_clock > 0 or s.phase is not Phase.ARMED),
@@ -429,7 +431,7 @@ class Connections:
                 got=self.dashboard.robot_mode(ASK_LIMIT_S).name,
             )
 
-    def _hand_over(self, run: int, timeout_s: float) -> None:
+    def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:
         """Open a new RTDE connection with our recipes, and give it to the real-time process."""
         rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
         try:
@@ -437,7 +439,7 @@ class Connections:
             inputs = rtde.set_up_inputs()
             if self._channel is None:
                 raise LinkNotStarted(f"{self._name}: no real-time process is running")
-            Handover(outputs, inputs, run).give(self._channel, rtde.socket)
+            Handover(outputs, inputs, run, safety).give(self._channel, rtde.socket)
         finally:
             rtde.close()  # the process has its own descriptor
 

@@ -13,7 +13,7 @@ from drivers.universal_robots.errors import (
 )
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
-from drivers.universal_robots.safety import safety_text
+from drivers.universal_robots.safety import NORMAL_MODES, safety_text
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.faults import StreamFaults
@@ -55,6 +55,11 @@ def _controller_error(prefix: str, options: UrOptions, state: LinkState) -> Ronn
     """Build the error for a stop that the controller reports in its packages."""
     word = ControllerWord.from_number(state.controller_word)
     match word.cause:
+        case Cause.SAFETY if word.safety_mode in NORMAL_MODES:
+            return ControllerStopped(
+                f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
+                expected="the mode for whose speed limits the stream was started",
+            )
         case Cause.SAFETY:
             return ControllerStopped(
                 f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"

@@ -37,7 +37,7 @@ from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector, joint_vector
-from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptOrder, ScriptState
+from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, SafetyMode, ScriptOrder, ScriptState
 
 AGREE_RAD = radians(0.1)  # between target and measured joints at the start: the arm must be at rest
 RANGE_TOLERANCE_RAD = radians(0.01)  # an arm may be at the end of a joint's range
@@ -78,12 +78,16 @@ class RtdeSession(StreamSession):
         self._unused_cycles = 0  # since then
         self._most_unused_cycles = settings.starved_cycles + REPORT_CYCLES
         self._doubt: Violation | None = None  # seen while the script, if it still runs, used no set-point
-        self._safety_mode = 0  # at the start
+        self._safety_mode: int = SafetyMode.NORMAL  # of the stream's limits
         self._start_rad: JointVector | None = None
 
-    def adopt(self, recipe: int, run: int) -> None:
-        """Take over a connection: our input recipe, and the number by which the script proves to be ours."""
+    def adopt(self, recipe: int, run: int, safety_mode: int = SafetyMode.NORMAL) -> None:
+        """Take over a connection: our input recipe, and the number by which the script proves to be ours.
+
+        `safety_mode` is the one that the limits are for.
+        """
         self._recipe, self._run, self.has_line = recipe, run, True
+        self._safety_mode = safety_mode
 
     @property
     def awaits_start(self) -> bool:
@@ -234,9 +238,11 @@ class RtdeSession(StreamSession):
         if self._start_rad is None:
             self._start_rad = target
         if state == ScriptState.STREAMING and self._limits is not None:
-            self._safety_mode = round(values[SAFETY_MODE])
             self._echo = round(values[ECHO])
             points = self._begin(self._start_rad, self._limits)
+            if self._is_stopped(values):
+                self._stop_replying(points)
+                return None
             if not self._is_plausible(self._start_rad):
                 self._latch(Fault.BASE)
             return self._encode(points.last_rad)

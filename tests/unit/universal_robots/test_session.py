@@ -145,6 +145,15 @@ def test_a_stop_by_the_controller_is_latched_in_its_cycle_and_nothing_is_sent_an
     assert not stand.session.moving
 
 
+def test_a_safety_mode_that_is_not_that_of_the_limits_ends_the_start() -> None:
+    stand = RtdeStand()
+    stand.safety_mode = REDUCED
+    stand.begin()
+    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, Cause.SAFETY)
+    assert stand.cycle() is None
+    assert set(stand.goals) == {START}
+
+
 @pytest.mark.hazard(54)
 def test_another_script_in_our_registers_ends_the_stream() -> None:
     stand = moving()
@@ -283,6 +292,7 @@ def test_reduced_limits_are_those_of_the_stream() -> None:
 
     reduced = LIMITS.with_reduced_speed(MODEL)
     stand = RtdeStand(limits=replace(reduced))
+    stand.session.adopt(1, RUN, REDUCED)
     stand.safety_mode = REDUCED
     stand.begin()
     stand.move()
