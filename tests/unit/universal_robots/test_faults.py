@@ -62,6 +62,8 @@ def test_every_fault_has_an_error() -> None:
         (ControllerWord(7, 2, 2, 2, Cause.SAFETY), "URD-035", "is reduced mode; expected the mode"),
         (ControllerWord(7, 99, 2, 2, Cause.SAFETY), "URD-035", "safety mode 99"),
         (ControllerWord(3, 1, 2, 2, Cause.ROBOT_MODE), "URD-035", "switched off"),
+        (ControllerWord(3, 1, 1, 2, Cause.PROGRAM), "URD-035", "switched off"),
+        (ControllerWord(7, 7, 1, 2, Cause.PROGRAM), "URD-035", "emergency stop"),
         (ControllerWord(7, 1, 4, 2, Cause.PROGRAM), "URD-036", "program PAUSED"),
         (ControllerWord(7, 1, 2, 3, Cause.SCRIPT), "URD-036", "script ENDED"),
         (ControllerWord(7, 1, 2, 2, Cause.OTHER_SCRIPT), "URD-036", "took the place of ours"),
