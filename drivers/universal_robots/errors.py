@@ -325,4 +325,6 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="timestamp",
+    speed_name="the speed slider",
+    speed_action=SpeedAtZero.action,
 )

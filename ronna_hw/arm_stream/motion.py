@@ -144,12 +144,7 @@ class MotionFollower:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
                 self._watch.raise_any()
-                losses = self._faults.losses_text(start, link.state)
-                raise self._errors.not_finished(
-                    f"{self._name}: the motion did not end or settle{losses}",
-                    limit=f"{timeout_s:g} s",
-                    got=self._faults.axes_text(link.state),
-                )
+                raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
         if state.result is Result.STOPPED:
             raise self._errors.stopped(

@@ -19,7 +19,7 @@ from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.losses import DEGRADED_SPEED, LossCount
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND,
@@ -40,7 +40,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
 SETTLE_CYCLES = 10  # consecutive, within the tolerance
-DEGRADED_SPEED = 0.5  # share of the planned speed after losses
 HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at rest at the held point
 START_TOLERANCE_RAD = 1e-9  # between a motion's planned start and the last point sent
 

@@ -86,6 +86,16 @@ def test_errors_of_the_process_and_of_motions_are_the_drivers() -> None:
     assert STREAM_ERRORS.stalled is errors.LinkProcessStalled
 
 
+def test_a_motion_that_does_not_end_names_the_speed_slider_or_else_losses() -> None:
+    lossy = NO_STATE._replace(cycles=500, late=9)
+    slowed = FAULTS.not_finished_error(NO_STATE, lossy._replace(speed_share=0.0), 3.0)
+    assert slowed.code == "URD-033"
+    assert "the speed slider is at 0%" in slowed.summary
+    assert "lost" not in str(slowed)
+    degraded = lossy._replace(speed_share=0.5, degraded=True)
+    assert "9 were late or lost" in FAULTS.not_finished_error(NO_STATE, degraded, 3.0).summary
+
+
 def test_the_script_allows_a_late_set_point_but_no_jump() -> None:
     for model, cycles in (("ur5", 3), ("ur5e", 10)):
         options = UrOptions(model=model)
