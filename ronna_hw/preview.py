@@ -35,8 +35,9 @@ def plan_motion(
 ) -> MotionPlan:
     """Plan a motion from `start_rad`, scaling the limits by its speed fraction.
 
-    Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames or to no transform,
-    ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and `plan_line`.
+    Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames, or
+    to anything but a transform, ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and
+    `plan_line`.
     """
     slowed = limits.slowed(motion.speed_fraction)
     if isinstance(motion, JointMove):

@@ -89,7 +89,7 @@ class KukaOptions(Strict):
         None,
         ge=LEAST_LINE_SPEED_MM_S,
         le=LARGEST_LINE_SPEED_MM_S,
-        description="Largest speed on straight lines, instead of the default; for slower ones a motion has a speed fraction.",
+        description="Largest speed on straight lines, instead of the default.",
     )
     real_time_priority: int = Field(
         FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."

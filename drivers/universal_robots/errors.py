@@ -300,12 +300,12 @@ class PoseImplausible(DeviceError):
 
 
 class ControllerExchanged(ConnectError):
-    """Another arm, software or factory calibration is found at a recovery than when this program connected."""
+    """At a recovery another arm, software or factory calibration is found than was connected."""
 
     code = "URD-042"
     action = (
-        "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end this "
-        "run, and connect anew."
+        "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
+        "this run, and connect anew."
     )
 
 

@@ -93,7 +93,7 @@ class UrOptions(Strict):
         None,
         ge=LEAST_LINE_SPEED_MM_S,
         le=REDUCED_SPEED_MM_S,
-        description="Largest speed on straight lines, instead of the default; for slower ones a motion has a speed fraction.",
+        description="Largest speed on straight lines, instead of the default.",
     )
     tool_inputs: tuple[DigitalInput, ...] = Field(
         TOOL_INPUTS,
