@@ -29,10 +29,11 @@ from conformance.device_cases import (
 )
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Insertion, InsertsInstruments
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, OperatingMode, RobotArm, StopKind
-from ronna_hw.errors import LimitError, RonnaError, StateError
+from ronna_hw.errors import DataError, LimitError, RefusedError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.vectors import JointVector
 
@@ -45,6 +46,7 @@ STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
 SMALL_TILT_RAD = radians(5.0)  # of the hand about a point off the flange: 0.1 mm aside if that goes straight
 BESIDE_FLANGE_MM = (100.0, 0.0, 50.0)
+FORCE_LIMIT_N = 20.0
 ROUNDING = 1.0 + 1e-9
 SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
@@ -395,3 +397,24 @@ def start_moving(
     while mover.is_alive() and axis_distance_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
         dut.clock.sleep(HOLDING_S / 20)
     return mover, ends
+
+
+@SUITE.case("R29", "an insertion off its axis, too fast, or with a limit it cannot watch is refused")
+def wrong_insertions_are_refused(dut: DeviceUnderTest) -> None:
+    arm, start = active_arm(dut)
+    if not isinstance(arm, InsertsInstruments):
+        return
+    inserting: Any = arm
+    no_tool = Transform.of(Frame.FLANGE, Frame.TOOL)
+    tool: Transform = inserting.kinematics.flange_pose(start) @ no_tool
+    ahead, aside = (
+        tool @ Transform.of(Frame.TOOL, Frame.TOOL, translation_mm=(x, 0.0, SMALL_LINE_MM))
+        for x in (0.0, SMALL_LINE_MM)
+    )
+    refused(lambda: arm.insert(Insertion(aside, no_tool)), DataError, "an insertion off its axis")
+    fast = Insertion(ahead, no_tool, speed_mm_s=2.0 * INSERTION_SPEED_MM_S)
+    refused(lambda: arm.insert(fast), DataError, "an insertion that is too fast")
+    if not arm.senses_force:
+        limited = Insertion(ahead, no_tool, force_limit_N=FORCE_LIMIT_N)
+        refused(lambda: arm.insert(limited), RefusedError, "a force limit that cannot be watched")
+    check_standstill(inserting.read_state(), start)

@@ -17,11 +17,12 @@ from drivers.universal_robots.readings import (
 )
 from drivers.universal_robots.watch import UrWatch
 from ronna_hw.arm.universal_robots import UniversalRobot
-from ronna_hw.arm_stream.arm import StreamedArm
+from ronna_hw.arm_stream.hand_guided import HandGuidedArm
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Fact
+from ronna_hw.devices.contact import ToolLoad
 from ronna_hw.devices.lifecycle import (
     READABLE,
     RUNNING,
@@ -41,7 +42,7 @@ LIVE_HEARTBEAT_S = 0.2  # largest age of the real-time process' last heartbeat f
 NEEDS_PERSON = (SafetyMode.PROTECTIVE_STOP, SafetyMode.VIOLATION, SafetyMode.FAULT)
 
 
-class UniversalRobotsArm(StreamedArm):
+class UniversalRobotsArm(HandGuidedArm):
     """Arm driven through the endpoints `rtde`, `dashboard` and `primary`, all tcp://."""
 
     wire_protocol = ""
@@ -173,6 +174,20 @@ class UniversalRobotsArm(StreamedArm):
         self._guard.require("read_tool_identity", READABLE)
         inputs = self._request_state(timeout_s).digital_inputs
         return ToolIdentity(self._readings.stamp(), read_tool_number(inputs, self._options.tool_inputs))
+
+    def set_tool_load(self, load: ToolLoad, timeout_s: float = 2.0) -> ToolLoad:
+        """Set mass and tool centre point, now and at later starts; raises URD-040 unless they are read back.
+
+        Refused in remote control's absence (URD-006), and for a load that the arm cannot carry (URD-041).
+        """
+        self._watch.raise_new()
+        self._guard.require("set_tool_load", READABLE)
+        return self.connections.set_load(load, timeout_s)
+
+    def read_tool_load(self, timeout_s: float = 2.0) -> ToolLoad:
+        self._watch.raise_new()
+        self._guard.require("read_tool_load", READABLE)
+        return self.connections.read_load(timeout_s)
 
     def _stream_mode(self) -> OperatingMode:
         return self._watch.mode

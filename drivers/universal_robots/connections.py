@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from drivers.universal_robots.controller.script import render_script
+from drivers.universal_robots.controller.script import render_script, render_secondary
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
@@ -24,6 +24,7 @@ from drivers.universal_robots.errors import (
     ControllerLost,
     ControllerNotFound,
     LinkNotStarted,
+    LoadNotTaken,
     LocalMode,
     NoAnswer,
     NotPowered,
@@ -35,6 +36,7 @@ from drivers.universal_robots.errors import (
     WrongVersion,
 )
 from drivers.universal_robots.faults import fault_error, stream_faults
+from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.primary.packages import KinematicsInfo, MessageKind
@@ -53,6 +55,7 @@ from ronna_hw.arm_stream.records import CommandKind, Fault, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Direction
+from ronna_hw.devices.contact import ToolLoad
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
@@ -92,6 +95,7 @@ class Connections:
         self.kinematics: UniversalRobot = universal_robot(options.model)
         self._calibration: tuple[float, ...] = ()
         self._identity: Identity | None = None  # found first: another one is refused
+        self._load: ToolLoad | None = None  # set by a caller, and sent again with each script
         self._channel: socket.socket | None = None  # over which connections are handed to the process
 
     @property
@@ -191,6 +195,8 @@ class Connections:
             settle_tolerance_deg=options.settle_tolerance_deg,
             real_time_priority=options.real_time_priority,
             rehearsal_lead_us=options.rehearsal_lead_us,
+            force_filter_s=options.force_filter_s,
+            force_at_rest_N=options.force_at_rest_N,
             handover_fd=theirs.fileno(),
             model=options.model.value,
             cycle_s=options.cycle_s,
@@ -241,7 +247,8 @@ class Connections:
             raise self._start_error("the controller sends no packages", timeout_s)
         self.primary.messages.clear()
         settings = script_settings(self._options)
-        self.primary.send_script(render_script(settings, self._options.payload_kg))
+        load = load_commands(self._load, self._options.payload_kg)
+        self.primary.send_script(render_script(settings, load))
         started = link.wait(lambda s: s.phase is not Phase.ARMED, remaining_s(deadline))
         if started is None:
             raise self._start_error("the script does not start", timeout_s)
@@ -250,7 +257,38 @@ class Connections:
         )
         if fault is not None:
             raise fault
+        if load:
+            self._require_load(max(remaining_s(deadline), ASK_LIMIT_S))
         return mode
+
+    def set_load(self, load: ToolLoad, timeout_s: float) -> ToolLoad:
+        """Tell the controller the load, also at later starts, and return it as read back; raises URD-040."""
+        self._load = load
+        self._require_remote()
+        self.primary.send_script(render_secondary(load_commands(load)))
+        return self._require_load(timeout_s)
+
+    def read_load(self, timeout_s: float, accept: Callable[[ToolLoad], bool] = lambda _: True) -> ToolLoad:
+        """Read the load that the controller assumes, until it is as wanted or the time is over."""
+        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
+        self._clock.let_pass(timeout_s)
+        try:
+            values = rtde.read_outputs(LOAD_FIELDS, lambda values: accept(to_load(values)))
+        finally:
+            self._clock.hold_back()
+            rtde.close()
+        return to_load(values)
+
+    def _require_load(self, timeout_s: float) -> ToolLoad:
+        wanted, mass_kg = self._load, self._options.payload_kg
+        found = self.read_load(timeout_s, lambda load: has_load(load, wanted, mass_kg))
+        if not has_load(found, wanted, mass_kg):
+            raise LoadNotTaken(
+                f"{self._name}: the controller does not use the load that was set",
+                expected=f"{(wanted.mass_kg if wanted else mass_kg):g} kg",
+                got=f"{found.mass_kg:g} kg, centre {found.centre_mm} mm, tip {found.tip_mm} mm",
+            )
+        return found
 
     def end_stream(self, deadline: float) -> None:
         """End the script by its order, or by the dashboard if that fails, and close the RTDE connection."""

@@ -7,6 +7,7 @@ from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
 from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
+    DataError,
     DeviceError,
     LimitError,
     LinkTimeout,
@@ -297,6 +298,20 @@ class PoseImplausible(DeviceError):
     action = (
         f"Check that nothing touches the arm; bring it into its ranges at the pendant. Then {ACKNOWLEDGE}."
     )
+
+
+class LoadNotTaken(RefusedError):
+    """The controller does not use the mass, centre of gravity or tool centre point that were set."""
+
+    code = "URD-040"
+    action = "Read the pendant's messages, and set the payload again; without it the force is not known."
+
+
+class BadLoad(DataError):
+    """The load of a tool is not one that the arm can carry."""
+
+    code = "URD-041"
+    action = "Give the mass in kg, and places in mm in the frame of the flange."
 
 
 class ControllerExchanged(ConnectError):

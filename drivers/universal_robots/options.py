@@ -36,6 +36,8 @@ LARGEST_STEP_SHARE = 0.5  # of a joint's full speed, between two set-points
 STOP_DECELERATION_RAD_S2 = (
     8.0  # of stopj: twice the vendor's default, to rest within 50 ms at working speed (U)
 )
+FORCE_FILTER_S = 0.02  # a few cycles of CB3: halves the noise of its estimate
+FORCE_AT_REST_N = 15.0  # above the bias of CB3 on three axes (U), below a tool whose mass was not set
 LOOKAHEAD_S = 0.03  # the least: the arm follows within 34 ms
 GAIN = 1000.0
 TOOL_INPUTS = tuple(wire.TOOL_INPUTS)
@@ -106,6 +108,18 @@ class UrOptions(Strict):
         ge=0.0,
         le=5.0,
         description="Mass on the flange, set by our script; default: what the installation sets.",
+    )
+    force_filter_s: float = Field(
+        FORCE_FILTER_S,
+        ge=0.002,
+        le=0.5,
+        description="Time constant by which the estimated force on the tool is smoothed.",
+    )
+    force_at_rest_N: float = Field(
+        FORCE_AT_REST_N,
+        gt=0.0,
+        le=50.0,
+        description="Estimated force on the free tool above which no motion with a force limit begins.",
     )
     starve_limit_s: float = Field(
         STARVE_LIMIT_S,

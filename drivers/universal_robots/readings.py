@@ -25,6 +25,8 @@ class HasPrimary(HasLink, Protocol):
 class ArmReadings(StreamReadings):
     """Numbered readings from one arm, with the latest kept for observers."""
 
+    senses_force = True
+
     def __init__(self, connections: HasPrimary, clock: Clock, silence_limit_s: float) -> None:
         super().__init__(connections, clock, silence_limit_s)
         self._connections = connections

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import struct
 import time
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from drivers.universal_robots.errors import (
@@ -29,6 +30,7 @@ from ronna_hw.wire.universal_robots import (
 
 PROTOCOL_VERSION = 2
 LONGEST_PACKAGE_BYTES = 4096
+READ_HZ = 125.0  # every cycle of CB3
 SKIPPED_PACKAGES = 100  # messages and data before a reply
 _FREQUENCY = struct.Struct(">d")
 _VERSION = struct.Struct(">4I")
@@ -81,12 +83,12 @@ class RtdeSetup:
             raise self._bad("version", reply)
         return Version(*_VERSION.unpack_from(reply))
 
-    def set_up_outputs(self, frequency_hz: float) -> int:
-        """Ask for our output fields at this frequency and return the recipe; raises URD-004."""
-        names = ",".join(OUTPUT_FIELDS).encode()
+    def set_up_outputs(self, frequency_hz: float, fields: Sequence[str] = OUTPUT_FIELDS) -> int:
+        """Ask for output fields at this frequency and return the recipe; raises URD-004."""
+        names = ",".join(fields).encode()
         reply = self._ask(PackageType.SETUP_OUTPUTS, _FREQUENCY.pack(frequency_hz) + names)
-        recipe, types = self._split(reply, len(OUTPUT_FIELDS))
-        for name, kind in zip(OUTPUT_FIELDS, types, strict=True):
+        recipe, types = self._split(reply, len(fields))
+        for name, kind in zip(fields, types, strict=True):
             self._require_type(name, kind, OUTPUTS[name].name)
         if recipe == NO_RECIPE:
             raise WrongVersion(f"{self.where} gives no recipe for {frequency_hz:g} packages a second")
@@ -108,6 +110,27 @@ class RtdeSetup:
             raise WrongVersion(f"{self.where} gives no recipe for our set-points")
         return recipe
 
+    def read_outputs(
+        self, fields: Sequence[str], accept: Callable[[tuple[float, ...]], bool]
+    ) -> tuple[float, ...]:
+        """Return the first values that are accepted, or the last ones before the time limit."""
+        recipe = self.set_up_outputs(READ_HZ, fields)
+        self._ask(PackageType.START)
+        layout = struct.Struct(">B" + "".join(OUTPUTS[name].codes for name in fields))
+        values: tuple[float, ...] | None = None
+        while values is None or time.monotonic() < self._deadline:
+            try:
+                package = self._await_package(PackageType.DATA, "for data")
+            except NoAnswer:
+                if values is None:
+                    raise
+                break
+            if len(package) >= layout.size and package[0] == recipe:
+                values = layout.unpack_from(package)[1:]
+                if accept(values):
+                    break
+        return values
+
     def _split(self, reply: bytes, count: int) -> tuple[int, list[str]]:
         types = reply[1:].decode(errors="replace").split(",")
         if not reply or len(types) != count:
@@ -124,6 +147,12 @@ class RtdeSetup:
         """Send a request and return the payload of its reply; messages in between are skipped."""
         try:
             self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
+        except OSError as error:
+            raise ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}") from error
+        return self._await_package(kind, kind.name)
+
+    def _await_package(self, kind: PackageType, request: str) -> bytes:
+        try:
             for _ in range(SKIPPED_PACKAGES):
                 size, answered = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
                 if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
@@ -132,10 +161,10 @@ class RtdeSetup:
                 if answered == kind:
                     return reply
         except TimeoutError as error:
-            raise NoAnswer(f"{self.where} does not answer the request {kind.name}") from error
+            raise NoAnswer(f"{self.where} does not answer the request {request}") from error
         except OSError as error:
             raise ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}") from error
-        raise BadBytes(f"{self.where} does not answer the request {kind.name}, but sends other packages")
+        raise BadBytes(f"{self.where} does not answer the request {request}, but sends other packages")
 
     def _receive(self, count: int) -> bytes:
         while len(self._received) < count:

@@ -8,7 +8,7 @@ recorded orientation of that frame.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -42,7 +42,7 @@ from procedures.steps.clinical.room import (
     find_followed_registration,
     find_frame_at_home,
 )
-from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
+from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity, DriverSettings
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
@@ -144,7 +144,13 @@ def compare_devices(
     needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
     """
     _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
-    if not only_leaving:
+    if only_leaving:
+        _compare_drivers(
+            engine,
+            recorded,
+            lambda what, then, now: comparison.warn(f"{what}: recorded {then}, found {now}"),
+        )
+    else:
         _compare_theatre_file(engine, recorded, comparison)
     workcell = engine.setting.workcell
     for role, device in workcell.devices.items():
@@ -219,8 +225,33 @@ def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Co
         comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
     if tools.flange != recorded.flange:
         comparison.add_difference("flange", repr(recorded.flange), repr(tools.flange))
+    _compare_drivers(engine, recorded, comparison.add_difference)
     comparison.compare("the cell", recorded.cell, setting.surroundings)
     comparison.compare("settings of the procedure", recorded.settings, setting.settings)
+
+
+def _compare_drivers(
+    engine: Engine, recorded: CheckedSetUp, add_difference: Callable[[str, str, str], object]
+) -> None:
+    """Compare each driver and its options with the record: they decide on limits, speeds and kinematics."""
+    tables = engine.setting.workcell.device_tables
+    for name, then in recorded.drivers.items():
+        now = DriverSettings.of(tables[name]) if name in tables else None
+        if now is None or now == then:
+            continue  # a device that is gone is found among the identities
+        if now.driver != then.driver:
+            add_difference(f"driver of {name}", then.driver, now.driver)
+        changed = sorted(
+            option
+            for option in {*then.options, *now.options}
+            if then.options.get(option) != now.options.get(option)
+        )
+        if changed:
+            add_difference(
+                f"options of {name}",
+                ", ".join(f"{option} {then.options.get(option, 'not stated')}" for option in changed),
+                ", ".join(f"{option} {now.options.get(option, 'not stated')}" for option in changed),
+            )
 
 
 def _compare_cameras(engine: Engine, comparison: Comparison) -> None:

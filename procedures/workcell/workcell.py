@@ -36,7 +36,7 @@ from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
-from ronna_hw.config import MASTER, Calibrations
+from ronna_hw.config import MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
@@ -124,6 +124,11 @@ class Workcell:
     def _devices(self) -> dict[str, Device]:
         others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
         return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
+
+    @property
+    def device_tables(self) -> Mapping[str, DeviceConfig]:
+        """Tables of the devices in the theatre file: `tracker`, `robot.NAME`, `stereo`, `device.NAME`."""
+        return self._theatre.file.devices
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """Return the device from table `[device.NAME]` as `interface`.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, LimitError
+from ronna_hw.errors import ConfigurationError, DataError, LimitError, RefusedError
 
 
 class Unreachable(LimitError):
@@ -76,3 +76,38 @@ class ArmsTooClose(LimitError):
 
     code = "ARM-011"
     action = "Move one arm out of the way first, or choose another path for one of them."
+
+
+class InsertionInvalid(DataError):
+    """An insertion is not along the instrument's axis, or a limit of a motion in contact is out of range."""
+
+    code = "ARM-012"
+    action = (
+        "Bring the instrument onto its axis first, and keep speed, force and reach within the stated limits."
+    )
+
+
+class ForceNotSensed(RefusedError):
+    """A force limit was asked for, and the arm does not sense the force on its tool."""
+
+    code = "ARM-013"
+    action = (
+        "Use an arm that senses force, or insert without a force limit and watch the instrument yourself."
+    )
+
+
+class LoadedAtStart(RefusedError):
+    """A force acts on the tool before a motion with a force limit, so that it cannot be tared."""
+
+    code = "ARM-014"
+    action = (
+        "Let go of the tool, check that it touches nothing and that mass and centre of gravity are set, "
+        "then wait a moment and start again."
+    )
+
+
+class ForceLimitExceeded(LimitError):
+    """The force on the tool exceeded the limit of a motion, which stopped."""
+
+    code = "ARM-015"
+    action = "Look at the instrument. The arm holds it: resume, then withdraw without a force limit."

@@ -9,14 +9,18 @@ from contextlib import AbstractContextManager
 from typing import Protocol, Self
 
 from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.errors import ForceLimitExceeded, ForceNotSensed
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm_stream.force import LEAST_REST_S
+from ronna_hw.arm_stream.insertion import plan_insertion, travel_along_axis_mm
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
 from ronna_hw.arm_stream.records import NO_STATE, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import HasLink, StreamWatch
+from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard, hold_active
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
@@ -24,6 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
+TARE_LIMIT_S = 10.0  # host time; the motion is refused if it does not suffice
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
 
 _STOP_ORDERS = {
@@ -54,6 +59,7 @@ class StreamedArm(ABC):
     """Part of an arm that its stream defines; a driver adds how it connects, starts and recovers."""
 
     notices: tuple[str, ...] = ()
+    senses_force: bool = False
     _name: str
     _guard: LifecycleGuard
     _kinematics: Kinematics
@@ -172,6 +178,24 @@ class StreamedArm(ABC):
     ) -> ArmReading:
         return self._move("move_linear", LineMove(target, flange_from_tool, speed_fraction), timeout_s)
 
+    def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
+        limit_N = insertion.force_limit_N
+        if limit_N is not None and not self.senses_force:
+            raise ForceNotSensed(
+                f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
+            )
+        self._watching.raise_new()
+        self._guard.require("insert", (Lifecycle.ACTIVE,))
+        if limit_N is not None:
+            self._await_tare()
+        start_rad = self._streams.link.state.commanded_rad
+        line = plan_insertion(self._kinematics, start_rad, insertion, self.limits(self._stream_mode()))
+        before = self.read_state().joints_rad
+        reading = self._move("insert", line, timeout_s, limit_N or 0.0)
+        travel_mm = travel_along_axis_mm(self._kinematics, before, reading.joints_rad, insertion)
+        peak_N = self._streams.link.state.peak_force_N if limit_N is not None else None
+        return Inserted(reading, travel_mm, peak_N)
+
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         if start_rad is None:
             current_reading = self.read_state()
@@ -212,7 +236,7 @@ class StreamedArm(ABC):
     def surround(self, surroundings: Surroundings) -> None:
         self._planner.surroundings = surroundings
 
-    def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
+    def _move(self, call: str, motion: Motion, timeout_s: float, force_limit_N: float = 0.0) -> ArmReading:
         self._watching.raise_new()
         open_link = self._streams.open_link
         stop_count = (
@@ -223,7 +247,19 @@ class StreamedArm(ABC):
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         link.surround(self._planner.surroundings)
         clear_plan = self._planner.clear_plan(planned, mode)
-        return self._readings.from_stream(self._follower.follow(clear_plan, stop_count, timeout_s))
+        try:
+            state = self._follower.follow(clear_plan, stop_count, timeout_s, force_limit_N)
+        except ForceLimitExceeded:
+            self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
+            raise
+        return self._readings.from_stream(state)
+
+    def _await_tare(self) -> None:
+        """Wait until the force on the resting tool is known."""
+        link = self._streams.link
+        begin, cycle_s = link.state.cycles, self.limits(self._stream_mode()).cycle_s
+        needed = 1 + round(LEAST_REST_S / cycle_s)
+        self._follower.wait(lambda s: bool(s.fault) or s.cycles - begin > needed, TARE_LIMIT_S)
 
     def _enter_active(self, stop_count: int, **facts: object) -> None:
         """Enter ACTIVE, or HOLD if more than `stop_count` stops have been ordered."""

@@ -16,6 +16,7 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm_stream.errors import StreamErrors
+from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.mailbox import KeptCycle, Mailbox
 from ronna_hw.arm_stream.records import (
     Command,
@@ -132,6 +133,9 @@ class LinkClient:
         stop_number: int | None = None,
         axes_rad: JointVector | None = None,
         limits: MotionLimits | None = None,
+        *,
+        force_limit_N: float = 0.0,
+        guide: GuideLimits | None = None,
     ) -> int:
         """Send a command; return its number. Any stop after `stop_number` overrides a motion.
 
@@ -143,7 +147,15 @@ class LinkClient:
                 self._stop_kind = StopOrder.HOLD
             known_stop = self.stop_number if stop_number is None else stop_number
             command = Command(
-                self._command_count, kind, plan, known_stop, self.surroundings, axes_rad, limits
+                self._command_count,
+                kind,
+                plan,
+                known_stop,
+                self.surroundings,
+                axes_rad,
+                limits,
+                force_limit_N,
+                guide,
             )
             self.mailbox.write_command(command)
             return self._command_count

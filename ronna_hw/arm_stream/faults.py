@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
+from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
@@ -81,6 +82,11 @@ class StreamFaults(NamedTuple):
         """Build the error for a motion that was refused, or stopped before it began."""
         if state.result is Result.REFUSED_STOP:
             return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
+        if state.result is Result.REFUSED_LOADED:
+            return LoadedAtStart(
+                f"{self.name}: a force acts on the tool at the start, or the arm has just come to rest",
+                got=" ".join(f"{value:.1f}" for value in state.force_N) + " N",
+            )
         reason = _REFUSALS.get(state.result, f"result {state.result.name}")
         return self.errors.refused(f"{self.name}: the motion was refused: {reason}")
 
@@ -94,6 +100,14 @@ class StreamFaults(NamedTuple):
             limit=f"{limit_s:g} s",
             got=self.axes_text(state),
             action=self.errors.speed_action if is_slowed else None,
+        )
+
+    def force_error(self, state: LinkState, limit_N: float) -> ForceLimitExceeded:
+        """Build the error for a motion that its force limit stopped."""
+        return ForceLimitExceeded(
+            f"{self.name}: the force on the tool stopped the motion at {self.axes_text(state)}",
+            limit=f"{limit_N:g} N",
+            got=f"{state.peak_force_N:.1f} N",
         )
 
     def losses_text(self, initial: LinkState, state: LinkState) -> str:

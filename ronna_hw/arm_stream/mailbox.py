@@ -17,6 +17,7 @@ from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
+from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND_BITS,
@@ -38,6 +39,7 @@ LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
 NO_JOINTS: JointVector = (0.0,) * 6  # for a command without motion
 NO_STEP = SpeedStep(0.0, 0.0)
+NO_GUIDE = GuideLimits(0.0, 0.0, 0.0, 0.0, 0)  # for any other command
 NO_LIMITS = (0.0,) * LIMITS_NUMBERS  # for a command that opens no stream
 
 
@@ -51,6 +53,7 @@ class CommandRow(NamedTuple):
     has_target: Annotated[bool, "?"]
     has_axes: Annotated[bool, "?"]  # of OPEN; they are in `start_rad`
     has_arm_limits: Annotated[bool, "?"]  # of OPEN
+    has_guide: Annotated[bool, "?"]
     speed_steps_used: Annotated[int, "B"]
     start_rad: Annotated[JointVector, "6d"]
     target_rad: Annotated[JointVector, "6d"]
@@ -60,6 +63,8 @@ class CommandRow(NamedTuple):
     target_rotation: Annotated[Rotation9, "9d"]
     tool_in_flange_mm: Annotated[Vector3, "3d"]
     speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"]
+    force_limit_N: Annotated[float, "d"]
+    guide: Annotated[tuple[float, ...], f"{len(NO_GUIDE)}d"]
 
 
 _MAP = MemoryMap(b"RONNAARM")
@@ -171,7 +176,18 @@ class Mailbox:
         axes_rad = row.start_rad if row.has_axes else None
         limits = MotionLimits.from_numbers(row.arm_limits) if row.has_arm_limits else None
         plan = _to_plan(row)
-        return Command(row.number, row.kind, plan, row.stop_number, self._surroundings, axes_rad, limits)
+        guide = GuideLimits.from_numbers(row.guide) if row.has_guide else None
+        return Command(
+            row.number,
+            row.kind,
+            plan,
+            row.stop_number,
+            self._surroundings,
+            axes_rad,
+            limits,
+            row.force_limit_N,
+            guide,
+        )
 
     def _read_surroundings(self, number: int) -> bool:
         """Read new surroundings; returns False while they are being written."""
@@ -264,6 +280,7 @@ def _to_row(command: Command, surroundings_number: int) -> CommandRow:
         has_target=plan.target is not None,
         has_axes=command.axes_rad is not None,
         has_arm_limits=command.limits is not None,
+        has_guide=command.guide is not None,
         speed_steps_used=len(plan.speed_steps),
         start_rad=command.axes_rad or plan.start_rad,
         target_rad=plan.target_rad,
@@ -273,6 +290,8 @@ def _to_row(command: Command, surroundings_number: int) -> CommandRow:
         target_rotation=target.rotation,
         tool_in_flange_mm=plan.tool_in_flange_mm,
         speed_steps=tuple(value for step in steps for value in step),
+        force_limit_N=command.force_limit_N,
+        guide=command.guide or NO_GUIDE,
     )
 
 

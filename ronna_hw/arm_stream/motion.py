@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
@@ -12,8 +13,10 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm_stream.client import Condition
 from ronna_hw.arm_stream.faults import StreamFaults
+from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.records import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm_stream.watch import HasLink, StreamWatch
+from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.preview import plan_motion, preview_motion, with_speed_steps
@@ -21,6 +24,7 @@ from ronna_hw.vectors import JointVector
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
+HELD_POLL_S = 0.02  # host time between looks at an enabling switch
 STOP_S = 1.0  # for an arm that must stop: host time at the motion's time limit, theatre time after a fault
 
 
@@ -73,16 +77,58 @@ class MotionFollower:
         self._faults = faults
         self._errors = faults.errors
 
-    def follow(self, plan: MotionPlan, stop_count: int, timeout_s: float) -> LinkState:
+    def follow(
+        self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float = 0.0
+    ) -> LinkState:
         """Execute a plan and return the final state; more than `stop_count` stops prevent or stop it.
 
         Raises the driver's errors: stopped, also before it began; not finished, when it used up `timeout_s`
         of controller cycles or did not settle at the end of its path; refused; and the fault that ended it.
+        Raises ARM-014 and ARM-015 for a force limit.
         """
         if not self._motion_lock.acquire(blocking=False):
             raise self._errors.refused(f"{self._name}: another motion is running")
         try:
-            return self._execute(plan, stop_count, timeout_s)
+            return self._execute(plan, stop_count, timeout_s, force_limit_N)
+        finally:
+            self._motion_lock.release()
+
+    def follow_hand(
+        self, guide: GuideLimits, force_limit_N: float, stop_count: int, is_held: Callable[[], bool]
+    ) -> tuple[LinkState, GuidanceEnd]:
+        """Follow a hand while `is_held`; raises like `follow`. Any exception of `is_held` stops the arm."""
+        if not self._motion_lock.acquire(blocking=False):
+            raise self._errors.refused(f"{self._name}: another motion is running")
+        link = self._connections.link
+        try:
+            number = link.command(
+                CommandKind.GUIDE, None, stop_count, force_limit_N=force_limit_N, guide=guide
+            )
+            begin = link.state.cycles
+            is_released = False
+            while (state := self.wait(_has_ended(number), HELD_POLL_S)) is None:
+                self._watch.check()
+                if link.stalled_s > POLL_S:
+                    self._watch.raise_any()
+                if not is_released and not is_held():
+                    is_released = True
+                    stop_count = link.stop(StopOrder.HOLD)
+            self._watch.raise_any()
+            if state.result is Result.FORCE:
+                raise self._faults.force_error(state, force_limit_N)
+            if state.result is not Result.STOPPED:
+                raise self._faults.refusal_error(state)
+            if link.stop_number != stop_count:
+                raise self._errors.stopped(
+                    f"{self._name}: stopped while it followed a hand", got=self._faults.axes_text(state)
+                )
+            if is_released:
+                return state, GuidanceEnd.RELEASED
+            is_over = state.cycles - begin >= guide.cycles
+            return state, GuidanceEnd.TIMED_OUT if is_over else GuidanceEnd.AT_LIMIT
+        except BaseException:
+            link.stop(StopOrder.HOLD)
+            raise
         finally:
             self._motion_lock.release()
 
@@ -105,18 +151,15 @@ class MotionFollower:
             self._watch.latch(error)
             raise
 
-    def _execute(self, plan: MotionPlan, stop_count: int, timeout_s: float) -> LinkState:
+    def _execute(
+        self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float
+    ) -> LinkState:
         link = self._connections.link
-        number = link.command(CommandKind.MOVE, plan, stop_count)
+        number = link.command(CommandKind.MOVE, plan, stop_count, force_limit_N=force_limit_N)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
         faulted_cycles: int | None = None  # when a fault was first seen
-
-        def has_ended(state: LinkState) -> bool:
-            if state.fault:
-                return not state.moving
-            return state.command_number >= number and state.result is not Result.RUNNING
-
+        has_ended = _has_ended(number)
         while (state := self.wait(has_ended, POLL_S)) is None:
             self._watch.check()
             if link.stalled_s > POLL_S:
@@ -146,6 +189,8 @@ class MotionFollower:
                 self._watch.raise_any()
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
+        if state.result is Result.FORCE:
+            raise self._faults.force_error(state, force_limit_N)
         if state.result is Result.STOPPED:
             raise self._errors.stopped(
                 f"{self._name}: stopped before its end", got=self._faults.axes_text(state)
@@ -153,3 +198,14 @@ class MotionFollower:
         if state.result is not Result.DONE:
             raise self._faults.refusal_error(state)
         return state
+
+
+def _has_ended(number: int) -> Condition:
+    """Return the condition that the motion of a command has ended."""
+
+    def has_ended(state: LinkState) -> bool:
+        if state.fault:
+            return not state.moving
+        return state.command_number >= number and state.result is not Result.RUNNING
+
+    return has_ended

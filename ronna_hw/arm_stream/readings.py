@@ -18,6 +18,8 @@ STALE_S = 0.5  # host time: age at which a measured pose is called stale
 class StreamReadings:
     """Numbered readings from one arm, with the latest kept for observers."""
 
+    senses_force = False
+
     def __init__(self, connections: HasLink, clock: Clock, silence_limit_s: float) -> None:
         self._link_of = connections
         self._clock = clock
@@ -62,4 +64,5 @@ class StreamReadings:
             state.measured_rad,
             state.commanded_rad,
             state.moving or not state.settled,
+            state.force_N if self.senses_force else None,
         )

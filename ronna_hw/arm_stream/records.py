@@ -11,8 +11,9 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.host.shared_memory import IPV4_HOST, one_of
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
 VIOLATIONS = ("", *ViolationKind)
 NOTHING_AROUND = Surroundings()
@@ -34,6 +35,8 @@ class StreamSettings:
     settle_tolerance_deg: float
     real_time_priority: int
     rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
+    force_filter_s: float = 0.0  # of the estimated force on the tool; 0: the arm estimates none
+    force_at_rest_N: float = 0.0  # above, no motion with a force limit starts
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
@@ -57,6 +60,7 @@ class CommandKind(IntEnum):
     OPEN = 2  # answer the next telegrams; the first correction is zero
     END = 3  # at rest, send Stop until the telegrams cease
     CLOSE = 4  # stop answering; clears a fault
+    GUIDE = 5  # follow a hand until stopped
 
 
 class StopOrder(IntEnum):
@@ -111,6 +115,8 @@ class Result(IntEnum):
     REFUSED_PHASE = 6
     REFUSED_NUMBERS = 7
     REFUSED_STOP = 8  # a stop was ordered after the motion was planned
+    REFUSED_LOADED = 9  # a force acts on the tool, or is not known
+    FORCE = 10  # stopped on the way by its force limit, and settled
 
 
 class Choice(IntEnum):
@@ -140,6 +146,8 @@ class Command(NamedTuple):
     surroundings: Surroundings = NOTHING_AROUND  # used to monitor a MOVE
     axes_rad: JointVector | None = None  # how OPEN recognises the controller's first telegram; None: any
     limits: MotionLimits | None = None
+    force_limit_N: float = 0.0  # of a MOVE or GUIDE; 0: none
+    guide: GuideLimits | None = None  # of GUIDE
 
 
 class LinkState(NamedTuple):
@@ -174,6 +182,8 @@ class LinkState(NamedTuple):
     violation_limit: Annotated[float, "d"] = 0.0
     speed_share: Annotated[float, "d"] = 1.0  # of the planned speed, that the controller and losses leave
     controller_word: Annotated[int, "Q"] = 0  # what the controller reports, as its driver packs it
+    force_N: Annotated[Vector3, "3d"] = (0.0, 0.0, 0.0)  # on the tool, in the robot base, filtered
+    peak_force_N: Annotated[float, "d"] = 0.0  # largest change during the last motion with a force limit
     errno: Annotated[int, "i"] = 0
 
 

@@ -19,6 +19,7 @@ from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.force import NO_FORCE, ForceWatch
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, LossCount
 from ronna_hw.arm_stream.records import (
     NO_STATE,
@@ -37,7 +38,7 @@ from ronna_hw.arm_stream.records import (
 )
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.errors import RonnaError
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
 SETTLE_CYCLES = 10  # consecutive, within the tolerance
 HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at rest at the held point
@@ -103,11 +104,19 @@ class StreamSession:
         self._controller_speed = 1.0  # share of the planned speed that the controller leaves
         self._speed = 1.0  # and that losses leave
         self._points: SetPoints | None = None
+        self._force: ForceWatch | None = None
+        if settings.force_filter_s:
+            self._force = ForceWatch(cycle_s, settings.force_filter_s, settings.force_at_rest_N)
+        self._is_force_exceeded = False  # in the last motion
 
     # What a protocol adds:
 
     def _measure(self) -> None:
         """Take over the measured axes of the last telegram."""
+
+    def _measured_force(self) -> Vector3:
+        """Return the force on the tool in the last telegram, of an arm that estimates one."""
+        return NO_FORCE
 
     def _prepare_reply(self, points: SetPoints) -> None:
         """Encode the prepared points; the reply may be replaced by a stop until it is sent."""
@@ -170,6 +179,8 @@ class StreamSession:
             abs(self._received_ns - self._previous_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
         )
         self._measure()
+        if self._force is not None:
+            self._follow_force(points, self._force)
         following_violation = points.monitor.check_measured(self._measured)
         if following_violation is not None:
             self._judge_measured(following_violation)
@@ -190,8 +201,10 @@ class StreamSession:
         if command.number == self._command_number:
             return
         self._command_number = command.number
-        if command.kind is CommandKind.MOVE and command.plan is not None:
-            self.result = self._start_motion(command.plan, command)
+        if (
+            command.kind is CommandKind.MOVE and command.plan is not None
+        ) or command.kind is CommandKind.GUIDE:
+            self.result = self._start_motion(command)
         elif command.kind is CommandKind.OPEN and command.limits is not None and self.phase is Phase.IDLE:
             self._limits = command.limits
             self.fault, self.result = Fault.NONE, Result.NONE
@@ -259,6 +272,8 @@ class StreamSession:
             violation.limit if violation else 0.0,
             self._speed,
             self.controller_word,
+            NO_FORCE if self._force is None else self._force.filtered_N,
+            0.0 if self._force is None else self._force.peak_N,
         )
 
     def _begin(self, start_rad: JointVector, limits: MotionLimits) -> SetPoints:
@@ -280,23 +295,40 @@ class StreamSession:
             return Choice.HOLD
         return Choice.REPEAT
 
-    def _start_motion(self, plan: MotionPlan, command: Command) -> Result:
-        points = self._points
+    def _start_motion(self, command: Command) -> Result:
+        points, plan, guide = self._points, command.plan, command.guide
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
         if command.stop_number != self._stop_word >> STOP_KIND_BITS:
             return Result.REFUSED_STOP
         if points.moving or self._stopping:
             return Result.REFUSED_BUSY
-        gap = max(abs(x - y) for x, y in zip(plan.start_rad, points.last_rad, strict=True))
-        if not gap <= START_TOLERANCE_RAD:
+        if plan is not None and not _starts_at(plan, points.last_rad):
             return Result.REFUSED_START
+        if (command.force_limit_N or plan is None) and not (
+            self._force is not None and self._force.begin(command.force_limit_N)
+        ):
+            return Result.REFUSED_LOADED
+        self._is_force_exceeded = False
         try:
-            points.start(plan, self._speed, command.surroundings)
+            if plan is not None:
+                points.start(plan, self._speed, command.surroundings)
+            elif guide is not None:
+                points.guide(guide, self._speed, command.surroundings)
         except RonnaError:
             return Result.REFUSED_NUMBERS
         self._settled_cycles = 0
         return Result.RUNNING
+
+    def _follow_force(self, points: SetPoints, force: ForceWatch) -> None:
+        """Stop a motion whose force limit is exceeded, or pass the force on to one that follows it."""
+        force.note(self._measured_force(), moving=points.moving)
+        if not points.moving:
+            return
+        if force.is_exceeded:
+            self._is_force_exceeded = self._stopping = True
+        if points.push(force.change_N):
+            self._stopping = True
 
     def _follow_motion(self, points: SetPoints) -> None:
         if points.moving:
@@ -309,9 +341,11 @@ class StreamSession:
         self._settled_cycles = self._settled_cycles + 1 if is_near else 0
         if self.result is Result.RUNNING:
             if points.was_stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
-                self.result = Result.STOPPED
+                self.result = Result.FORCE if self._is_force_exceeded else Result.STOPPED
             elif self._settled_cycles >= SETTLE_CYCLES:
                 self.result = Result.DONE
+            if self._force is not None and self.result is not Result.RUNNING:
+                self._force.end()
         if self.phase in (Phase.RUNNING, Phase.FAULT) and (
             self.is_parent_gone or self.fault is Fault.HEARTBEAT
         ):
@@ -359,3 +393,8 @@ class StreamSession:
         if self.phase in (Phase.ARMED, Phase.RUNNING):
             self.phase = Phase.FAULT
         self._stopping = self.moving
+
+
+def _starts_at(plan: MotionPlan, last_rad: JointVector) -> bool:
+    gap = max(abs(x - y) for x, y in zip(plan.start_rad, last_rad, strict=True))
+    return gap <= START_TOLERANCE_RAD  # NaN fails here

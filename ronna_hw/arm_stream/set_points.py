@@ -13,9 +13,10 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm_stream.guided import GuidedMotion, GuideLimits
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.errors import RonnaError
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
 
 class SetPoints:
@@ -29,7 +30,7 @@ class SetPoints:
         self._limits = limits
         self._cycle_s = cycle_s
         self.monitor = Monitor(monitor_limits(kinematics, limits, cycle_s, start_rad), start_rad)
-        self._motion: PathMotion | StopMotion | None = None
+        self._motion: PathMotion | GuidedMotion | StopMotion | None = None
         self._joint_stop: StopMotion | None = None
         self.go_rad = start_rad
         self.stop_rad = start_rad
@@ -72,18 +73,37 @@ class SetPoints:
             plan.path(self._kinematics), plan.start_rad, plan.limits, self._cycle_s, plan.speed_steps
         )
         if surroundings is not None:
-            if surroundings is not self._bodies.surroundings:
-                self._bodies = Bodies(self._kinematics, surroundings)
-            speed_mm_s = self._limits.body_speed_mm_s
-            self.monitor.watch(LiveWatch(self._bodies, self._cycle_s, self.last_rad, speed_mm_s))
+            self._watch_clearance(surroundings)
         if speed < 1.0:
             motion.limit_speed(speed)
         self._motion = motion
 
+    def guide(self, guide: GuideLimits, speed: float, surroundings: Surroundings) -> None:
+        """Follow a hand from rest until stopped; raises the errors of the kinematics."""
+        self.was_stopped_early = False
+        motion = GuidedMotion(self._kinematics, self.last_rad, guide, self._limits, self._cycle_s)
+        motion.limit_speed(speed)
+        self._watch_clearance(surroundings)
+        self._motion = motion
+
+    def push(self, force_N: Vector3) -> bool:
+        """Pass on the force of a hand, if one is followed; True if that must end."""
+        motion = self._motion
+        if not isinstance(motion, GuidedMotion):
+            return False
+        motion.push(force_N)
+        return motion.is_over
+
     def limit_speed(self, speed: float) -> None:
         """Limit the motion to a fraction of the planned speed."""
-        if isinstance(self._motion, PathMotion):
+        if isinstance(self._motion, PathMotion | GuidedMotion):
             self._motion.limit_speed(speed)
+
+    def _watch_clearance(self, surroundings: Surroundings) -> None:
+        if surroundings is not self._bodies.surroundings:
+            self._bodies = Bodies(self._kinematics, surroundings)
+        speed_mm_s = self._limits.body_speed_mm_s
+        self.monitor.watch(LiveWatch(self._bodies, self._cycle_s, self.last_rad, speed_mm_s))
 
     def prepare(self) -> None:
         """Compute and check the points for continuing and for stopping."""

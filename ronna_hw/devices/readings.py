@@ -133,6 +133,7 @@ class ArmReading:
     joints_rad: JointVector
     commanded_rad: JointVector | None  # None while no correction stream is running
     moving: bool
+    force_N: Vector3 | None = None  # on the tool, in the robot base; None if the arm senses none
 
 
 @dataclass(frozen=True)

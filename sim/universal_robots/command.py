@@ -82,7 +82,7 @@ def ur(
     last = room.arm(role) if room.has_arm(role) else None
     start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
-    controller = Controller(described, parameters, kinematics, start_rad)
+    controller = Controller(described, parameters, kinematics, start_rad, seed)
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
     tool = room.mounted_tool if role is MASTER else _no_tool

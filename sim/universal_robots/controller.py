@@ -11,6 +11,7 @@ from typing import Final
 from ronna_hw.wire.universal_robots import RobotMode, RobotStatus, RuntimeState, SafetyMode
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.loads import Loads
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.modes import BROKEN, EMERGENCY, Modes
 from sim.universal_robots.programs.outgoing import Outgoing
@@ -61,10 +62,12 @@ class Controller:
         parameters: ControllerParameters,
         kinematics: Kinematics | None = None,
         start_rad: Sequence[float] = HOME_RAD,
+        seed: int = 0,
     ) -> None:
         self.model = model
         self.parameters = parameters
         self.robot = Robot(model, parameters, kinematics or Kinematics(model), start_rad)
+        self.loads = Loads(self.robot, seed)
         self.modes = Modes(parameters, model.cycle_s)
         self.news = News()
         self.program: Program | None = None
@@ -213,8 +216,11 @@ class Controller:
             self._run_program()
         if drives.served == served:
             self._brake()
-        if drives.trip or robot.stop_request:
-            reason, drives.trip, robot.stop_request = drives.trip or robot.stop_request, "", ""
+        loads = self.loads
+        loads.follow()
+        if drives.trip or robot.stop_request or loads.trip:
+            reason = drives.trip or robot.stop_request or loads.trip
+            drives.trip = robot.stop_request = loads.trip = ""
             self.protective_stop(reason)
         self._settle_state()
         self.publish()

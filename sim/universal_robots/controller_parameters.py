@@ -78,6 +78,27 @@ class ControllerParameters:
     ] = 0.004
     slider_slows_servoj: Annotated[bool, "The speed slider slows servoj too."] = False
 
+    # forces on the tool, and their estimate
+    force_error_scale: Annotated[
+        float,
+        "Factor on noise and bias of the estimated force: 3 N rms and up to 5 N on CB3, which estimates by "
+        "currents, 0.5 N and 2 N on the e-Series.",
+    ] = 1.0
+    force_lag_s: Annotated[float, "Time constant of the estimated force."] = 0.01
+    safety_force_n: Annotated[float, "Force on the tool that trips a protective stop; the usual preset."] = (
+        150.0
+    )
+    tool_mass_kg: Annotated[
+        float, "True mass on the flange; 0: as programs set it. A difference appears as a force."
+    ] = 0.0
+    skin_mm: Annotated[float, "Depth of skin in front of bone."] = 5.0
+    skin_stiffness_n_mm: Annotated[float, "Resistance of skin for each mm, until it is passed."] = 0.5
+    bone_mm: Annotated[float, "Thickness of bone, as of a parietal bone."] = 6.5
+    bone_resistance_n: Annotated[float, "Resistance of bone to a drill; more stands for bone undrilled."] = (
+        20.0
+    )
+    friction_n: Annotated[float, "Resistance behind the bone."] = 1.0
+
     # the arm itself
     factory_calibration: Annotated[
         Literal["linearised", "exact", "none"],

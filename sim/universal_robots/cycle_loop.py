@@ -116,6 +116,8 @@ class CycleLoop:
         watchdog = None if program is None else program.watchdog
         self.rtde.watched = -1 if watchdog is None else watchdog.place
         controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants_poses
+        controller.loads.shows_forces = bool(self.clients.realtime.connections) or self.rtde.wants_forces
+        controller.loads.shows_torques = bool(self.clients.realtime.connections) or self.rtde.wants_torques
         self.rtde.store_late()
         controller.robot.set_mounted_tool(self._mounted_tool())
         controller.step()

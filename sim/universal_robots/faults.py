@@ -9,6 +9,7 @@ from sim.universal_robots.connections import Listener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.clients import ClientInterfaces
 from sim.universal_robots.interfaces.dashboard import Dashboard
+from sim.universal_robots.loads import NONE
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.log import FaultLog
@@ -60,6 +61,7 @@ class ControllerFaults:
         acting = self._board.acting()
         self._log.update(acting)
         present = {fault.kind.name: fault.argument for fault in acting}
+        arguments = {fault.kind.name: fault.arguments for fault in acting}
         controller = self._controller
         for name, mode in CONDITIONS.items():
             controller.hold(mode, holds=name in present)
@@ -71,6 +73,13 @@ class ControllerFaults:
         self._rtde.reserved = CLIENT_INPUTS if "ur_registers_taken" in present else frozenset()
         self._dashboard.silent = "ur_dashboard_silent" in present
         self._turn_local("ur_local" in present)
+        loads = controller.loads
+        loads.axial_n = float(present.get("ur_load", 0.0))
+        tissue = present.get("ur_tissue")
+        loads.meet_tissue(None if tissue is None else float(tissue))
+        hand = arguments.get("ur_hand")
+        loads.hand_n = NONE if hand is None else (float(hand[0]), float(hand[1]), float(hand[2]))
+        controller.robot.keeps_load = "ur_load_kept" in present
         self._move_slider(present.get("ur_speed_slider"))
         self.frozen = "ur_frozen" in present
         self.is_cut = "ur_cable" in present

@@ -150,18 +150,25 @@ class Kinematics:
             r02, r12, r22 = r02 * ca - v0 * sa, r12 * ca - v1 * sa, r22 * ca - v2 * sa
         return Frame(r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z)
 
-    def jacobian(self, joints_rad: Sequence[float], tcp: Frame = IDENTITY) -> np.ndarray:
-        """Return the Jacobian (6, 6) of the tool centre point in the base, translation first."""
-        axes, frame = [], IDENTITY
+    def link_frames(self, joints_rad: Sequence[float]) -> list[Frame]:
+        """Return the base and the frame behind each joint; a joint turns about z of the frame before it."""
+        frame = IDENTITY
+        frames = [frame]
         for q, (theta, ca, sa, a, d) in zip(joints_rad, self._links, strict=True):
-            axes.append((frame.r02, frame.r12, frame.r22, frame.x, frame.y, frame.z))
             c, s = cos(q + theta), sin(q + theta)
             frame = compose(
                 frame, Frame(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca, a * c, a * s, d)
             )
-        end = compose(frame, tcp)
+            frames.append(frame)
+        return frames
+
+    def jacobian(self, joints_rad: Sequence[float], tcp: Frame = IDENTITY) -> np.ndarray:
+        """Return the Jacobian (6, 6) of the tool centre point in the base, translation first."""
+        *links, flange = self.link_frames(joints_rad)
+        end = compose(flange, tcp)
         columns = []
-        for u, v, w, x, y, z in axes:
+        for link in links:
+            u, v, w, x, y, z = link.r02, link.r12, link.r22, link.x, link.y, link.z
             dx, dy, dz = end.x - x, end.y - y, end.z - z
             columns.append((v * dz - w * dy, w * dx - u * dz, u * dy - v * dx, u, v, w))
         return np.array(columns).T

@@ -53,6 +53,7 @@ class Robot:
         self.values: list[Any] = list(INITIAL_VALUES)
         self.values[SPEED_SCALING] = self.values[TARGET_SPEED_FRACTION] = 1.0
         self.tcp = IDENTITY
+        self.keeps_load = False  # fault: a new payload or tool centre point has no effect
         self.stop_request = ""  # a program asks for a protective stop, for this reason
 
     # -- registers
@@ -89,12 +90,16 @@ class Robot:
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad); raises ValueError."""
         _require_finite(*pose)
+        if self.keeps_load:
+            return
         self.tcp = frame_of_pose(pose)
         self.values[_TCP_OFFSET] = pose
 
     def set_payload(self, mass_kg: float, centre_m: Sequence[float] | None) -> None:
         """Set the payload, at its former centre of gravity if None; raises ValueError."""
         _require_finite(mass_kg, *(centre_m or ()))
+        if self.keeps_load:
+            return
         self.values[PAYLOAD] = mass_kg
         if centre_m is not None:
             self.values[_COG] = centre_m

@@ -98,8 +98,8 @@ def load_or_prepare(
     """
     path = folder / FILE
     if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)  # first: what takes minutes must not be lost
         found = prepare(seed, scans, frames, coarse=coarse, progress=progress)
-        folder.mkdir(parents=True, exist_ok=True)
         write_atomically(path, found.model_dump_json(indent=1).encode())
         return found
     try:

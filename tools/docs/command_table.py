@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +21,30 @@ def command_table() -> str:
         for row in _list_commands(typer.main.get_command(import_module(module).app), name)
     ]
     return table(("command", "purpose"), rows)
+
+
+def option_table(command: str, name: str) -> str:
+    """Tabulate the options of one of a program's commands."""
+    found: Any = typer.main.get_command(import_module(COMMANDS[command]).app)
+    options = [one for one in found.commands[name].params if not one.hidden]
+    return table(
+        ("option", "default", "meaning"),
+        [
+            (f"`{' '.join([one.opts[-1], _value_of(one)]).rstrip()}`", _default(one), one.help)
+            for one in options
+        ],
+    )
+
+
+def _value_of(option: Any) -> str:
+    kind = option.type_descriptor.annotation
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return " or ".join(map(str, kind))
+    return "" if option.is_flag else option.metavar or option.name.upper()
+
+
+def _default(option: Any) -> str:
+    return str(option.default) if option.default and option.default is not True else ""
 
 
 def _list_commands(command: Any, path: str) -> Iterator[tuple[str, str]]:

@@ -9,11 +9,11 @@ import importlib
 import pkgutil
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import ModuleType
 
 from api_pages import devices, numerics, runs
-from command_table import command_table
+from command_table import command_table, option_table
 from hazard_matrix import hazard_table
 from model_tables import model_tables
 from reference_tables import (
@@ -51,7 +51,8 @@ from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.world.faults import FAULT_KINDS
+from sim.world.faults import FAULT_KINDS, FaultKind
+from sim.world.faults.universal_robots import UR_FAULTS
 from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
@@ -82,10 +83,7 @@ def tables() -> dict[str, str]:
         "commands.md": command_table(),
         "error-codes.md": _tabulate_error_codes(),
         "export.md": _tabulate_exported_fields(),
-        "faults.md": table(
-            ("fault", "", "effect"),
-            [(f"`{k.usage}`", "once" if k.momentary else "lasts", k.meaning) for k in FAULT_KINDS],
-        ),
+        "faults.md": _tabulate_faults(FAULT_KINDS),
         "hazards.md": hazard_table(),
         "link-disturbances.md": disturbances(),
         "plan-file.md": model_tables({"plan": Plan}),
@@ -102,7 +100,7 @@ def tables() -> dict[str, str]:
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
-        "ur-parameters.md": parameter_table(rows(ControllerParameters)),
+        "ur-simulator.md": _describe_ur_simulator(),
     }
 
 
@@ -130,6 +128,23 @@ def list_errors_with_code() -> list[type[RonnaError]]:
     ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
     errors = (error for error in concrete_errors() if error.__module__.partition(".")[0] in ours)
     return sorted(errors, key=lambda error: error.code)
+
+
+def _tabulate_faults(kinds: Iterable[FaultKind]) -> str:
+    return table(
+        ("fault", "", "effect"),
+        [(f"`{kind.usage}`", "once" if kind.momentary else "lasts", kind.meaning) for kind in kinds],
+    )
+
+
+def _describe_ur_simulator() -> str:
+    sections = {
+        "Options": option_table("ronna-sim", "ur"),
+        "Faults": _tabulate_faults(UR_FAULTS),
+        "Parameters": "No public source settles these: `--set NAME=VALUE` changes the behaviour.\n\n"
+        + parameter_table(rows(ControllerParameters)),
+    }
+    return "\n".join(f"## {title}\n\n{content}" for title, content in sections.items())
 
 
 def _tabulate_error_codes() -> str:

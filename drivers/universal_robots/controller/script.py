@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.resources import files
 
 from ronna_hw.wire.universal_robots import ScriptSettings
@@ -11,9 +12,13 @@ WATCHDOG_HZ = 10.0  # least rate of packages: slower than the script's own limit
 INDENT = "\n  "
 
 
-def render_script(settings: ScriptSettings, payload_kg: float | None = None) -> str:
-    """Return the script with these settings, and with the payload on the flange if it is to be set."""
+def render_script(settings: ScriptSettings, commands: Sequence[str] = ()) -> str:
+    """Return the script with these settings; the commands, such as a payload, come first."""
     template = (files(__package__) / FILE_NAME).read_text("ascii")
     lines = INDENT.join(f"{name} = {value:g}" for name, value in settings._asdict().items())
-    payload = "" if payload_kg is None else f"set_payload({payload_kg:g})"
-    return template.format(settings=lines, payload=payload, watchdog_hz=f"{WATCHDOG_HZ:g}")
+    return template.format(settings=lines, payload=INDENT.join(commands), watchdog_hz=f"{WATCHDOG_HZ:g}")
+
+
+def render_secondary(commands: Sequence[str]) -> str:
+    """Return a secondary program, which the controller runs beside ours without moving the arm."""
+    return f"sec ronna_load():{INDENT}{INDENT.join(commands)}\nend\n"

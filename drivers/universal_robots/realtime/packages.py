@@ -38,6 +38,7 @@ OUTPUT_FIELDS: Final = (
     SEQUENCE_OUTPUT,
     STATE_OUTPUT,
     RUN_OUTPUT,
+    "actual_TCP_force",
 )
 INPUT_FIELDS: Final = (SEQUENCE_INPUT, ORDER_INPUT, RUN_INPUT, *SET_POINT_INPUTS)
 
@@ -52,6 +53,7 @@ TYPE, RECIPE_ID, TIMESTAMP = 1, 2, 3
 TARGET, ACTUAL = slice(4, 10), slice(10, 16)
 SPEED_SCALING, SPEED_FRACTION, ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE = range(16, 21)
 ECHO, SCRIPT_STATE, RUN = range(21, 24)
+FORCE = slice(24, 27)  # on the tool centre point, in the base; torques follow
 STATUS = slice(SPEED_SCALING, RUN + 1)  # everything that must be as expected to send a prepared reply
 
 Output = tuple[float, ...]  # an unpacked output package

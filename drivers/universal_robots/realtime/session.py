@@ -15,6 +15,7 @@ from typing import NamedTuple
 from drivers.universal_robots.realtime.packages import (
     ACTUAL,
     ECHO,
+    FORCE,
     ROBOT_MODE,
     RUN,
     RUNTIME_STATE,
@@ -36,7 +37,7 @@ from ronna_hw.arm_stream.losses import LossCount
 from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders, Phase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
-from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.vectors import JointVector, Vector3, joint_vector
 from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, SafetyMode, ScriptOrder, ScriptState
 
 AGREE_RAD = radians(0.1)  # between target and measured joints at the start: the arm must be at rest
@@ -283,6 +284,10 @@ class RtdeSession(StreamSession):
 
     def _measure(self) -> None:
         self._measured = joint_vector(self._values[ACTUAL])
+
+    def _measured_force(self) -> Vector3:
+        x, y, z = self._values[FORCE]
+        return x, y, z
 
     def _prepare_reply(self, points: SetPoints) -> None:
         """Prepare the complete next reply, if nothing but new information can change it."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from pydantic import Field
 
 from procedures.calibration.validity import require_valid
@@ -14,7 +16,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.config import Calibrations, ProcedureSettings
+from ronna_hw.config import Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -38,11 +40,29 @@ class DeviceIdentity(Values):
         )
 
 
+class DriverSettings(Values):
+    """Driver of a device and its options, as the theatre file states them; addresses may change."""
+
+    driver: str = Field(description="Name of the driver.")
+    options: dict[str, str] = Field(description="Each stated option, in JSON.")
+
+    @classmethod
+    def of(cls, config: DeviceConfig) -> DriverSettings:
+        """Take the settings from a device's table."""
+        return cls(
+            driver=config.driver,
+            options={name: json.dumps(value, default=str) for name, value in sorted(config.options.items())},
+        )
+
+
 class CheckedSetUp(StepResult, kind="set_up", version=2):
     """Devices, calibrations, tools and cell used in the case."""
 
     identities: dict[str, DeviceIdentity] = Field(
         description="By role: tracker, arm, stereo, and device.NAME as in the theatre file."
+    )
+    drivers: dict[str, DriverSettings] = Field(
+        default_factory=dict, description="Drivers and their options by table: tracker, robot.NAME, stereo."
     )
     notices: tuple[str, ...] = Field(description="Notices of the drivers for the operator.")
     calibrations: Calibrations = Field(description="The calibration records in use.")
@@ -86,6 +106,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     return Outcome(
         CheckedSetUp(
             identities=identities,
+            drivers={name: DriverSettings.of(config) for name, config in workcell.device_tables.items()},
             notices=notices,
             calibrations=calibrations,
             tools=dict(workcell.tools.records),

@@ -69,6 +69,7 @@ class ClientInterfaces:
         if self._controller.cycles % self._period == 0:
             readers = [*self.primary.connections, *self.secondary.connections]
             if readers:
+                self._controller.loads.publish_torques()
                 state = self._packages.state()
                 for connection in readers:
                     connection.send(state)

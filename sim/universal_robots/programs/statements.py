@@ -46,7 +46,7 @@ def run_at_once(robot: Robot, text: str) -> None:
 def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
     vector = _VECTOR.search(arguments)
     vectors = [float(number) for number in vector[2].split(",")] if vector and _is_numeric(vector[2]) else []
-    rest = arguments[vector.end() :] if vector else arguments
+    rest = arguments[: vector.start()] + arguments[vector.end() :] if vector else arguments
     named: dict[str, float] = {}
     plain: list[float] = []
     for key, word in _NUMBER.findall(rest):

@@ -25,6 +25,7 @@ from ronna_hw.wire.universal_robots import (
 )
 from sim.universal_robots.programs.motions import stopj
 from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.statements import run_at_once
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import index
 
@@ -37,6 +38,7 @@ _USED, _STATE, _RUN_ECHO, _UNCHANGED = map(
     index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT, UNCHANGED_OUTPUT)
 )
 NO_SET_POINT: Final = 0
+LOAD_CALLS: Final = ("set_payload(", "set_tcp(")  # carried out at the start
 _RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
 
 
@@ -69,11 +71,13 @@ def read_settings(text: str) -> ScriptSettings | str:
 def stream_program(name: str, text: str) -> Program:
     """Return the script as a program."""
     settings = read_settings(text)
+    load = "\n".join(line for line in text.splitlines() if line.strip().startswith(LOAD_CALLS))
 
     def steps(robot: Robot, program: Program) -> Iterator[None]:
         if isinstance(settings, str):
             program.failure = settings
             return
+        run_at_once(robot, load)
         yield from _stream(robot, program, settings)
 
     return Program(name, steps, streams=True)

@@ -10,6 +10,7 @@ from typing import Any
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, RTDE_PORT
 from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import POSES
+from sim.universal_robots.loads import FORCE, TORQUES
 from sim.universal_robots.model import Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.rtde.recipes import InputRecipe
@@ -60,7 +61,7 @@ class RtdeServer:
         self.watched = -1  # place of the input that a watchdog looks at
         self.watched_writes = 0
         self._cycle = 0
-        self.wants_poses = False
+        self.wants_poses = self.wants_forces = self.wants_torques = False
         self._clients: list[tuple[Connection, Session]] = []
         self.listener = Listener(
             address, RTDE_PORT, poll, self._connect, send_buffer_bytes=self.parameters.send_buffer_bytes
@@ -143,9 +144,11 @@ class RtdeServer:
                 values[PLACES[f"standard_analog_output{number}"].start] = fields.get(name, 0.0)
 
     def note_recipes(self) -> None:
-        """Look again whether any client reads poses or velocities of the tool."""
+        """Look again whether any client reads poses, velocities or forces of the tool, or torques."""
         recipes = [session.output for _, session in self._clients]
         self.wants_poses = any(recipe and not POSES.isdisjoint(recipe.names) for recipe in recipes)
+        self.wants_forces = any(recipe and FORCE in recipe.names for recipe in recipes)
+        self.wants_torques = any(recipe and not TORQUES.isdisjoint(recipe.names) for recipe in recipes)
 
     def send_outputs(self) -> None:
         """Send this cycle's package to each client that is due."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from sim.world.faults.fault import Fault
+from sim.world.faults.fault import TERMINALS, Fault
 
 
 class FaultLog:
@@ -45,5 +45,5 @@ class FaultLog:
 def _describe_fault(fault: Fault) -> str:
     words, arguments = [], iter(fault.arguments)
     for word in fault.kind.phrase.split():
-        words.append(next(arguments) if word.isupper() else word)
+        words.append(next(arguments) if word in TERMINALS else word)
     return " ".join([fault.kind.device, *words])

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from sim.world.faults.fault import DeviceFaults, check_at_most
+from collections.abc import Iterator
+
+from sim.world.faults.fault import Arguments, DeviceFaults, check_at_most
+from sim.world.scene.model import Scene
 
 LONGEST_DELAY_CYCLES = 1000.0
+
+LARGEST_FORCE_N = 1000.0
+FARTHEST_MM = 500.0
 
 UR = DeviceFaults("ur", prefix="ur_")
 declare_lasting, share, declare_momentary = UR.declare_lasting, UR.share, UR.declare_momentary
@@ -60,4 +66,32 @@ CELL_FAULTS = (
     declare_momentary("program_pause", "program pause", "Somebody pauses the program at the pendant."),
 )
 
-UR_FAULTS = (*LINK_FAULTS, *CELL_FAULTS)
+
+def _check_hand(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    for argument in arguments:
+        if abs(float(argument)) > LARGEST_FORCE_N:
+            yield f"expected forces of at most {LARGEST_FORCE_N:g} N, got {argument}"
+
+
+LOADS = (
+    declare_lasting(
+        "load",
+        "load axial NUMBER N",
+        "That force pushes the tool back along its axis.",
+        check_at_most(LARGEST_FORCE_N, "N"),
+    ),
+    declare_lasting(
+        "tissue",
+        "tissue NUMBER mm ahead",
+        "Skin, bone and brain begin so far ahead of the tool centre point on its axis.",
+        check_at_most(FARTHEST_MM, "mm"),
+    ),
+    declare_lasting(
+        "hand", "hand SIGNED SIGNED SIGNED N", "A hand pushes the tool, along x y z of the base.", _check_hand
+    ),
+    declare_lasting(
+        "load_kept", "load kept", "A new payload or tool centre point has no effect on the controller."
+    ),
+)
+
+UR_FAULTS = (*LINK_FAULTS, *CELL_FAULTS, *LOADS)

@@ -36,7 +36,7 @@ SETTINGS = LinkSettings(
     cycle_s=CYCLE_S,
     starved_cycles=10,
 )
-OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i")
+OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
 IN = struct.Struct(">HBB i i i 6d")
 WAITING, STREAMING, ENDED, STARVED = 1, 2, 3, 4
 STARVED_CYCLES = 10
@@ -60,6 +60,7 @@ class RtdeStand:
         self.inputs: tuple[Any, ...] = (0, 0, 0, *START)
         self.goal: JointVector = START
         self.follows = True
+        self.force_N = (0.0, 0.0, 0.0)
         self.measured: JointVector = START
         self.goals: list[JointVector] = []  # set-points used, one a cycle
         self.is_replaced = False  # another program runs, in other registers than ours
@@ -87,7 +88,7 @@ class RtdeStand:
         return OUT.pack(
             OUT.size, ord("U"), 1, self.timestamp_s, *self.goal, *self.measured, self.scaling, self.fraction,
             self.robot_mode, self.safety_mode, self.runtime_state, self.used, self.script_state,
-            self.script_run,
+            self.script_run, *self.force_N, 0.0, 0.0, 0.0,
         )  # fmt: skip
 
     def cycle(self, lost: int = 0) -> bytes | None:

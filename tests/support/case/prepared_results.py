@@ -40,7 +40,7 @@ from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import LinkHealth, Prediction, RegisteredRobot, Relocalization
-from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
+from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity, DriverSettings
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.strategies.strategy import ArmInBranch
@@ -128,6 +128,7 @@ def checked_plan(**changes: object) -> CheckedPlan:
 def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
     return CheckedSetUp(
         identities={"arm": DeviceIdentity.from_identity(Identity("Test", "an arm", "1", "0"))},
+        drivers={name: DriverSettings.of(table) for name, table in cell.theatre.devices.items()},
         notices=(),
         calibrations=cell.calibrations,
         tools=cell.theatre.tools,

@@ -16,6 +16,16 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture
+def ur_cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with `cell/theatre.toml` of a simulated theatre with a UR5e."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--scene", "mini", "--arm", "ur5e", "--out", "cell")
+    with ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *arguments)) as child:
+        commands.environment |= variables_of(child.ready)
+        yield tmp_path
+
+
+@pytest.fixture
 def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with `cell/lab.toml`, made as the page on theatre files says, on simulated devices."""
     monkeypatch.chdir(tmp_path)
@@ -36,3 +46,9 @@ def test_a_hardware_day_is_rehearsed_from_its_text(
 ) -> None:
     write_files(f"docs/how-to/devices/{page}.md", cell)
     assert run_exercises(f"docs/how-to/devices/{page}.md", commands, cell) >= statements
+
+
+def test_the_day_with_a_ur_is_rehearsed_from_its_text(ur_cell: Path, commands: Commands) -> None:
+    page = "docs/how-to/devices/first-day-with-a-ur.md"
+    write_files(page, ur_cell)
+    assert run_exercises(page, commands, ur_cell) >= 40

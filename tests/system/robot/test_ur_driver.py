@@ -35,11 +35,14 @@ from drivers.universal_robots.errors import (
     RegistersInUse,
     ScriptNotStarted,
 )
+from ronna_hw.arm.errors import ForceLimitExceeded
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.contact import Insertion, ToolLoad
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
@@ -48,6 +51,10 @@ from sim.world.world import World
 PATIENT = {"silence_limit_s": 5.0, "heartbeat_limit_s": 10.0, "settle_tolerance_deg": 0.0008}
 ROLES = ("rtde", "dashboard", "primary")
 TURN_RAD = radians(20.0)
+BARE_FLANGE = Transform.of(Frame.FLANGE, Frame.TOOL)
+FORCE_LIMIT_N = 15.0
+# Tissue 1 mm ahead, 5 mm of skin, then bone, whose resistance rises by 40 N/mm.
+LIMIT_DEPTH_MM = 6.0 + FORCE_LIMIT_N / 40.0
 
 MOVER = """
 import sys, threading
@@ -281,3 +288,49 @@ def test_a_real_time_process_that_dies_is_named(room: Room, arm: UniversalRobots
     assert isinstance(motion.end(), LinkProcessDied)
     arm.recover("Ann", timeout_s=30.0)
     arm.activate()
+
+
+def inserted(arm: UniversalRobotsArm, depth_mm: float, limit_N: float | None = FORCE_LIMIT_N) -> Insertion:
+    start = arm.read_state().commanded_rad
+    assert start is not None
+    way = Transform.of(Frame.TOOL, Frame.TOOL, translation_mm=(0.0, 0.0, depth_mm))
+    return Insertion(
+        arm.kinematics.flange_pose(start) @ BARE_FLANGE @ way, BARE_FLANGE, force_limit_N=limit_N
+    )
+
+
+def travelled_mm(arm: UniversalRobotsArm, start: JointVector) -> float:
+    before, after = (arm.kinematics.flange_pose(q) for q in (start, arm.read_state().joints_rad))
+    return float((before.inverse() @ after).translation_mm[2])
+
+
+@pytest.mark.hazard(56)
+def test_an_insertion_stops_in_bone_at_its_force_limit_and_ends_at_its_depth_without(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    start = arm.read_state().joints_rad
+    room.inject("tissue 1 mm ahead")
+    with pytest.raises(ForceLimitExceeded):
+        arm.insert(inserted(arm, 20.0))
+    assert arm.state is Lifecycle.HOLD
+    beyond_mm = travelled_mm(arm, start) - LIMIT_DEPTH_MM
+    assert -0.1 < beyond_mm < 0.7
+    arm.resume()
+    arm.insert(inserted(arm, -travelled_mm(arm, start), limit_N=None))
+    room.inject()
+    done = arm.insert(inserted(arm, 8.0))
+    assert done.travel_mm == pytest.approx(8.0, abs=0.02)
+    assert done.peak_force_N is not None
+    assert done.peak_force_N < FORCE_LIMIT_N
+
+
+@pytest.mark.hazard(56)
+def test_a_load_is_read_back_and_one_that_the_controller_does_not_take_is_refused(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    load = ToolLoad(0.8, (0.0, 0.0, 40.0), (0.0, 0.0, 120.0))
+    read = arm.set_tool_load(load)
+    assert read.mass_kg == pytest.approx(load.mass_kg)
+    assert read.centre_mm == pytest.approx(load.centre_mm)
+    assert read.tip_mm == pytest.approx(load.tip_mm)
+    arm.set_tool_load(ToolLoad(0.0))

@@ -55,4 +55,4 @@ def test_blocks_are_balanced_and_the_script_is_plain_ascii_that_ends() -> None:
 
 def test_a_payload_is_set_only_where_it_is_given() -> None:
     assert "set_payload" not in SCRIPT
-    assert "\n  set_payload(1.25)\n" in render_script(SETTINGS, payload_kg=1.25)
+    assert "\n  set_payload(1.25)\n" in render_script(SETTINGS, ("set_payload(1.25)",))

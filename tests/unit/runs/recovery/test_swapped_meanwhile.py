@@ -107,6 +107,13 @@ def no_bodies(engine: Engine) -> None:
     engine.setting = replace(engine.setting, surroundings=cell)
 
 
+def faster_arm(engine: Engine) -> None:
+    theatre = engine.setting.workcell._theatre
+    table = theatre.file.robot["master"]
+    faster = table.model_copy(update={"options": {**table.options, "speed_fraction": 0.25}})
+    theatre.file = theatre.file.model_copy(update={"robot": {"master": faster}})
+
+
 def other_settings(engine: Engine) -> None:
     settings = engine.setting.settings.model_copy(update={"approach_mm": 12.0})
     engine.setting = replace(engine.setting, settings=settings)
@@ -119,6 +126,7 @@ def other_settings(engine: Engine) -> None:
         (longer_guide, r"tool record guide: recorded bore\.length_mm 8.*, found bore\.length_mm 10"),
         (other_flange, "flange: recorded '.*', found 'another flange'"),
         (no_bodies, "cell: recorded bodies 12 entries, found bodies 0 entries"),
+        (faster_arm, r"options of robot\.master: recorded speed_fraction .*, found speed_fraction 0\.25"),
         (other_settings, r"settings of the procedure: recorded approach_mm 60\.0, found approach_mm 12\.0"),
     ],
 )

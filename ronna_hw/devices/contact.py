@@ -1,0 +1,126 @@
+"""What an arm may do in contact: insert an instrument, carry a load, follow a hand.
+
+Small protocols: an arm without a force estimate inserts without a force limit, and follows no hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from ronna_hw.devices.readings import ArmReading
+from ronna_hw.vectors import Vector3
+
+if TYPE_CHECKING:
+    from ronna_hw.frames import Transform
+
+INSERTION_SPEED_MM_S = 5.0  # proposed requirement DA-5: slow enough to stop within a fraction of a mm
+GUIDED_SPEED_MM_S = 50.0  # a fifth of the reduced speed of ISO 10218-1: a hand is on the arm
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Straight, slow motion of an instrument along its own axis, the z axis of TOOL, to the target.
+
+    The target ROBOT <- TOOL is the depth stop: no set-point lies beyond it. With a force limit the arm stops
+    when the force on the tool has changed by more since the start, in any direction.
+    """
+
+    target: Transform
+    flange_from_tool: Transform
+    speed_mm_s: float = INSERTION_SPEED_MM_S
+    force_limit_N: float | None = None
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """End of an insertion that reached its depth."""
+
+    reading: ArmReading
+    travel_mm: float  # along the axis, positive in its direction; by the measured joints
+    peak_force_N: float | None  # largest change of the force; None if the arm senses none
+
+
+@runtime_checkable
+class InsertsInstruments(Protocol):
+    """Arm that can insert an instrument."""
+
+    @property
+    def senses_force(self) -> bool:
+        """Whether the arm estimates the force on its tool, so that a force limit can be watched."""
+        ...
+
+    def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
+        """Insert, or withdraw, to rest at the target.
+
+        Raises ARM-012 before motion for a target off the axis or a speed above the limit, ARM-013 for a force
+        limit that the arm cannot watch, ARM-014 for a force on the tool at the start, and ARM-015 when the
+        force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
+        Otherwise like `RobotArm.move_linear`.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class HandGuidance:
+    """Limits within which an arm follows a hand: it shifts its flange without turning it."""
+
+    speed_mm_s: float = GUIDED_SPEED_MM_S
+    reach_mm: float = 150.0  # from where it began
+    force_limit_N: float = 60.0  # above, the arm stops
+    dead_band_N: float = 8.0  # force without effect: above the noise of an estimate from motor currents (U)
+    damping_N_s_mm: float = 0.6  # force for each mm/s
+    timeout_s: float = 60.0  # of the controller's cycles
+
+
+class GuidanceEnd(StrEnum):
+    """Why an arm no longer follows a hand."""
+
+    RELEASED = "released"  # by the operator
+    TIMED_OUT = "timed out"
+    AT_LIMIT = "at a limit"  # of a joint's range or speed
+
+
+@dataclass(frozen=True)
+class Guided:
+    """End of a guidance by hand, with the arm at rest."""
+
+    reading: ArmReading
+    end: GuidanceEnd
+
+
+@runtime_checkable
+class FollowsHand(Protocol):
+    """Arm that can be guided by hand."""
+
+    def guide_by_hand(self, guidance: HandGuidance, is_held: Callable[[], bool]) -> Guided:
+        """Follow the hand's force while `is_held`, the operator's enabling switch, says so.
+
+        Raises ARM-012 for limits that no person may be exposed to, ARM-014 if a force acts at the start,
+        ARM-015 when the force limit stopped it (then in HOLD), and otherwise like `RobotArm.move_linear`.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ToolLoad:
+    """What the controller must know of the tool: its mass, and points in the flange frame."""
+
+    mass_kg: float
+    centre_mm: Vector3 = (0.0, 0.0, 0.0)  # centre of gravity
+    tip_mm: Vector3 = (0.0, 0.0, 0.0)  # tool centre point
+
+
+@runtime_checkable
+class CarriesLoad(Protocol):
+    """Arm whose controller takes the load from the driver."""
+
+    def set_tool_load(self, load: ToolLoad, timeout_s: float = 2.0) -> ToolLoad:
+        """Set mass and tool centre point, and return them as read back; raises if they are not as set."""
+        ...
+
+    def read_tool_load(self, timeout_s: float = 2.0) -> ToolLoad:
+        """Read what the controller presently assumes. Allowed from CONNECTED."""
+        ...

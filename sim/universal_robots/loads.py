@@ -1,0 +1,211 @@
+"""Loads on the tool: forces of the room, the torques that they and gravity take, and the estimated force.
+
+Forces are in the base of the arm, in N, as the room exerts them on the tool. Masses and centres of the links
+are those that the vendor publishes for dynamics (U: quoted from memory), in the frames of the chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, sqrt
+from random import Random
+from typing import Final
+
+from sim.universal_robots.controller_parameters import ControllerParameters
+from sim.universal_robots.kinematics import Frame
+from sim.universal_robots.model import JOINTS, TORQUES_NM, ArmName
+from sim.universal_robots.robot import Robot
+from sim.universal_robots.variables import PAYLOAD, PLACES
+
+GRAVITY_M_S2: Final = 9.81
+MM: Final = 1000.0
+LINK_CENTRES_M: Final = (
+    (0.0, -0.02561, 0.00193),
+    (0.2125, 0.0, 0.11336),
+    (0.15, 0.0, 0.0265),
+    (0.0, -0.0018, 0.01634),
+    (0.0, 0.0018, 0.01634),
+    (0.0, 0.0, -0.001159),
+)
+LINK_MASSES_KG: Final = {
+    ArmName.UR5: (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+    ArmName.UR5E: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
+}
+TORQUE_PER_CURRENT_NM_A: Final = (12.6, 12.6, 12.6, 9.3, 9.3, 9.3)  # motor constant times gear (U)
+# Noise of one cycle, and largest error of the estimate on each axis, N (U). CB3 estimates from currents; the
+# e-Series has a sensor in the flange, of 3.5 N precision by its data sheet.
+NOISE_N: Final = {ArmName.UR5: 3.0, ArmName.UR5E: 0.5}
+BIAS_N: Final = {ArmName.UR5: 5.0, ArmName.UR5E: 2.0}
+NOISE_TABLE: Final = 4099  # a prime: three values a cycle do not repeat soon
+CONTACT_STIFFNESS_N_MM: Final = 20.0  # of an instrument in bone, by which it is relieved when drawn back (U)
+BONE_RAMP_MM: Final = 0.5  # from its surface to its full resistance (U)
+
+FORCE: Final = "actual_TCP_force"
+TORQUES: Final = frozenset({"actual_current", "target_current", "target_moment"})
+_FORCE, _CURRENT = PLACES[FORCE], PLACES["actual_current"]
+_TARGET_CURRENT, _MOMENT = PLACES["target_current"], PLACES["target_moment"]
+_COG = PLACES["payload_cog"]
+Force = tuple[float, float, float]
+NONE: Final[Force] = (0.0, 0.0, 0.0)
+
+
+class Tissue:
+    """Skin, bone and what lies behind it, on a straight way in the base (m)."""
+
+    def __init__(
+        self, entry: Sequence[float], axis: Sequence[float], parameters: ControllerParameters
+    ) -> None:
+        self._entry, self.axis = tuple(entry), tuple(axis)
+        self._parameters = parameters
+        self._deepest_mm = 0.0
+
+    def force_n(self, tip: Sequence[float]) -> float:
+        """Return the resistance at this place of the tip; drawn back, it is relieved."""
+        depth_mm = MM * sum((x - e) * a for x, e, a in zip(tip, self._entry, self.axis, strict=True))
+        self._deepest_mm = max(self._deepest_mm, depth_mm)
+        relief = CONTACT_STIFFNESS_N_MM * (self._deepest_mm - depth_mm)
+        return max(resistance_n(self._deepest_mm, self._parameters) - relief, 0.0)
+
+
+def resistance_n(depth_mm: float, parameters: ControllerParameters) -> float:
+    """Return the resistance to an instrument that advances at this depth under the skin's surface."""
+    if depth_mm <= 0.0:
+        return 0.0
+    if depth_mm < parameters.skin_mm:
+        return parameters.skin_stiffness_n_mm * depth_mm
+    in_bone = depth_mm - parameters.skin_mm
+    if in_bone < parameters.bone_mm:
+        return parameters.bone_resistance_n * min(in_bone / BONE_RAMP_MM, 1.0)
+    return parameters.friction_n
+
+
+class Loads:
+    """Loads on one arm. Without any, a cycle costs a few sums."""
+
+    def __init__(self, robot: Robot, seed: int) -> None:
+        parameters, name = robot.parameters, robot.model.name
+        scale = parameters.force_error_scale
+        random = Random(f"force estimate {seed}")
+        self._noise = [random.gauss(0.0, scale * NOISE_N[name]) for _ in range(NOISE_TABLE)]
+        self._bias = [random.uniform(-1.0, 1.0) * scale * BIAS_N[name] for _ in range(3)]
+        self._place = 0
+        self._robot = robot
+        self._share = 1.0 - exp(-robot.cycle_s / parameters.force_lag_s)
+        self._estimate: Force = NONE  # without bias and noise
+        self.axial_n = 0.0
+        self.hand_n: Force = NONE
+        self.tissue: Tissue | None = None
+        self.force_n: Force = NONE  # of the room on the tool
+        self.trip = ""  # why the safety system must stop the arm
+        self.shows_forces = self.shows_torques = True  # some client reads them
+
+    def meet_tissue(self, ahead_mm: float | None) -> None:
+        """Place tissue so far ahead of the tool centre point on its z axis, or remove it."""
+        if ahead_mm is None:
+            self.tissue = None
+        elif self.tissue is None:
+            tool, ahead = self._robot.tool_frame(self._robot.drives.actual), ahead_mm / MM
+            axis = (tool.r02, tool.r12, tool.r22)
+            entry = (tool.x + ahead * axis[0], tool.y + ahead * axis[1], tool.z + ahead * axis[2])
+            self.tissue = Tissue(entry, axis, self._robot.parameters)
+
+    def follow(self) -> None:
+        """Compute the loads of this cycle, and what the controller knows of them."""
+        if self.axial_n or self.tissue is not None or self.hand_n is not NONE:
+            self.force_n = self._present_force()
+        else:
+            self.force_n = NONE
+        x, y, z = self.force_n
+        if self.force_n is not NONE:
+            limit_n = self._robot.parameters.safety_force_n
+            size_n = sqrt(x * x + y * y + z * z)
+            if size_n > limit_n:
+                self.trip = f"force of {size_n:.0f} N on the tool, at most {limit_n:.0f}"
+        a, b, c = self._estimate
+        share = self._share
+        wrong = GRAVITY_M_S2 * self._unknown_mass_kg()
+        self._estimate = (a + share * (x - a), b + share * (y - b), c + share * (z - wrong - c))
+        if self.shows_forces:
+            self._publish_force()
+        if self.shows_torques or self.force_n is not NONE:
+            self.publish_torques()
+
+    def publish_torques(self) -> None:
+        """Write torques and currents of the joints."""
+        robot = self._robot
+        values, drives = robot.values, robot.drives
+        mass, centre = values[PAYLOAD], values[_COG]
+        expected = self._gravity(drives.target, mass, centre)
+        true_mass = mass + self._unknown_mass_kg()
+        held = self._gravity(drives.actual, true_mass, centre)
+        if self.force_n is not NONE:
+            jacobian = robot.kinematics.jacobian(drives.actual, robot.tcp)
+            held = [
+                torque - sum(float(jacobian[axis, joint]) * self.force_n[axis] for axis in range(3))
+                for joint, torque in enumerate(held)
+            ]
+            for joint, (torque, most) in enumerate(zip(held, TORQUES_NM, strict=True)):
+                if abs(torque) > most and not self.trip:
+                    self.trip = f"joint {joint} holds {abs(torque):.0f} Nm, at most {most:.0f}"
+        values[_MOMENT] = expected
+        values[_TARGET_CURRENT] = _currents(expected)
+        values[_CURRENT] = _currents(held)
+
+    def _present_force(self) -> Force:
+        robot, (x, y, z) = self._robot, self.hand_n
+        tool = robot.tool_frame(robot.drives.actual)
+        against = self.axial_n
+        if against:
+            x, y, z = x - against * tool.r02, y - against * tool.r12, z - against * tool.r22
+        if self.tissue is not None:
+            against = self.tissue.force_n((tool.x, tool.y, tool.z))
+            u, v, w = self.tissue.axis
+            x, y, z = x - against * u, y - against * v, z - against * w
+        return x, y, z
+
+    def _unknown_mass_kg(self) -> float:
+        """Return how much heavier the tool is than the controller was told."""
+        true_kg = self._robot.parameters.tool_mass_kg
+        return true_kg - float(self._robot.values[PAYLOAD]) if true_kg else 0.0
+
+    def _publish_force(self) -> None:
+        noise, place = self._noise, self._place
+        self._place = place = place + 3 if place + 6 < NOISE_TABLE else 0
+        bias, (x, y, z) = self._bias, self._estimate
+        self._robot.values[_FORCE] = (
+            x + bias[0] + noise[place],
+            y + bias[1] + noise[place + 1],
+            z + bias[2] + noise[place + 2],
+            0.0,
+            0.0,
+            0.0,
+        )
+
+    def _gravity(
+        self, joints_rad: Sequence[float], payload_kg: float, centre_m: Sequence[float]
+    ) -> list[float]:
+        """Return the torques that hold links and payload."""
+        frames = self._robot.kinematics.link_frames(joints_rad)
+        masses = LINK_MASSES_KG[self._robot.model.name]
+        weights = [(kg, _point(frames[k + 1], LINK_CENTRES_M[k]), k) for k, kg in enumerate(masses)]
+        weights.append((payload_kg, _point(frames[JOINTS], centre_m), JOINTS - 1))
+        torques = [0.0] * JOINTS
+        for kg, (x, y, _), last in weights:
+            for joint in range(last + 1):
+                axis = frames[joint]
+                # z component of axis x lever: what the weight turns about this axis
+                torques[joint] += GRAVITY_M_S2 * kg * (axis.r02 * (y - axis.y) - axis.r12 * (x - axis.x))
+        return torques
+
+
+def _point(frame: Frame, local: Sequence[float]) -> tuple[float, float, float]:
+    u, v, w = local
+    return (
+        frame.r00 * u + frame.r01 * v + frame.r02 * w + frame.x,
+        frame.r10 * u + frame.r11 * v + frame.r12 * w + frame.y,
+        frame.r20 * u + frame.r21 * v + frame.r22 * w + frame.z,
+    )
+
+
+def _currents(torques_nm: Sequence[float]) -> list[float]:
+    return [torque / constant for torque, constant in zip(torques_nm, TORQUE_PER_CURRENT_NM_A, strict=True)]

@@ -1,0 +1,192 @@
+"""Motions in contact: a force limit, a hand that the arm follows, and what prevents both."""
+
+from __future__ import annotations
+
+from math import dist, nan, radians
+
+import pytest
+from rtde_stand import CYCLE_S, FAR, LIMITS, MODEL, START, RtdeStand, streaming
+
+from drivers.universal_robots.errors import BadLoad
+from drivers.universal_robots.loads import has_load, load_commands, to_load
+from ronna_hw.arm.errors import InsertionInvalid
+from ronna_hw.arm_stream.guided import GuideLimits
+from ronna_hw.arm_stream.hand_guided import guide_limits
+from ronna_hw.arm_stream.insertion import plan_insertion
+from ronna_hw.arm_stream.records import Command, CommandKind, Result
+from ronna_hw.devices.contact import HandGuidance, Insertion, ToolLoad
+from ronna_hw.frames import Frame, Transform
+
+SENSES = {"force_filter_s": 0.02, "force_at_rest_N": 15.0}
+REST_CYCLES = 300
+GUIDE = GuideLimits(50.0, 60.0, 8.0, 0.6, 2500)
+LIMIT_N = 60.0
+TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(0.0, 0.0, 120.0))
+
+
+def resting(force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RtdeStand:
+    stand = RtdeStand(**SENSES).begin()
+    stand.force_N = force_N
+    stand.cycles(REST_CYCLES)
+    return stand
+
+
+def move(stand: RtdeStand, limit_N: float) -> None:
+    stand.move()
+    assert stand.pending is not None
+    stand.pending = stand.pending._replace(force_limit_N=limit_N)
+
+
+def guide(stand: RtdeStand, limits: GuideLimits = GUIDE) -> None:
+    stand.commands += 1
+    stand.pending = Command(
+        stand.commands, CommandKind.GUIDE, None, stand.stop_word >> 3, force_limit_N=LIMIT_N, guide=limits
+    )
+    stand.cycle()
+
+
+def flange_mm(stand: RtdeStand) -> tuple[float, float, float]:
+    return MODEL.forward(stand.goal).position_mm
+
+
+@pytest.mark.parametrize("force_N", [(0.0, 31.0, 0.0), (0.0, 0.0, -40.0), (nan, 0.0, 0.0)])
+def test_a_motion_stops_when_its_force_limit_is_exceeded(force_N: tuple[float, float, float]) -> None:
+    stand = resting()
+    move(stand, 30.0)
+    stand.cycles(200)
+    assert stand.session.moving
+    stand.force_N = force_N
+    stand.run()
+    assert stand.session.result is Result.FORCE
+    assert stand.goal != pytest.approx(FAR, abs=0.01)
+    assert not stand.session.fault
+
+
+def test_a_force_below_the_limit_or_a_bias_does_not_stop_a_motion() -> None:
+    stand = resting((6.0, -6.0, 6.0))
+    move(stand, 30.0)
+    stand.cycles(200)
+    stand.force_N = (6.0, -6.0, 34.0)
+    stand.run()
+    assert stand.session.result is Result.DONE
+    assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(28.0, abs=0.1)
+
+
+def test_a_force_at_the_start_cannot_be_tared_away() -> None:
+    stand = resting((0.0, 16.0, 0.0))
+    move(stand, 30.0)
+    stand.cycles(3)
+    assert stand.session.result is Result.REFUSED_LOADED
+    assert not stand.session.moving
+
+
+def test_an_arm_without_an_estimate_starts_no_motion_with_a_force_limit() -> None:
+    stand = streaming()
+    stand.cycles(REST_CYCLES)
+    move(stand, 30.0)
+    stand.cycles(3)
+    assert stand.session.result is Result.REFUSED_LOADED
+
+
+def test_a_guided_arm_goes_with_the_hand_no_faster_than_its_limit() -> None:
+    stand = resting()
+    guide(stand)
+    begin = flange_mm(stand)
+    stand.force_N = (0.0, 20.0, 0.0)
+    stand.cycles(500)
+    x, y, z = flange_mm(stand)
+    assert y - begin[1] == pytest.approx(20.0, abs=4.0)  # (20 - 8) N / 0.6 N s/mm for nearly a second
+    assert (x, z) == pytest.approx((begin[0], begin[2]), abs=0.01)
+    stand.force_N = (0.0, 55.0, 0.0)
+    before = flange_mm(stand)
+    fastest = 0.0
+    for _ in range(300):
+        stand.cycle()
+        fastest, before = max(fastest, dist(flange_mm(stand), before) / CYCLE_S), flange_mm(stand)
+    assert fastest < 1.01 * GUIDE.speed_mm_s
+    assert MODEL.forward(stand.goal).angle_rad(MODEL.forward(START)) < radians(0.01)
+
+
+@pytest.mark.hazard(57)
+def test_a_guided_arm_comes_to_rest_at_the_end_of_its_reach_however_hard_the_hand_pushes() -> None:
+    stand = resting()
+    guide(stand)
+    begin = flange_mm(stand)
+    stand.force_N = (0.0, 55.0, 0.0)
+    farthest = 0.0
+    for _ in range(2000):
+        stand.cycle()
+        farthest = max(farthest, dist(flange_mm(stand), begin))
+    assert GUIDE.reach_mm - 2.0 < farthest <= GUIDE.reach_mm
+    assert not stand.session.fault
+
+
+def test_a_guided_arm_stands_still_without_a_hand_and_ends_by_its_time() -> None:
+    stand = resting()
+    guide(stand)
+    stand.force_N = (5.0, -5.0, 0.0)
+    stand.run()
+    assert stand.session.result is Result.STOPPED
+    assert len(set(stand.goals[-2000:])) == 1
+
+
+def test_a_hand_that_pushes_too_hard_stops_the_guided_arm() -> None:
+    stand = resting()
+    guide(stand)
+    stand.force_N = (0.0, 80.0, 0.0)
+    count = stand.run()
+    assert stand.session.result is Result.FORCE
+    assert count < 300
+
+
+def test_a_guided_arm_stops_before_the_end_of_a_joint_range_without_a_fault() -> None:
+    stand = resting()
+    guide(stand, GUIDE._replace(reach_mm=300.0, cycles=20_000))
+    stand.force_N = (0.0, 0.0, 55.0)  # up, until the elbow is stretched or a joint would be too fast
+    for _ in range(8000):
+        stand.cycle()
+        if stand.session.result is not Result.RUNNING:
+            break
+    assert not stand.session.fault
+
+
+@pytest.mark.parametrize(
+    "changes", [{"speed_mm_s": 51.0}, {"reach_mm": 400.0}, {"force_limit_N": 5.0}, {"timeout_s": nan}]
+)
+def test_a_guidance_that_no_person_may_be_exposed_to_is_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(InsertionInvalid):
+        guide_limits(HandGuidance(**changes), CYCLE_S)
+
+
+def target(along_mm: float, aside_mm: float = 0.0) -> Transform:
+    way = Transform.of(Frame.TOOL, Frame.TOOL, translation_mm=(aside_mm, 0.0, along_mm))
+    return MODEL.flange_pose(START) @ TOOL @ way
+
+
+def test_an_insertion_is_a_line_at_its_speed() -> None:
+    line = plan_insertion(MODEL, START, Insertion(target(20.0), TOOL, 2.0), LIMITS)
+    assert line.speed_fraction * LIMITS.line_speed_mm_s == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "insertion",
+    [
+        Insertion(target(20.0, aside_mm=0.25), TOOL),
+        Insertion(target(20.0), TOOL, 5.1),
+        Insertion(target(20.0), TOOL, nan),
+        Insertion(target(20.0), TOOL, force_limit_N=0.0),
+    ],
+)
+def test_an_insertion_off_its_axis_or_beyond_its_limits_is_refused(insertion: Insertion) -> None:
+    with pytest.raises(InsertionInvalid):
+        plan_insertion(MODEL, START, insertion, LIMITS)
+
+
+def test_a_load_is_set_in_metres_and_compared_when_read_back() -> None:
+    load = ToolLoad(1.2, (0.0, 1.0, 60.0), (0.0, 0.0, 150.0))
+    assert load_commands(load) == ("set_payload(1.2, [0, 0.001, 0.06])", "set_tcp(p[0, 0, 0.15, 0, 0, 0])")
+    read = to_load((1.2, 0.0, 0.001, 0.06, 0.0, 0.0, 0.15, 0.0, 0.0, 0.0))
+    assert has_load(read, load, None)
+    assert not has_load(ToolLoad(1.2, load.centre_mm), load, None)
+    with pytest.raises(BadLoad):
+        load_commands(ToolLoad(5.5))
