@@ -19,6 +19,7 @@ from ronna_hw.calibration import (
     BaseCalibration,
     Dated,
     DatedRecord,
+    HolderCalibration,
     Numbers3,
     PoseRecord,
     StereoHeadCalibration,
@@ -214,6 +215,12 @@ class Calibrations(Strict):
         default=None, description="Deviations of the arm; without it the arm is taken as nominal."
     )
 
+    assistant_arm: ArmCalibration | None = Field(
+        default=None, description="Deviations of the assistant; two arms are used only with those of both."
+    )
+    assistant_holder: HolderCalibration | None = Field(
+        default=None, description="Holder of the assistant, with frame and ball."
+    )
     assistant_base: BaseCalibration | None = Field(
         default=None, description="Where the assistant stands; without it, the assistant does not move."
     )

@@ -19,10 +19,10 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
-    CalibrationOfAnotherArm,
     ControllerExchanged,
     ControllerLost,
     ControllerNotFound,
+    FactoryCalibrationDiffers,
     LinkNotStarted,
     LoadNotTaken,
     LocalMode,
@@ -415,7 +415,7 @@ class Connections:
     def _use_calibration(self, info: KinematicsInfo) -> None:
         options = self._options
         if options.calibration and info.fingerprint != options.calibration:
-            raise CalibrationOfAnotherArm(
+            raise FactoryCalibrationDiffers(
                 f"{self._name}: the controller has the factory calibration of another arm",
                 expected=f"option calibration, {options.calibration}",
                 got=info.fingerprint,

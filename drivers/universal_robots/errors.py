@@ -48,7 +48,7 @@ class WrongVersion(ConnectError):
     action = "Update the controller: PolyScope 3.9 or newer on CB3, 5.6 or newer on the e-Series."
 
 
-class CalibrationOfAnotherArm(ConnectError):
+class FactoryCalibrationDiffers(ConnectError):
     """The controller's factory calibration is not the one that this theatre was measured with."""
 
     code = "URD-005"

@@ -24,17 +24,17 @@ class Poll:
         self._actions: dict[int, Callable[[], None]] = {}
 
     def register(self, one: socket.socket, action: Callable[[], None]) -> None:
-        """Wait for a socket too."""
+        """Add a socket to wait for."""
         self._actions[one.fileno()] = action
         self._epoll.register(one, select.EPOLLIN)
 
     def unregister(self, one: socket.socket) -> None:
-        """Wait for a socket no more; without effect for one that was not waited for."""
+        """Remove a socket; does nothing if it is not registered."""
         if self._actions.pop(one.fileno(), None) is not None:
             self._epoll.unregister(one)
 
     def serve(self, timeout_s: float) -> None:
-        """Wait once, and do what is to be done."""
+        """Wait once and run the actions of all readable sockets."""
         actions = self._actions
         for number, _ in self._epoll.poll(timeout_s):
             action = actions.get(number)
@@ -42,7 +42,7 @@ class Poll:
                 action()
 
     def close(self) -> None:
-        """Wait for nothing any more."""
+        """Stop waiting."""
         self._epoll.close()
 
 
@@ -65,7 +65,7 @@ class HangUp(Exception):
 
 
 class Connection:
-    """A client. What it does not read in time closes it."""
+    """Connection to a client, closed once the client stops reading."""
 
     def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[Connection], None]) -> None:
         self.socket = client
@@ -114,7 +114,7 @@ class Connection:
         self.close()
 
     def hold(self, *, holds: bool) -> None:
-        """Let nothing pass in either direction, or what was sent meanwhile and everything again."""
+        """Suspend traffic in both directions, or resume it and send what was held back."""
         if holds is (self._held is not None) or not self.open:
             return
         if holds:
@@ -176,7 +176,7 @@ class Listener:
         return f"tcp://{host}:{port}"
 
     def hold(self, *, holds: bool) -> None:
-        """Let nothing pass, and nobody connect, or everything again."""
+        """Suspend all traffic and new connections, or resume both."""
         if holds is self._holds:
             return
         self._holds = holds
