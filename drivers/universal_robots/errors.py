@@ -281,7 +281,10 @@ class ScriptStopped(LinkTimeout):
     """Our script stopped the arm by itself: no set-point came in time, or one was too far away."""
 
     code = "URD-037"
-    action = f"Find what delayed the set-points (the computer's load, the network), then {ACKNOWLEDGE}."
+    action = (
+        "Find what delayed the set-points: a busy computer (option starve_limit_s can allow more; start a "
+        f"rehearsal with --lock-step), or the network. Then {ACKNOWLEDGE}."
+    )
 
 
 class ControllerRestarted(DeviceError):

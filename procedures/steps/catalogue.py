@@ -68,8 +68,10 @@ AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 def clinical_steps(*, measure_targets: bool = False, dual: bool = False) -> Steps:
     """Return the steps of a case, with those of two arms and the measurement of targets if requested."""
-    more = {path_check.STEP: base_to_base.STEP} if dual else {}
-    before = {tool_change.STEP: target_measurement.STEP} if measure_targets else {}
+    more: dict[object, StepSpec[StepResult]] = {path_check.STEP: base_to_base.STEP} if dual else {}
+    before: dict[object, StepSpec[StepResult]] = (
+        {tool_change.STEP: target_measurement.STEP} if measure_targets else {}
+    )
     steps: list[StepSpec[StepResult]] = []
     for step in CLINICAL_STEPS:
         steps += [one for one in (before.get(step), step, more.get(step)) if one is not None]

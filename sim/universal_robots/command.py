@@ -78,7 +78,7 @@ def ur(
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
     tool = room.mounted_tool if role is MASTER else _no_tool
-    cycle_loop = CycleLoop(controller, arm, tool, room, place)
+    cycle_loop = CycleLoop(controller, arm, tool, room, place, alone=world is None)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
