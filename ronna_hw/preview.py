@@ -35,18 +35,33 @@ def plan_motion(
 ) -> MotionPlan:
     """Plan a motion from `start_rad`, scaling the limits by its speed fraction.
 
-    Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames,
-    ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and `plan_line`.
+    Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames, or
+    to anything but a transform, ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and
+    `plan_line`.
     """
     slowed = limits.slowed(motion.speed_fraction)
     if isinstance(motion, JointMove):
         return plan_joint_move(kinematics, start_rad, motion.target_rad, slowed)
     tool = motion.flange_from_tool
+    for value in (motion.target, *(() if tool is None else (tool,))):
+        _require_transform(value)
     if tool is None:
         return plan_line(kinematics, start_rad, Pose.from_transform(motion.target), slowed)
     flange = Pose.from_transform(motion.target @ _tool_in_flange(tool).inverse())
     x, y, z = tool.translation_mm.tolist()
     return plan_line(kinematics, start_rad, flange, slowed, (x, y, z))
+
+
+def _require_transform(value: object) -> None:
+    """Raise FRM-001 for anything but a transform, such as the pose vector of a controller."""
+    if not isinstance(value, Transform):
+        raise FrameMismatch(
+            "a line needs transforms, which say between which frames they are",
+            expected="a Transform robot <- flange, or with a tool robot <- tool",
+            got=type(value).__name__,
+            action="Build it by Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=..., "
+            "quaternion_wxyz=...). A pose vector has other units (m, rotation vector in rad): convert it.",
+        )
 
 
 def _tool_in_flange(flange_from_tool: Transform) -> Transform:

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from drivers.universal_robots.connections import PROCESS
 from drivers.universal_robots.errors import STREAM_ERRORS
-from drivers.universal_robots.options import UrOptions, planning_limits
+from drivers.universal_robots.options import UrOptions, planning_limits, script_settings
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -46,6 +46,7 @@ def main() -> None:
         handover_fd=theirs.fileno(),
         model=options.model.value,
         cycle_s=options.cycle_s,
+        starved_cycles=script_settings(options).STARVED_CYCLES,
     )
     link = LinkClient(settings, PROCESS, STREAM_ERRORS, inherited=(theirs.fileno(),))
     try:

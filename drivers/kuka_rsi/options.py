@@ -16,6 +16,7 @@ from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from drivers.theatre_options import parse_options
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import (
+    LEAST_LINE_SPEED_MM_S,
     RANGE_MARGIN_RAD,
     REDUCED_SPEED_MM_S,
     WORKING_SPEED_FRACTION,
@@ -92,7 +93,7 @@ class KukaOptions(Strict):
     )
     line_speed_mm_s: float | None = Field(
         None,
-        gt=0.0,
+        ge=LEAST_LINE_SPEED_MM_S,
         le=LARGEST_LINE_SPEED_MM_S,
         description="Largest speed on straight lines, instead of the default.",
     )

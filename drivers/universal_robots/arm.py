@@ -134,7 +134,8 @@ class UniversalRobotsArm(HandGuidedArm):
 
         Moves nothing. The person named has found the cause at the arm. Broken connections are reopened, with
         retries until the time limit. While CONNECTED a protective stop of an earlier run is released, and the
-        state stays CONNECTED. Raises what prevents it, such as URD-007; a fault then stays latched.
+        state stays CONNECTED. Raises what prevents it, such as URD-007, or URD-042 for another arm
+        than `connect` found; a fault then stays latched.
         """
         self._watch.check()
         person = require_person(acknowledged_by)

@@ -19,6 +19,7 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
+    ControllerExchanged,
     ControllerLost,
     ControllerNotFound,
     FactoryCalibrationDiffers,
@@ -94,6 +95,7 @@ class Connections:
         self.recorder = LinkRecorder(name)
         self.kinematics: UniversalRobot = universal_robot(options.model)
         self._calibration: tuple[float, ...] = ()
+        self._identity: Identity | None = None  # found first: another one is refused
         self._load: ToolLoad | None = None  # set by a caller, and sent again with each script
         self._channel: socket.socket | None = None  # over which connections are handed to the process
 
@@ -160,7 +162,7 @@ class Connections:
         """Open dashboard and primary interface, and identify arm and controller.
 
         With `retry`, try until the time limit at growing pauses. Raises URD-002 when nothing answers, URD-003
-        to URD-005 for another arm, version or calibration.
+        to URD-005 for another arm, version or calibration, URD-042 for another than at the first call.
         """
         self.close_control()
         deadline, pause_s = time.monotonic() + timeout_s, FIRST_PAUSE_S
@@ -199,6 +201,7 @@ class Connections:
             handover_fd=theirs.fileno(),
             model=options.model.value,
             cycle_s=options.cycle_s,
+            starved_cycles=script_settings(options).STARVED_CYCLES,
             calibration=self._calibration,
         )
         with theirs:
@@ -233,7 +236,9 @@ class Connections:
         link, name = self.link, self._name
         mode = self._operating_mode(self.dashboard.safety_mode(ASK_LIMIT_S))
         run = 1 + secrets.randbits(30)
-        self._hand_over(run, remaining_s(deadline))
+        is_reduced = mode is OperatingMode.REDUCED_SPEED
+        safety = SafetyMode.REDUCED if is_reduced else SafetyMode.NORMAL
+        self._hand_over(run, safety, remaining_s(deadline))
         number = link.command(CommandKind.OPEN, limits=limits(mode))
         opened = link.wait(
             lambda s: s.command_number >= number and (s.device_clock > 0 or s.phase is not Phase.ARMED),
@@ -362,10 +367,18 @@ class Connections:
             self.open_primary.await_state(remaining_s(deadline))
         finally:
             self._clock.hold_back()
-        self._use_calibration(info)
         details = (("calibration", info.fingerprint), ("cycle_ms", f"{options.cycle_s * 1e3:g}"))
         model_name = universal_robot(options.model).name
-        return Identity("Universal Robots", model_name, serial, str(version), details)
+        identity = Identity("Universal Robots", model_name, serial, str(version), details)
+        if self._identity is not None and self._identity != identity:
+            raise ControllerExchanged(
+                f"{self._name}: another arm or controller answers than at the start",
+                expected=_describe(self._identity),
+                got=_describe(identity),
+            )
+        self._use_calibration(info)
+        self._identity = identity
+        return identity
 
     def _read_version(self, timeout_s: float) -> Version:
         """Read the controller's version by RTDE, and check that it has the fields of our stream."""
@@ -456,7 +469,7 @@ class Connections:
                 got=self.dashboard.robot_mode(ASK_LIMIT_S).name,
             )
 
-    def _hand_over(self, run: int, timeout_s: float) -> None:
+    def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:
         """Open a new RTDE connection with our recipes, and give it to the real-time process."""
         rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
         try:
@@ -464,7 +477,7 @@ class Connections:
             inputs = rtde.set_up_inputs()
             if self._channel is None:
                 raise LinkNotStarted(f"{self._name}: no real-time process is running")
-            Handover(outputs, inputs, run).give(self._channel, rtde.socket)
+            Handover(outputs, inputs, run, safety).give(self._channel, rtde.socket)
         finally:
             rtde.close()  # the process has its own descriptor
 
@@ -544,6 +557,11 @@ class LinkRecorder:
     def rtde_sink(self) -> TrafficHandler | None:
         """Recorder callback for RTDE traffic, or None without a recorder."""
         return None if self.sink is None else pass_traffic(self.sink, f"{self._arm}.rtde")
+
+
+def _describe(identity: Identity) -> str:
+    calibration = dict(identity.details)["calibration"]
+    return f"{identity.serial}, software {identity.firmware}, calibration {calibration}"
 
 
 def _arm_text(model: str, version: Version) -> str:

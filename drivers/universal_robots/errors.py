@@ -317,6 +317,16 @@ class BadLoad(DataError):
     action = "Give the mass in kg, and places in mm in the frame of the flange."
 
 
+class ControllerExchanged(ConnectError):
+    """At a recovery another arm, software or factory calibration is found than was connected."""
+
+    code = "URD-042"
+    action = (
+        "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
+        "this run, and connect anew."
+    )
+
+
 STREAM_ERRORS = StreamErrors(
     not_started=LinkNotStarted,
     died=LinkProcessDied,
@@ -333,4 +343,6 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="timestamp",
+    speed_name="the speed slider",
+    speed_action=SpeedAtZero.action,
 )

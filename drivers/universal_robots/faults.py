@@ -13,13 +13,13 @@ from drivers.universal_robots.errors import (
 )
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
-from drivers.universal_robots.safety import safety_text
+from drivers.universal_robots.safety import NORMAL_MODES, safety_text
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.universal_robots import RobotMode, ScriptState
+from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptState
 
 
 def stream_faults(name: str, arm: Kinematics, options: UrOptions) -> StreamFaults:
@@ -51,10 +51,32 @@ def fault_error(
     return faults.error(state, mode, surroundings)
 
 
+def may_be_power(state: LinkState) -> bool:
+    """Return whether our program has stopped for a reason that the robot mode may still tell."""
+    word = ControllerWord.from_number(state.controller_word)
+    return (
+        state.fault is Fault.CONTROLLER
+        and word.cause == Cause.PROGRAM
+        and word.runtime_state in (RuntimeState.STOPPING, RuntimeState.STOPPED)
+        and word.robot_mode == RobotMode.RUNNING
+        and word.safety_mode in NORMAL_MODES
+    )
+
+
 def _controller_error(prefix: str, options: UrOptions, state: LinkState) -> RonnaError:
     """Build the error for a stop that the controller reports in its packages."""
     word = ControllerWord.from_number(state.controller_word)
-    match word.cause:
+    cause = word.cause
+    if cause == Cause.PROGRAM and word.robot_mode != RobotMode.RUNNING:
+        cause = Cause.ROBOT_MODE  # it came later: power going off stops the program first
+    elif cause == Cause.PROGRAM and word.safety_mode not in NORMAL_MODES:
+        cause = Cause.SAFETY
+    match cause:
+        case Cause.SAFETY if word.safety_mode in NORMAL_MODES:
+            return ControllerStopped(
+                f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
+                expected="the mode for whose speed limits the stream was started",
+            )
         case Cause.SAFETY:
             return ControllerStopped(
                 f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"

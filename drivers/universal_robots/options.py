@@ -11,6 +11,7 @@ from pydantic import Field
 from drivers.theatre_options import parse_options
 from drivers.universal_robots.errors import BadOptions
 from ronna_hw.arm.motion.limits import (
+    LEAST_LINE_SPEED_MM_S,
     RANGE_MARGIN_RAD,
     REDUCED_SPEED_MM_S,
     WORKING_SPEED_FRACTION,
@@ -105,7 +106,7 @@ class UrOptions(Strict):
     )
     line_speed_mm_s: float | None = Field(
         None,
-        gt=0.0,
+        ge=LEAST_LINE_SPEED_MM_S,
         le=REDUCED_SPEED_MM_S,
         description="Largest speed on straight lines, instead of the default.",
     )

@@ -2,28 +2,31 @@
 
 Safety, power and program are watched by the real-time process in every cycle. From here the arm is stopped
 when the primary interface breaks or falls silent, as when the pendant is switched to local control. A program
-that the controller has only paused is ended: resumed, it would follow set-points of another moment.
+that the controller has only paused is ended: resumed, it would follow set-points of another moment. So is one
+that has taken the place of ours.
 """
 
 from __future__ import annotations
 
 import contextlib
+import time
 from typing import Protocol
 
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import ControllerStopped, NoAnswer
-from drivers.universal_robots.faults import fault_error
+from drivers.universal_robots.faults import fault_error, may_be_power
 from drivers.universal_robots.options import UrOptions
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState, Phase
 from ronna_hw.arm_stream.watch import HasLink, StreamWatch
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 
 PRIMARY_SILENCE_S = 2.0  # twenty periods of the state
 DASHBOARD_LIMIT_S = 1.0
+POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
 LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
 
 
@@ -50,6 +53,7 @@ class UrWatch(StreamWatch):
         self._options = options
         self._primary_limit_s = max(PRIMARY_SILENCE_S, options.silence_limit_s)
         self._program_ended = False  # since the last fault
+        self._certain_s: float | None = None  # host time at which a stopped program has no further reason
         self.mode = OperatingMode.AUTOMATIC  # in which the stream was started
 
     def use(self, faults: StreamFaults) -> None:
@@ -58,6 +62,8 @@ class UrWatch(StreamWatch):
 
     def check(self) -> None:
         """Latch any fault of the real-time process or the primary interface."""
+        if self._awaits_reason():
+            return
         super().check()
         primary = self._connections.open_primary
         if primary is None or self._guard.state not in RUNNING:
@@ -73,15 +79,40 @@ class UrWatch(StreamWatch):
                 )
             )
 
+    def check_until_certain(self) -> None:
+        """Latch any fault as `check` does, but wait for the reason why our program has stopped."""
+        self.check()
+        link, certain_s = self._connections.open_link, self._certain_s
+        if link is None or certain_s is None or self._guard.state not in RUNNING:
+            return
+        with contextlib.suppress(RonnaError):  # of a process that ends: that is latched
+            link.wait(lambda state: not may_be_power(state), max(0.0, certain_s - time.monotonic()))
+        self._certain_s = 0.0
+        self.check()
+
+    def _awaits_reason(self) -> bool:
+        """Return whether our program has stopped just now: when power goes off, the robot mode tells later.
+
+        The arm is at rest, or being stopped by the controller; nothing is sent any more.
+        """
+        link = self._connections.open_link
+        if link is None or self._guard.state not in RUNNING or not (link.alive and may_be_power(link.state)):
+            self._certain_s = None
+            return False
+        now_s = time.monotonic()
+        if self._certain_s is None:
+            self._certain_s = now_s + POWER_DOWN_S
+        return now_s < self._certain_s
+
     def on_state(self, state: ControllerState) -> None:
         """Check a state of the primary interface; called on its reader thread."""
+        self._end_program()  # first: another one may be driving the arm
         self.check()
-        self._end_paused_program()
 
     def on_silence(self) -> None:
         """Check whether the controller has been silent for too long; called on the reader thread."""
+        self._end_program()
         self.check()
-        self._end_paused_program()
 
     def on_loss(self, failure: RonnaError) -> None:
         """Stop the arm after losing the primary interface, and find out whether the control was switched."""
@@ -103,18 +134,17 @@ class UrWatch(StreamWatch):
         else:
             super()._check_idle()
 
-    def _end_paused_program(self) -> None:
-        """End the program once after a fault for which nothing is sent any more."""
+    def _end_program(self) -> None:
+        """End whatever program runs, once after a fault for which nothing is sent any more."""
         link, dashboard = self._connections.open_link, self._connections.open_dashboard
-        if self._guard.state is not Lifecycle.FAULT or link is None or dashboard is None:
-            self._program_ended = False
+        if link is None or dashboard is None:
             return
         state = link.state
-        if self._program_ended or not (state.phase is Phase.SILENT or state.fault in LINK_FAULTS):
-            return
-        self._program_ended = True
-        with contextlib.suppress(RonnaError):
-            dashboard.ask("stop", DASHBOARD_LIMIT_S)
+        must_end = state.phase is Phase.SILENT or state.fault in LINK_FAULTS
+        was_ended, self._program_ended = self._program_ended, must_end
+        if must_end and not was_ended:
+            with contextlib.suppress(RonnaError):
+                dashboard.ask("stop", DASHBOARD_LIMIT_S)
 
     def _state_error(self, state: LinkState) -> RonnaError | None:
         link = self._connections.open_link

@@ -27,3 +27,5 @@ class StreamErrors:
     not_finished: type[LinkTimeout]
     refused: type[RefusedError]
     clock_name: str
+    speed_name: str = "the controller's speed"  # what slows motions there
+    speed_action: str | None = None  # and what to do about it

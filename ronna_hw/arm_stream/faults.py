@@ -10,7 +10,7 @@ from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
-from ronna_hw.arm_stream.losses import UNUSABLE_SHARE, WINDOW_CYCLES
+from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     NOTHING_AROUND,
@@ -18,7 +18,7 @@ from ronna_hw.arm_stream.records import (
     LinkState,
     Result,
 )
-from ronna_hw.errors import LimitError, RefusedError, RonnaError, StateError
+from ronna_hw.errors import LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {
     Result.REFUSED_BUSY: "another motion is running",
@@ -89,6 +89,18 @@ class StreamFaults(NamedTuple):
             )
         reason = _REFUSALS.get(state.result, f"result {state.result.name}")
         return self.errors.refused(f"{self.name}: the motion was refused: {reason}")
+
+    def not_finished_error(self, initial: LinkState, state: LinkState, limit_s: float) -> LinkTimeout:
+        """Build the error for a motion that did not end in time, with what slowed it: there, or losses."""
+        share = state.speed_share / (DEGRADED_SPEED if state.degraded else 1.0)
+        is_slowed = share < 1.0
+        reason = f": {self.errors.speed_name} is at {share:.0%}" if is_slowed else ""
+        return self.errors.not_finished(
+            f"{self.name}: the motion did not end or settle{reason or self.losses_text(initial, state)}",
+            limit=f"{limit_s:g} s",
+            got=self.axes_text(state),
+            action=self.errors.speed_action if is_slowed else None,
+        )
 
     def force_error(self, state: LinkState, limit_N: float) -> ForceLimitExceeded:
         """Build the error for a motion that its force limit stopped."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+DEGRADED_SPEED = 0.5  # share of the planned speed while degraded
 DEGRADED_ABOVE = 3  # lost cycles in one stretch
 STRETCH_CYCLES = 250  # loss-free cycles after which the count of the stretch restarts (1 s at 4 ms)
 WINDOW_CYCLES = 250  # over which the share of lost cycles is judged

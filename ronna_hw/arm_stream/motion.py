@@ -25,7 +25,7 @@ from ronna_hw.vectors import JointVector
 POLL_S = 0.5  # host time between checks of theatre time during a motion
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
 HELD_POLL_S = 0.02  # host time between looks at an enabling switch
-STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
+STOP_S = 1.0  # for an arm that must stop: host time at the motion's time limit, theatre time after a fault
 
 
 class MotionPlanner:
@@ -158,6 +158,7 @@ class MotionFollower:
         number = link.command(CommandKind.MOVE, plan, stop_count, force_limit_N=force_limit_N)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
+        faulted_cycles: int | None = None  # when a fault was first seen
         has_ended = _has_ended(number)
         while (state := self.wait(has_ended, POLL_S)) is None:
             self._watch.check()
@@ -165,11 +166,16 @@ class MotionFollower:
                 self._watch.raise_any()
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             state = link.state
+            if state.fault and faulted_cycles is None:
+                faulted_cycles = state.cycles
+            if faulted_cycles is not None and (state.cycles - faulted_cycles) * self._cycle_s > STOP_S:
+                break  # the fault is news, whether the arm has come to rest or not
             if state.moving or state.command_number < number or state.result is not Result.RUNNING:
                 rested_cycles = None
             elif rested_cycles is None:  # the next check is a while later also where theatre time runs fast
                 rested_cycles = state.cycles
             elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
+                self._watch.raise_any()
                 losses = self._faults.losses_text(start, state)
                 raise self._errors.not_finished(
                     f"{self._name}: the arm did not settle at the end of its path{losses}",
@@ -180,12 +186,8 @@ class MotionFollower:
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
-                losses = self._faults.losses_text(start, link.state)
-                raise self._errors.not_finished(
-                    f"{self._name}: the motion did not end or settle{losses}",
-                    limit=f"{timeout_s:g} s",
-                    got=self._faults.axes_text(link.state),
-                )
+                self._watch.raise_any()
+                raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
         if state.result is Result.FORCE:
             raise self._faults.force_error(state, force_limit_N)

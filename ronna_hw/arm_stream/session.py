@@ -21,7 +21,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm_stream.force import NO_FORCE, ForceWatch
-from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.losses import DEGRADED_SPEED, LossCount
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND,
@@ -42,7 +42,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector, Vector3
 
 SETTLE_CYCLES = 10  # consecutive, within the tolerance
-DEGRADED_SPEED = 0.5  # share of the planned speed after losses
 HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at rest at the held point
 START_TOLERANCE_RAD = 1e-9  # between a motion's planned start and the last point sent
 
@@ -134,6 +133,10 @@ class StreamSession(ABC):
     def _forget_reply(self) -> None:
         """Discard a reply that was complete: something has changed."""
 
+    def _judge_measured(self, violation: Violation) -> None:
+        """Act on measured axes that are not where the set-points were."""
+        self._trip(violation)
+
     def _silence_fault(self) -> Fault:
         """Return the fault to latch when no telegram has come for too long."""
         return Fault.SILENCE
@@ -185,7 +188,7 @@ class StreamSession(ABC):
             self._follow_force(points, self._force)
         following_violation = points.monitor.check_measured(self._measured)
         if following_violation is not None:
-            self._trip(following_violation)
+            self._judge_measured(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
         if command is not None:

@@ -15,17 +15,19 @@ from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.records import Command, CommandKind, Phase
+from ronna_hw.wire.universal_robots import SafetyMode
 
 BUNCH_S = 200e-6  # in which packages that were delayed together arrive
-_HANDOVER = struct.Struct("<BBi")
+_HANDOVER = struct.Struct("<BBiB")
 
 
 class Handover(NamedTuple):
-    """Recipes of a connection, and the random number of its session."""
+    """Recipes of a connection, the random number of its session, and the safety mode of its limits."""
 
     output_recipe: int
     input_recipe: int
     run: int
+    safety_mode: int = SafetyMode.NORMAL
 
     def give(self, channel: socket.socket, connection: socket.socket) -> None:
         """Give a connection to the process at the other end of a local socket; raises OSError."""
@@ -171,7 +173,7 @@ class LinkLoop(StreamLoop):
         self._mailbox.clear_histograms()
         self._rtde.attach(connection)
         self._recipe = handover.output_recipe
-        self._stream.adopt(handover.input_recipe, handover.run)
+        self._stream.adopt(handover.input_recipe, handover.run, handover.safety_mode)
         with contextlib.suppress(OSError):
             self._rtde.send(START_REQUEST)
 

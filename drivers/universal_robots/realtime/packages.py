@@ -63,11 +63,11 @@ class Cause(IntEnum):
     """Why the controller's own report ended a stream."""
 
     NONE = 0
-    SAFETY = 1  # the safety mode is another than at the start
+    SAFETY = 1  # the safety mode is not that of the limits
     ROBOT_MODE = 2  # power or brakes
     PROGRAM = 3  # the program was stopped or paused
     SCRIPT = 4  # our script has stopped the arm
-    OTHER_SCRIPT = 5  # another program writes the registers of ours
+    OTHER_SCRIPT = 5  # another program runs in place of ours
 
 
 class ControllerWord(NamedTuple):

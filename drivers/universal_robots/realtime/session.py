@@ -1,8 +1,10 @@
 """Computation of the set-point that answers each data package, without I/O.
 
 The script reports the sequence number of the set-point that it used. If it has not advanced with the cycles,
-a set-point came late and the arm was held: the path waits. What the controller reports of safety, power and
-program is compared in every cycle; a stop of its own ends the stream, and nothing is sent any more.
+a set-point came late and the arm was held: the path waits. If that lasts for longer than the script itself
+puts up with, and the script does not say so, another program runs in its place. What the controller reports
+of safety, power and program is compared in every cycle; a stop of its own ends the stream, and nothing is
+sent any more.
 """
 
 from __future__ import annotations
@@ -30,12 +32,13 @@ from drivers.universal_robots.realtime.packages import (
     encode_input,
 )
 from drivers.universal_robots.realtime.settings import LinkSettings
+from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm_stream.losses import LossCount
 from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders, Phase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
-from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptOrder, ScriptState
+from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, SafetyMode, ScriptOrder, ScriptState
 
 AGREE_RAD = radians(0.1)  # between target and measured joints at the start: the arm must be at rest
 RANGE_TOLERANCE_RAD = radians(0.01)  # an arm may be at the end of a joint's range
@@ -44,6 +47,7 @@ RESTART_S = 10.0  # a jump of the time stamp beyond this is a restarted controll
 LATEST_TIMESTAMP_S = 1e9  # thirty years
 LARGEST_SEQUENCE = 2**31 - 1
 HALF_CYCLE = 0.5
+REPORT_CYCLES = 5  # from a word of the script to its package, with room (U)
 
 
 class PreparedReply(NamedTuple):
@@ -72,12 +76,19 @@ class RtdeSession(StreamSession):
         self._timestamp_s: float | None = None
         self._sequence = 0  # of the last set-point sent
         self._echo = 0  # of the last set-point that the script used
-        self._safety_mode = 0  # at the start
+        self._unused_cycles = 0  # since then
+        self._most_unused_cycles = settings.starved_cycles + REPORT_CYCLES
+        self._doubt: Violation | None = None  # seen while the script, if it still runs, used no set-point
+        self._safety_mode: int = SafetyMode.NORMAL  # of the stream's limits
         self._start_rad: JointVector | None = None
 
-    def adopt(self, recipe: int, run: int) -> None:
-        """Take over a connection: our input recipe, and the number by which the script proves to be ours."""
+    def adopt(self, recipe: int, run: int, safety_mode: int = SafetyMode.NORMAL) -> None:
+        """Take over a connection: our input recipe, and the number by which the script proves to be ours.
+
+        `safety_mode` is the one that the limits are for.
+        """
         self._recipe, self._run, self.has_line = recipe, run, True
+        self._safety_mode = safety_mode
 
     @property
     def awaits_start(self) -> bool:
@@ -109,6 +120,9 @@ class RtdeSession(StreamSession):
             self._stop_replying(points)
             self._measure()
             return None
+        if self._doubt is not None and not (self._unused_cycles and self._controller_speed):
+            self._trip(self._doubt)
+            self._doubt = None
         choice = self.choose(points, orders.stop_word, self._missing)
         if choice is None:
             return None
@@ -169,6 +183,10 @@ class RtdeSession(StreamSession):
         echo = round(values[ECHO])
         used = max(echo - self._echo, 0)
         self._echo, self._missing = echo, cycles - 1
+        if used:
+            self._unused_cycles = 0
+        elif self._controller_speed:  # at a slider of zero a script may stand still (U)
+            self._unused_cycles += cycles
         self._losses.note(cycles - 1, max(cycles - used, 0))
 
     def _is_stopped(self, values: Output) -> bool:
@@ -196,7 +214,17 @@ class RtdeSession(StreamSession):
             return Cause.SCRIPT
         if values[RUNTIME_STATE] != RuntimeState.PLAYING:
             return Cause.PROGRAM
+        if self._unused_cycles > self._most_unused_cycles:
+            return Cause.OTHER_SCRIPT
         return Cause.NONE
+
+    def _judge_measured(self, violation: Violation) -> None:
+        """Stop the arm; before saying that it does not follow our script, await whether that still runs."""
+        if self._unused_cycles and self._controller_speed and self.fault is Fault.NONE:
+            self._doubt = self._doubt or violation
+            self._stopping = self.moving
+        else:
+            self._trip(violation)
 
     def _answer_before_start(self, values: Output) -> bytes | None:
         """Hold the arm where it is until the script uses our set-points, and begin to stream then."""
@@ -211,9 +239,11 @@ class RtdeSession(StreamSession):
         if self._start_rad is None:
             self._start_rad = target
         if state == ScriptState.STREAMING and self._limits is not None:
-            self._safety_mode = round(values[SAFETY_MODE])
             self._echo = round(values[ECHO])
             points = self._begin(self._start_rad, self._limits)
+            if self._is_stopped(values):
+                self._stop_replying(points)
+                return None
             if not self._is_plausible(self._start_rad):
                 self._latch(Fault.BASE)
             return self._encode(points.last_rad)
@@ -244,7 +274,8 @@ class RtdeSession(StreamSession):
     def _open(self, command: Command) -> bool:
         self._losses = LossCount()
         self._cause, self._start_rad, self._timestamp_s = Cause.NONE, None, None
-        self._sequence = self._echo = 0
+        self._sequence = self._echo = self._unused_cycles = 0
+        self._doubt = None
         self._status, self.controller_word, self._measured = (), 0, NO_STATE.measured_rad
         return self.has_line
 
@@ -266,6 +297,7 @@ class RtdeSession(StreamSession):
             points.violation is not None
             or points.path_failed
             or self.is_parent_gone
+            or self._doubt is not None
             or self._losses.is_unusable
             or timestamp_s is None
         )

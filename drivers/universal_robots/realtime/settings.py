@@ -20,6 +20,7 @@ class LinkSettings(StreamSettings):
     handover_fd: int  # local socket over which connections to the controller arrive
     model: str
     cycle_s: float
+    starved_cycles: int  # without a new set-point, after which the script says that it ends
     calibration: tuple[float, ...] = ()  # columns of the factory calibration, one after the other
 
     def kinematics(self) -> UniversalRobot:

@@ -19,6 +19,7 @@ WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed, 250 mm/s
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)
+LEAST_LINE_SPEED_MM_S = 5.0  # of the option: below, it was meant in m/s, or is the speed fraction's job
 REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 

@@ -39,6 +39,7 @@ SETTINGS = LinkSettings(
     handover_fd=0,
     model="ur5e",
     cycle_s=CYCLE_S,
+    starved_cycles=10,
 )
 OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
 IN = struct.Struct(">HBB i i i 6d")
@@ -68,6 +69,7 @@ class RtdeStand:
         self.force_N = (0.0, 0.0, 0.0)
         self.measured: JointVector = START
         self.goals: list[JointVector] = []  # set-points used, one a cycle
+        self.is_replaced = False  # another program runs, in other registers than ours
         self.is_late = False  # the reply arrives only with the next one, which takes its place
         self.session.adopt(1, RUN)
         self.give(CommandKind.OPEN)
@@ -98,7 +100,8 @@ class RtdeStand:
     def cycle(self, lost: int = 0) -> bytes | None:
         """Run a control cycle and return the session's reply; `lost` packages before it never arrived."""
         for _ in range(lost + 1):
-            self._run_script()
+            if not self.is_replaced:
+                self._run_script()
             self.timestamp_s += CYCLE_S
             self.now_ns += 2_000_000
         self.beat += self.beats

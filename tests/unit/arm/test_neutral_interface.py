@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
-from ronna_hw.frames import Frame
-from ronna_hw.preview import preview
+from ronna_hw.devices.robot import LineMove
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.preview import plan_motion, preview
 from ronna_hw.vectors import JointVector, Vector3
 
 ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
@@ -235,3 +237,14 @@ def test_links_are_ordered_from_the_base_outwards(arm: Kinematics) -> None:
     segments, flange = arm.link_segments(arm.home_rad)
     assert len(segments) == len(arm.links)
     assert segments[-1][1] == pytest.approx(flange.position_mm)
+
+
+@pytest.mark.parametrize("tool", [None, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]])
+def test_a_controllers_pose_vector_is_no_pose(tool: Any) -> None:
+    arm = universal_robot("ur5e")
+    pose: Any = [0.4, 0.1, 0.3, 0.0, 3.14, 0.0]
+    move = LineMove(
+        Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=(400.0, 0.0, 300.0)) if tool else pose, tool
+    )
+    with pytest.raises(FrameMismatch, match=r"expected a Transform robot <- flange.*, got list"):
+        plan_motion(arm, arm.home_rad, move, working_limits(arm))

@@ -91,3 +91,8 @@ def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
         read_options("arm", {"silence_limit_s": "5"})
     with pytest.raises(BadOptions, match="accept_unverified: expected a valid boolean without quotes"):
         read_options("arm", {"accept_unverified": "true"})
+
+
+def test_a_line_speed_in_metres_per_second_is_refused() -> None:
+    with pytest.raises(BadOptions, match="line_speed_mm_s"):
+        read_options("arm", {"line_speed_mm_s": 0.25})

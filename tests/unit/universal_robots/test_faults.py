@@ -59,8 +59,11 @@ def test_every_fault_has_an_error() -> None:
     [
         (ControllerWord(7, 7, 2, 2, Cause.SAFETY), "URD-035", "emergency stop"),
         (ControllerWord(7, 3, 2, 2, Cause.SAFETY), "URD-035", "protective stop"),
+        (ControllerWord(7, 2, 2, 2, Cause.SAFETY), "URD-035", "is reduced mode; expected the mode"),
         (ControllerWord(7, 99, 2, 2, Cause.SAFETY), "URD-035", "safety mode 99"),
         (ControllerWord(3, 1, 2, 2, Cause.ROBOT_MODE), "URD-035", "switched off"),
+        (ControllerWord(3, 1, 1, 2, Cause.PROGRAM), "URD-035", "switched off"),
+        (ControllerWord(7, 7, 1, 2, Cause.PROGRAM), "URD-035", "emergency stop"),
         (ControllerWord(7, 1, 4, 2, Cause.PROGRAM), "URD-036", "program PAUSED"),
         (ControllerWord(7, 1, 2, 3, Cause.SCRIPT), "URD-036", "script ENDED"),
         (ControllerWord(7, 1, 2, 2, Cause.OTHER_SCRIPT), "URD-036", "took the place of ours"),
@@ -81,6 +84,16 @@ def test_errors_of_the_process_and_of_motions_are_the_drivers() -> None:
     assert STREAM_ERRORS.not_finished is errors.MotionNotFinished
     assert STREAM_ERRORS.died is errors.LinkProcessDied
     assert STREAM_ERRORS.stalled is errors.LinkProcessStalled
+
+
+def test_a_motion_that_does_not_end_names_the_speed_slider_or_else_losses() -> None:
+    lossy = NO_STATE._replace(cycles=500, late=9)
+    slowed = FAULTS.not_finished_error(NO_STATE, lossy._replace(speed_share=0.0), 3.0)
+    assert slowed.code == "URD-033"
+    assert "the speed slider is at 0%" in slowed.summary
+    assert "lost" not in str(slowed)
+    degraded = lossy._replace(speed_share=0.5, degraded=True)
+    assert "9 were late or lost" in FAULTS.not_finished_error(NO_STATE, degraded, 3.0).summary
 
 
 def test_the_script_allows_a_late_set_point_but_no_jump() -> None:

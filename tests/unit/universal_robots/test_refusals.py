@@ -11,7 +11,7 @@ from handmade_ur import UR5E_A, HandmadeController
 from drivers.universal_robots import connections as ur_connections
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.dashboard import DashboardClient
-from drivers.universal_robots.errors import BadOptions, ControllerLost, NoAnswer
+from drivers.universal_robots.errors import BadOptions, ControllerExchanged, ControllerLost, NoAnswer
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.clock import HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig
@@ -127,6 +127,27 @@ def test_an_address_where_nothing_answers_is_refused(controller: HandmadeControl
     assert refused(controller).code == "URD-002"
 
 
+@pytest.mark.parametrize("other", ["serial", "calibration"])
+def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
+    controller: HandmadeController, other: str
+) -> None:
+    arm = make_arm(controller)
+    arm.connect(LIMIT_S)
+    arm._watch.latch(ControllerLost("the connection broke"))
+    kinematics = arm.kinematics
+    arm.connections.close_control()
+    if other == "serial":
+        controller.answers["get serial number"] = "20990000002"
+    else:
+        controller.a = (0.0, -0.4253, *UR5E_A[2:])
+        controller.checksums = (7, 2, 3, 4, 5, 6)
+    with pytest.raises(ControllerExchanged):
+        arm.recover("Ann", LIMIT_S)
+    assert arm.state is Lifecycle.FAULT
+    assert arm.kinematics is arm.connections.kinematics is kinematics
+    arm.close()
+
+
 @pytest.mark.parametrize(
     ("answers", "code"),
     [
@@ -205,7 +226,14 @@ def test_a_dashboard_that_is_silent_or_gone_is_told_apart(controller: HandmadeCo
 
 @pytest.mark.parametrize(
     "options",
-    [{"model": "ur10"}, {"speed": 1}, {"tool_inputs": [18]}, {"lookahead_s": 0.01}, {"speed_fraction": 0.9}],
+    [
+        {"model": "ur10"},
+        {"speed": 1},
+        {"tool_inputs": [18]},
+        {"lookahead_s": 0.01},
+        {"speed_fraction": 0.9},
+        {"line_speed_mm_s": 0.25},
+    ],
 )
 def test_bad_options_are_listed(controller: HandmadeController, options: dict[str, Any]) -> None:
     with pytest.raises(BadOptions):

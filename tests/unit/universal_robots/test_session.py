@@ -7,9 +7,10 @@ import math
 from dataclasses import replace
 
 import pytest
-from rtde_stand import CYCLE_S, FAR, IN, LIMITS, RUN, START, RtdeStand, moving, streaming
+from rtde_stand import CYCLE_S, FAR, IN, LIMITS, RUN, SETTINGS, START, RtdeStand, moving, streaming
 
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
+from drivers.universal_robots.realtime.session import REPORT_CYCLES
 from ronna_hw.arm_stream.records import CommandKind, Fault, Phase, Result, StopOrder
 
 WORKING_STEP_RAD = max(LIMITS.speed_rad_s) * CYCLE_S
@@ -144,12 +145,49 @@ def test_a_stop_by_the_controller_is_latched_in_its_cycle_and_nothing_is_sent_an
     assert not stand.session.moving
 
 
+def test_a_safety_mode_that_is_not_that_of_the_limits_ends_the_start() -> None:
+    stand = RtdeStand()
+    stand.safety_mode = REDUCED
+    stand.begin()
+    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, Cause.SAFETY)
+    assert stand.cycle() is None
+    assert set(stand.goals) == {START}
+
+
 @pytest.mark.hazard(54)
 def test_another_script_in_our_registers_ends_the_stream() -> None:
     stand = moving()
     stand.inputs = (*stand.inputs[:2], RUN + 1, *stand.inputs[3:])
     assert stand.cycle() is None
     assert cause_of(stand) == Cause.OTHER_SCRIPT
+
+
+@pytest.mark.hazard(54)
+@pytest.mark.parametrize("is_moving", [True, False])
+@pytest.mark.parametrize("after_cycles", [2, 12])
+def test_another_program_in_place_of_ours_ends_the_stream_before_it_is_taken_for_an_arm_that_does_not_follow(
+    is_moving: bool, after_cycles: int
+) -> None:
+    stand = moving() if is_moving else streaming()
+    stand.is_replaced = True
+    for cycle in range(1, 40):
+        if cycle >= after_cycles:  # beyond what the monitor allows
+            stand.measured = (stand.measured[0] + 0.001, *stand.measured[1:])
+        if stand.cycle() is None:
+            break
+    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, Cause.OTHER_SCRIPT)
+    assert cycle == SETTINGS.starved_cycles + REPORT_CYCLES + 1
+    assert not stand.session.moving
+
+
+def test_an_arm_that_does_not_follow_while_a_set_point_is_late_is_in_fault_once_one_is_used() -> None:
+    stand = moving()
+    stand.follows, stand.is_late = False, True
+    stand.measured = (stand.measured[0] + 0.1, *stand.measured[1:])
+    stand.cycles(2)
+    stand.is_late = False
+    stand.cycles(3)
+    assert stand.session.fault is Fault.MONITOR
 
 
 def test_hold_comes_to_rest_on_the_path_and_the_stream_continues() -> None:
@@ -268,6 +306,7 @@ def test_reduced_limits_are_those_of_the_stream() -> None:
 
     reduced = LIMITS.with_reduced_speed(MODEL)
     stand = RtdeStand(limits=replace(reduced))
+    stand.session.adopt(1, RUN, REDUCED)
     stand.safety_mode = REDUCED
     stand.begin()
     stand.move()
