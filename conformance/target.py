@@ -18,6 +18,7 @@ from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.mistakes import suggest_keys
 from ronna_hw.registry import load_driver, load_finders
 
 SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
@@ -146,8 +147,11 @@ def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
         f"--endpoint {name}={address}" if name else f"--endpoint {address}"
         for name, address in wanted.items()
     )
+    missing = [name for name in wanted if (name or None) not in addresses]
+    unknown = [name for name in addresses if name is not None and name not in wanted]
     raise NoDeviceChosen(
-        f"the endpoints do not match {driver}",
+        f"the endpoints do not match {driver}"
+        + "".join(f"; endpoint {name} is unknown{suggest_keys(name, missing)}" for name in unknown),
         expected=", ".join(name or "one without a name" for name in wanted),
         got=", ".join(name or "one without a name" for name in addresses),
         action=f"Example: {given}.",

@@ -288,6 +288,24 @@ class BaseCalibration(DatedRecord):
     assistant_references: References = Field(description="The same for the assistant.")
 
 
+class HolderCalibration(DatedRecord):
+    """Calibration of the assistant's holder: the clamp of the instrument, the ball, and the frame as drawn.
+
+    The instrument is clamped at its depth stop, which is at the origin of the clamp; z leads to its tip.
+    """
+
+    stated_error_mm: StatedError = Field(description="Of clamp and ball, one standard deviation in 3-D.")
+    stated_direction_error_rad: Annotated[float, Field(ge=0.0, le=AS_MACHINED_RAD)] = Field(
+        description="Of the instrument's direction, one standard deviation."
+    )
+    flange_from_clamp: MountPose = Field(description="Pose flange <- clamp.")
+    flange_from_ball_mm: Annotated[Numbers3, farther_than(0.0, FARTHEST_ON_TOOL_MM)] = Field(
+        description="Centre of the ball on the flange."
+    )
+    flange_from_frame: MountPose = Field(description="Pose flange <- frame, as drawn.")
+    frame: Words = Field(description="Name of the assistant's frame in the tracker's options.")
+
+
 def _parse_rows(rows: object) -> object:
     """Parse text lines into rows of numbers; return anything else unchanged."""
     if isinstance(rows, list | tuple):

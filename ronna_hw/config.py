@@ -6,9 +6,10 @@ Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
@@ -19,6 +20,7 @@ from ronna_hw.calibration import (
     BaseCalibration,
     Dated,
     DatedRecord,
+    HolderCalibration,
     Numbers3,
     PoseRecord,
     StereoHeadCalibration,
@@ -29,7 +31,7 @@ from ronna_hw.calibration import (
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.mistakes import count_mistakes
+from ronna_hw.mistakes import count_mistakes, suggest_keys
 from ronna_hw.plausible import (
     LONGEST_LIFE,
     ArmError,
@@ -39,6 +41,7 @@ from ronna_hw.plausible import (
     SensorPixels,
     farther_than,
 )
+from ronna_hw.text import format_count
 from ronna_hw.theatre_kind import is_simulated
 from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
@@ -155,6 +158,18 @@ def _require_address(text: str) -> str:
 Address = Annotated[str, AfterValidator(_require_address)]
 
 
+class Role(NamedTuple):
+    """Endpoint that a driver needs: an example of its address, and what passes there."""
+
+    example: str
+    purpose: str
+
+    @property
+    def scheme(self) -> str:
+        """Scheme that the address must have."""
+        return parse_endpoint(self.example).scheme
+
+
 class DeviceConfig(Strict):
     """Configuration of a device: driver name, endpoint or endpoints, and driver-specific options."""
 
@@ -162,8 +177,9 @@ class DeviceConfig(Strict):
     endpoint: Address | None = Field(default=None, description="Address of a device with one endpoint.")
     endpoints: dict[str, Address] = Field(
         default_factory=dict,
-        description="Role = address, for a device with several endpoints: `rsi` and `eki`, `left` and "
-        "`right`.",
+        description="Role = address, for a device with several endpoints: `left` and `right` of "
+        "basler_stereo; `rsi` and `eki_project` of kuka_rsi; `rtde`, `dashboard` and `primary` of "
+        "universal_robots.",
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="Options of the driver; see its reference page."
@@ -201,6 +217,23 @@ class DeviceConfig(Strict):
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
         return parse_endpoint(text)
 
+    def require_addresses(self, roles: Mapping[str, Role]) -> dict[str, Endpoint]:
+        """Return the parsed endpoints of these roles; raises CFG-001 naming all that are missing, or CFG-002.
+
+        An endpoint of another role is ignored, but when one is missing it may be a misspelt one.
+        """
+        if missing := [role for role in roles if role not in self.endpoints]:
+            unknown = [role for role in self.endpoints if role not in roles]
+            raise BadTheatreFile(
+                f"driver {self.driver} needs {format_count(len(missing), 'more endpoint')}"
+                + "".join(f"; endpoint {role} is unknown{suggest_keys(role, missing)}" for role in unknown),
+                expected=", ".join(f'{role} = "{roles[role].example}"' for role in missing),
+                got=", ".join(self.endpoints) or "one without a role",
+            )
+        return {
+            name: parse_endpoint(self.endpoints[name]).require(role.scheme) for name, role in roles.items()
+        }
+
 
 class Calibrations(Strict):
     """Calibration records used by the procedure."""
@@ -214,6 +247,12 @@ class Calibrations(Strict):
         default=None, description="Deviations of the arm; without it the arm is taken as nominal."
     )
 
+    assistant_arm: ArmCalibration | None = Field(
+        default=None, description="Deviations of the assistant; two arms are used only with those of both."
+    )
+    assistant_holder: HolderCalibration | None = Field(
+        default=None, description="Holder of the assistant, with frame and ball."
+    )
     assistant_base: BaseCalibration | None = Field(
         default=None, description="Where the assistant stands; without it, the assistant does not move."
     )

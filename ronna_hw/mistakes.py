@@ -31,7 +31,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
         message = describe_mistake(item)
         if item["type"] == "extra_forbidden":
             known = () if model is None else list_known_keys(model, item["loc"][:-1])
-            message = f"unknown key{_suggest_keys(str(item['loc'][-1]), known)}"
+            message = f"unknown key{suggest_keys(str(item['loc'][-1]), known)}"
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
@@ -92,7 +92,7 @@ def _find_model(annotation: Any) -> Any:
     )
 
 
-def _suggest_keys(key: str, known: Sequence[str]) -> str:
+def suggest_keys(key: str, known: Sequence[str]) -> str:
     """Suggest the most similar known key as a question, or else list all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"

@@ -14,7 +14,7 @@ from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_set
 from drivers.kuka_rsi.errors import CommandRefused, ControllerLost, ControllerNotFound, NoTelegram, Unverified
 from drivers.kuka_rsi.fault_errors import fault_error, start_error
 from drivers.kuka_rsi.link import start_link
-from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.options import ROLES, KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
@@ -44,8 +44,8 @@ class Connections:
     ) -> None:
         """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         self._name = name
-        self._rsi = config.address("rsi").require("udp")
-        self._eki_address = config.address("eki_project").require("tcp")
+        addresses = config.require_addresses(ROLES)
+        self._rsi, self._eki_address = addresses["rsi"], addresses["eki_project"]
         self._options = options
         self._context = context
         self._clock = clock

@@ -23,7 +23,9 @@ from ronna_hw.arm.motion.limits import (
     working_limits,
 )
 from ronna_hw.calibration import Strict
+from ronna_hw.config import Role
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
+from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
@@ -34,7 +36,11 @@ LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed 
 LARGEST_LINE_SPEED_MM_S = REDUCED_SPEED_MM_S  # on straight lines, also with nobody beside the arm
 LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
-
+EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
+ROLES = {
+    "rsi": Role("udp://192.168.10.20:59152", "Address of this computer to which the controller streams."),
+    "eki_project": Role(EXAMPLE_CONTROLLER, "The controller's EKI server of the project's files."),
+}
 
 ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text)) if text else "")]
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotFound, NoAnswer
-from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.options import EXAMPLE_CONTROLLER, KukaOptions
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.config import DeviceConfig
@@ -38,7 +38,6 @@ from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 DRIVER = "kuka_rsi"
-EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
 VARIANT = "variant: see the name plate. The two variants of this arm differ by 10 mm in two links."
 STREAM = (
     "rsi: the address to which the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."

@@ -45,7 +45,7 @@ NEEDS_PERSON = (SafetyMode.PROTECTIVE_STOP, SafetyMode.VIOLATION, SafetyMode.FAU
 class UniversalRobotsArm(HandGuidedArm):
     """Arm driven through the endpoints `rtde`, `dashboard` and `primary`, all tcp://."""
 
-    wire_protocol = ""
+    wire_protocol = "ur-rtde"
     _kinematics: UniversalRobot
     _readings: ArmReadings
 

@@ -19,9 +19,9 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
-    CalibrationOfAnotherArm,
     ControllerLost,
     ControllerNotFound,
+    FactoryCalibrationDiffers,
     LinkNotStarted,
     LoadNotTaken,
     LocalMode,
@@ -36,7 +36,7 @@ from drivers.universal_robots.errors import (
 )
 from drivers.universal_robots.faults import fault_error, stream_faults
 from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
-from drivers.universal_robots.options import UrOptions, script_settings
+from drivers.universal_robots.options import ROLES, UrOptions, script_settings
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.primary.packages import KinematicsInfo, MessageKind
 from drivers.universal_robots.realtime.loop import Handover
@@ -63,6 +63,7 @@ from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
 PROCESS = "drivers.universal_robots.realtime.process"
 ARM_TYPE = "UR5"  # as the dashboard calls both generations
 MAJOR_VERSION = {UrModel.UR5: 3, UrModel.UR5E: 5}
+GENERATIONS = {UrModel.UR5: "a CB3 controller", UrModel.UR5E: "an e-Series controller"}
 LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote control
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the connections; doubled each time
 LONGEST_PAUSE_S = 2.0
@@ -82,9 +83,9 @@ class Connections:
     def __init__(self, name: str, config: DeviceConfig, options: UrOptions, clock: Clock) -> None:
         """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         self._name = name
-        self._rtde = config.address("rtde").require("tcp")
-        self._dashboard_address = config.address("dashboard").require("tcp")
-        self._primary_address = config.address("primary").require("tcp")
+        addresses = config.require_addresses(ROLES)
+        self._rtde = addresses["rtde"]
+        self._dashboard_address, self._primary_address = addresses["dashboard"], addresses["primary"]
         self._options = options
         self._clock = clock
         self.open_dashboard: DashboardClient | None = None
@@ -386,11 +387,10 @@ class Connections:
     def _require_arm(self, model: str, serial: str, version: Version) -> None:
         options = self._options
         if model != ARM_TYPE or version.major != MAJOR_VERSION[options.model]:
-            found = next((str(m) for m, major in MAJOR_VERSION.items() if major == version.major), "")
             raise WrongArm(
                 f"{self._name}: the controller drives another arm",
                 expected=f"option model, {options.model}",
-                got=f"{found or model} (model {model}, software {version})",
+                got=_arm_text(model, version),
             )
         if options.serial and serial != options.serial:
             raise WrongArm(
@@ -402,7 +402,7 @@ class Connections:
     def _use_calibration(self, info: KinematicsInfo) -> None:
         options = self._options
         if options.calibration and info.fingerprint != options.calibration:
-            raise CalibrationOfAnotherArm(
+            raise FactoryCalibrationDiffers(
                 f"{self._name}: the controller has the factory calibration of another arm",
                 expected=f"option calibration, {options.calibration}",
                 got=info.fingerprint,
@@ -544,6 +544,17 @@ class LinkRecorder:
     def rtde_sink(self) -> TrafficHandler | None:
         """Recorder callback for RTDE traffic, or None without a recorder."""
         return None if self.sink is None else pass_traffic(self.sink, f"{self._arm}.rtde")
+
+
+def _arm_text(model: str, version: Version) -> str:
+    """Say which arm the controller drives, and how that is known."""
+    found = next((m for m, major in MAJOR_VERSION.items() if major == version.major), None)
+    if model != ARM_TYPE or found is None:
+        return f"{model}, software {version}"
+    return (
+        f"{found}: the dashboard calls both generations {ARM_TYPE}, and software {version} is that of "
+        f"{GENERATIONS[found]}"
+    )
 
 
 def _ascii(name: str) -> str:

@@ -48,7 +48,7 @@ class WrongVersion(ConnectError):
     action = "Update the controller: PolyScope 3.9 or newer on CB3, 5.6 or newer on the e-Series."
 
 
-class CalibrationOfAnotherArm(ConnectError):
+class FactoryCalibrationDiffers(ConnectError):
     """The controller's factory calibration is not the one that this theatre was measured with."""
 
     code = "URD-005"
@@ -281,7 +281,10 @@ class ScriptStopped(LinkTimeout):
     """Our script stopped the arm by itself: no set-point came in time, or one was too far away."""
 
     code = "URD-037"
-    action = f"Find what delayed the set-points (the computer's load, the network), then {ACKNOWLEDGE}."
+    action = (
+        "Find what delayed the set-points: a busy computer (option starve_limit_s can allow more; start a "
+        f"rehearsal with --lock-step), or the network. Then {ACKNOWLEDGE}."
+    )
 
 
 class ControllerRestarted(DeviceError):

@@ -19,6 +19,7 @@ from ronna_hw.arm.motion.limits import (
 )
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.calibration import Strict
+from ronna_hw.config import Role
 from ronna_hw.wire import universal_robots as wire
 from ronna_hw.wire.universal_robots import ScriptSettings
 
@@ -41,6 +42,18 @@ LOOKAHEAD_S = 0.03  # the least: the arm follows within 34 ms
 GAIN = 1000.0
 TOOL_INPUTS = tuple(wire.TOOL_INPUTS)
 LAST_DIGITAL_INPUT = 17
+
+EXAMPLE_HOST = "192.168.56.101"  # of the vendor's own examples
+ROLES = {  # the controller has fixed these ports
+    "rtde": Role(f"tcp://{EXAMPLE_HOST}:{wire.RTDE_PORT}", "Set-points and measured joints, every cycle."),
+    "dashboard": Role(
+        f"tcp://{EXAMPLE_HOST}:{wire.DASHBOARD_PORT}", "Identity, power, brakes, modes and protective stops."
+    ),
+    "primary": Role(
+        f"tcp://{EXAMPLE_HOST}:{wire.PRIMARY_PORT}",
+        "Factory calibration, state while nothing streams, messages; takes our script.",
+    ),
+}
 
 DigitalInput = Annotated[int, Field(ge=0, le=LAST_DIGITAL_INPUT)]
 

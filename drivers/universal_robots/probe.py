@@ -9,8 +9,9 @@ from typing import Any
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.connections import MAJOR_VERSION
 from drivers.universal_robots.errors import ControllerNotFound
-from drivers.universal_robots.options import UrOptions
+from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
+from drivers.universal_robots.services import SERVICES, identify_service
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -26,13 +27,12 @@ from ronna_hw.devices.probing import (
     describe_options,
     inspect_nothing,
 )
+from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.port_scan import describe_scan, find_listening
-from ronna_hw.wire.universal_robots import DASHBOARD_PORT, PRIMARY_PORT, RTDE_PORT
 
 DRIVER = "universal_robots"
-PORTS = {"rtde": RTDE_PORT, "dashboard": DASHBOARD_PORT, "primary": PRIMARY_PORT}  # fixed by the controller
-EXAMPLE_HOST = "192.168.56.101"  # of the vendor's own examples
+PORTS = {role: parse_endpoint(ROLES[role].example).port for role in ROLES}
 MODEL = "model: ur5 (CB3 controller) or ur5e (e-Series)."
 ARM_OF_THIS_THEATRE = (
     "serial, calibration: they bind this theatre to this one arm. Remove them to accept any of the model."
@@ -43,12 +43,22 @@ class UrProbe:
     """Diagnosis and discovery for the Universal Robots driver."""
 
     table = "robot"
+    endpoint_schemes = frozenset({"tcp"})
+    endpoint_ports = frozenset(SERVICES)
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
         """Connect, read identity and calibration, without starting anything or moving the arm."""
         return connect_and_identify(name, config, UniversalRobotsArm, inspect=inspect)
+
+    def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+        """Say which service of a controller answers at each endpoint; nothing is commanded."""
+        found = []
+        for number, endpoint in enumerate(endpoints, start=1):
+            found.append(identify_service(endpoint))
+            progress(number / len(endpoints))
+        return found
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
         """Propose every controller at the given addresses, at any port, or else on local networks."""

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
+from procedures.calibration.base_validity import cross_matrix
 from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit
-from procedures.calibration.hand_eye import PosePairs, solve
+from procedures.calibration.hand_eye import PosePairs, apply_change, solve
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from ronna_hw.text import format_against_limit
 
@@ -75,9 +76,9 @@ def bases_by_frames(
     """
     first, second = solve(master), solve(assistant)
     z_master, z_assistant = first.robot_from_tracker, second.robot_from_tracker
-    bases = z_master @ _inverse(z_assistant)
+    bases = z_master @ np.linalg.inv(z_assistant)
     # The change of a pose is as in `hand_eye`: rotation in the source, here the tracker, shift in the target.
-    turn, about = bases[:3, :3], _cross(z_assistant[:3, 3])
+    turn, about = bases[:3, :3], cross_matrix(z_assistant[:3, 3])
     slope = np.zeros((6, 12))
     slope[:3, :3], slope[:3, 6:9] = z_assistant[:3, :3], -z_assistant[:3, :3]
     slope[3:, 3:6], slope[3:, 9:12] = np.eye(3), -turn
@@ -162,7 +163,7 @@ def refine_bases(
         right[HEAD] -= head / head_error_mm**2
         covariance = np.linalg.inv(normal)
         change = covariance @ right
-        bases, ball, head = _moved(bases, change[BASES]), ball + change[BALL], head + change[HEAD]
+        bases, ball, head = apply_change(bases, change[BASES]), ball + change[BALL], head + change[HEAD]
         misses = _ball_misses(looks, bases, ball, head)
         freedom = 3 * int(used.sum()) - (UNKNOWNS - 3)  # the tool centre has its own record
         scatter_mm = max(float(np.sqrt(np.sum(misses[used] ** 2) / freedom)), LEAST_SCATTER_MM)
@@ -194,7 +195,7 @@ def require_agreement(coarse: BaseToBase, fit: BallFit, head_error_mm: float) ->
 
     The tracker's share includes the head's tool centre: its frame is on the same mount.
     """
-    there_mm = _apply(_inverse(fit.bases.robot_from_base), fit.region_mm)
+    there_mm = RigidTransform.from_matrix(fit.bases.robot_from_base).inv().apply(fit.region_mm)
     apart = _apply(coarse.robot_from_base, there_mm) - fit.region_mm
     covariance = coarse.covariance_at(fit.region_mm) + fit.bases.covariance_at(fit.region_mm)
     covariance += np.eye(3) * head_error_mm**2
@@ -230,7 +231,7 @@ def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
     held = _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1)))
     turn = bases[:3, :3]
     slopes = np.zeros((looks.count, 3, UNKNOWNS))
-    slopes[:, :, 0:3] = turn @ np.array([_cross(one) for one in held])
+    slopes[:, :, 0:3] = turn @ np.array([cross_matrix(one) for one in held])
     slopes[:, :, 3:6] = -np.eye(3)
     slopes[:, :, BALL] = -turn @ looks.base_from_flange[:, :3, :3]
     slopes[:, :, HEAD] = looks.robot_from_head[:, :3, :3]
@@ -239,33 +240,10 @@ def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
 
 def _place_slope(robot_from_base: Array, place_mm: ArrayLike) -> Array:
     """Return the derivative (3, 6) of a place, given in the robot frame, by the pose of the base."""
-    in_base = _apply(_inverse(robot_from_base), np.asarray(place_mm, dtype=float))
-    return np.hstack([-robot_from_base[:3, :3] @ _cross(in_base), np.eye(3)])
-
-
-def _moved(pose: Array, change: Array) -> Array:
-    """Rotate a pose about the axes of its source and shift it along those of its target, as in `hand_eye`."""
-    moved = pose.copy()
-    moved[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
-    moved[:3, 3] += change[3:]
-    return moved
+    in_base = RigidTransform.from_matrix(robot_from_base).inv().apply(place_mm)
+    return np.hstack([-robot_from_base[:3, :3] @ cross_matrix(in_base), np.eye(3)])
 
 
 def _apply(pose: Array, points_mm: Array) -> Array:
     """Map points (3,) or (m, 3) by one pose (4, 4), or by a pose each (m, 4, 4)."""
-    if pose.ndim == 3:
-        return np.asarray(np.einsum("mij,mj->mi", pose[:, :3, :3], points_mm) + pose[:, :3, 3])
-    return np.asarray(points_mm @ pose[:3, :3].T + pose[:3, 3])
-
-
-def _inverse(pose: Array) -> Array:
-    turned = np.eye(4)
-    turned[:3, :3] = pose[:3, :3].T
-    turned[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return turned
-
-
-def _cross(vector: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with a vector."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(RigidTransform.from_matrix(pose).apply(points_mm))

@@ -79,6 +79,9 @@ def platform_shift(
     assistant_before_mm: ArrayLike,
     assistant_mm: ArrayLike,
     seen_mm: float = SEEN_MM,
+    *,
+    least_spread_mm: float = LEAST_SPREAD_MM,
+    most_uncertain_mm: float = MOST_UNCERTAIN_MM,
 ) -> PlatformShift:
     """Return the shift of the assistant's places against the master's. Raises CAL-003.
 
@@ -90,22 +93,22 @@ def platform_shift(
     )
     middle, centre = before.mean(axis=0), now.mean(axis=0)
     spread_mm = np.linalg.svd(before - middle, compute_uv=False)[1] / np.sqrt(len(before))
-    if spread_mm < LEAST_SPREAD_MM:
+    if spread_mm < least_spread_mm:
         raise DegeneratePoses(
             "the master's postures of reference are too close together, or on one line",
-            limit=f"{LEAST_SPREAD_MM:g} mm",
-            got=f"{format_against_limit(float(spread_mm), LEAST_SPREAD_MM, 0)} mm",
+            limit=f"{least_spread_mm:g} mm",
+            got=f"{format_against_limit(float(spread_mm), least_spread_mm, 0)} mm",
             action="Have the master show its frame in postures farther apart.",
         )
     turn, _ = Rotation.align_vectors(now - centre, before - middle)
     shifts = other_now - (turn.apply(other_before - middle) + centre)
     farthest = int(np.argmax(np.linalg.norm(shifts, axis=1)))
     error_mm = max(_prediction_error_mm(before - middle, one, seen_mm) for one in other_before - middle)
-    if error_mm > MOST_UNCERTAIN_MM:
+    if error_mm > most_uncertain_mm:
         raise DegeneratePoses(
             "the postures of reference do not show whether a platform has moved",
-            limit=f"{MOST_UNCERTAIN_MM:g} mm",
-            got=f"{format_against_limit(error_mm, MOST_UNCERTAIN_MM, 2)} mm",
+            limit=f"{most_uncertain_mm:g} mm",
+            got=f"{format_against_limit(error_mm, most_uncertain_mm, 2)} mm",
             action="Have the master show its frame farther apart, and closer to that of the assistant.",
         )
     return PlatformShift(float(np.linalg.norm(shifts[farthest])), error_mm)
@@ -113,10 +116,10 @@ def platform_shift(
 
 def _prediction_error_mm(places_mm: Array, at_mm: Array, seen_mm: float) -> float:
     """Return the 3-D standard error of a shift at a place, both relative to the middle of the places seen."""
-    rows = np.vstack([np.hstack([-_cross(one), np.eye(3)]) for one in places_mm])
+    rows = np.vstack([np.hstack([-cross_matrix(one), np.eye(3)]) for one in places_mm])
     # Seen twice: at the calibration and now.
     covariance = 2.0 * seen_mm**2 * np.linalg.inv(rows.T @ rows)
-    slope = np.hstack([-_cross(at_mm), np.eye(3)])
+    slope = np.hstack([-cross_matrix(at_mm), np.eye(3)])
     return float(np.sqrt(np.trace(slope @ covariance @ slope.T) + 2.0 * 3.0 * seen_mm**2))
 
 
@@ -124,6 +127,7 @@ def _places(references: Sequence[FrameReference]) -> Array:
     return np.array([one.tracker_from_frame_mm for one in references])
 
 
-def _cross(vector: Array) -> Array:
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with a vector."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

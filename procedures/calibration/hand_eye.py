@@ -82,7 +82,7 @@ def solve(
         rows = (slopes[used] / scatter[:, None]).reshape(-1, UNKNOWNS)
         covariance = np.linalg.inv(rows.T @ rows)
         change = -covariance @ rows.T @ (misses[used] / scatter).ravel()
-        x, z = _apply_change(x, change[:6]), _apply_change(z, change[6:])
+        x, z = apply_change(x, change[:6]), apply_change(z, change[6:])
         misses = misses_of(pairs, x, z)
         freedom = 3 * int(used.sum()) - UNKNOWNS // 2  # of positions; rotations have as many
         squares = np.sum(misses[used] ** 2, axis=0)
@@ -105,11 +105,11 @@ def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
     """Return the derivative (m, 6, 12) of the misses with respect to the parameters."""
     slopes = np.empty((pairs.count, 6, UNKNOWNS))
-    still_x, still_z = (_apply_change(pose, np.zeros(6)) for pose in (x, z))  # rounded as the others are
+    still_x, still_z = (apply_change(pose, np.zeros(6)) for pose in (x, z))  # rounded as the others are
     for column, step in enumerate(STEP * np.eye(6)):
-        ahead, behind = (misses_of(pairs, _apply_change(x, way), still_z) for way in (step, -step))
+        ahead, behind = (misses_of(pairs, apply_change(x, way), still_z) for way in (step, -step))
         slopes[:, :, column] = (ahead - behind) / (2.0 * STEP)
-        ahead, behind = (misses_of(pairs, still_x, _apply_change(z, way)) for way in (step, -step))
+        ahead, behind = (misses_of(pairs, still_x, apply_change(z, way)) for way in (step, -step))
         slopes[:, :, 6 + column] = (ahead - behind) / (2.0 * STEP)
     return slopes
 
@@ -173,7 +173,7 @@ def _rotation_along(matrix: Array) -> Array:
     return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 
-def _apply_change(pose: Array, change: Array) -> Array:
+def apply_change(pose: Array, change: Array) -> Array:
     """Rotate a pose about the axes of its source frame and translate it along those of its target frame."""
     here = RigidTransform.from_matrix(pose)
     turned = here.rotation * Rotation.from_rotvec(change[:3])

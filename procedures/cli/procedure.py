@@ -107,8 +107,9 @@ def doctor_command(
         list[str] | None,
         typer.Option(
             "--endpoint",
-            help="A tracker's line, a controller's EKI server or a camera to check: serial:///dev/..., "
-            "tcp://host:port or gev://host. Servers that do not speak first are sent a tracker's inquiry.",
+            help="A tracker's line, a controller's EKI server or Universal Robots service, or a camera to "
+            "check: serial:///dev/..., tcp://host:port or gev://host. Servers that do not speak first are "
+            "sent a tracker's inquiry, at 30004 one of RTDE.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),

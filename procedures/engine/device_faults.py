@@ -150,6 +150,7 @@ class DeviceFaults:
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
+        workcell.release_halt(by)
         return done
 
     @contextmanager

@@ -79,6 +79,8 @@ class Engine:
         self.is_awaiting_person: Callable[[], bool] = lambda: False
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
+        if setting.workcell.second is not None:
+            setting.workcell.second.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 
     @property
     def upcoming(self) -> StepKey | None:
@@ -257,7 +259,13 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
+            if (second := workcell.second) is not None and second.place.is_on_axis:
+                workcell.start()
+                second.retreat()
             self.questions.request_instrument_removal()
+            if second is not None and second.place.is_out:
+                workcell.start()
+                second.go_home()
             workcell.compare_place()
             if not workcell.place.is_home:
                 if (axis_place := workcell.place.axis) is not None:

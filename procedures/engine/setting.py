@@ -54,6 +54,7 @@ class ClinicalInput:
     measure_targets: bool = False  # on a phantom
     plan_sha256: str | None = None  # of the plan as it was held when the case was opened
     methods: CaseMethods = field(default_factory=CaseMethods)
+    dual: bool = False  # with the assistant
 
     @property
     def place(self) -> Path:

@@ -55,6 +55,7 @@ from procedures.reporting.second_reading import UNREADABLE, as_text, second_read
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -137,6 +138,7 @@ def write_report(
         "registrations": reading.registrations,
         "set_up": reading.find(CheckedSetUp),
         "tools": reading.standing(MountedGuide),
+        "bases": reading.find(KnownBases),
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),

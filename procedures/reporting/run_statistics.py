@@ -23,7 +23,9 @@ OPERATOR_S, ALGORITHM_S = 191.5, 28.8
 ALGORITHM_PROCESSOR = "Intel i7-6700HQ"
 LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
-PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_steps(measure_targets=True)}
+PHASES: Mapping[str, str] = {
+    step.name: step.phase.value for step in clinical_steps(measure_targets=True, dual=True)
+}
 ACTIVE = "active"  # the state that a device left
 CONNECTED = "connected"  # the event with which counters of the connection begin
 LINK = "link"  # what a connection counts, from its beginning

@@ -39,6 +39,7 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
         case.measure_targets,
         None if plan is None else plan.sha256,
         case.methods,
+        dual=case.dual,
     )
 
 
@@ -73,7 +74,7 @@ def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.strategies.catalogue import find_strategy
 
     return order_of(
-        clinical_steps(measure_targets=case.measure_targets),
+        clinical_steps(measure_targets=case.measure_targets, dual=case.dual),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=find_strategy(case.strategy).localizes_per_trajectory,
     )

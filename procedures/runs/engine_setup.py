@@ -33,9 +33,9 @@ from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.steps.clinical.room import void_moved
 from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from procedures.workcell import Workcell
-from procedures.workcell.arm_history import UNMOVED
+from procedures.workcell.arm_history import UNMOVED, ArmHistory, fold_history
 from ronna_hw.clock import Clock
-from ronna_hw.config import DeviceConfig, TheatreFile
+from ronna_hw.config import ASSISTANT, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files, sha256_of
@@ -138,6 +138,7 @@ def build_engine(
         calibrations=calibrations,
         calibrating=prepared.calibrations is not None,
         history=history,  # at once: a run may be closed before it is compared with anything
+        assistant=_assistant_history(clinical, previous),
     )
     _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
     journal.write(
@@ -185,6 +186,15 @@ def build_engine(
     engine.checkpoint.beside = tape.beside
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
     return engine
+
+
+def _assistant_history(clinical: ClinicalInput | None, previous: InterruptedRun | None) -> ArmHistory | None:
+    """Return the history of the assistant, or None in a case with one arm."""
+    if clinical is None or not clinical.dual:
+        return None
+    if previous is None:
+        return ArmHistory(ASSISTANT)
+    return fold_history(previous.chain, previous.lost, ASSISTANT)
 
 
 def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:

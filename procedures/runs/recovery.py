@@ -33,6 +33,7 @@ from procedures.runs.way_out import (
 )
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -139,6 +140,10 @@ def _restore_arm(
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
     workcell.restore_history(previous.arm, set_up.home_rad)
+    if workcell.second is not None and set_up.assistant_home_rad is not None:
+        workcell.second.restore_home(set_up.assistant_home_rad)
+        if (known := engine.case.find(KnownBases, None)) is not None:
+            workcell.place_assistant(known.result.robot_from_base.transform)
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(

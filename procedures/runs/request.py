@@ -39,6 +39,7 @@ class SceneChoice:
     targets: int | None = None
     fiducials: str = FREE  # what the spheres stand on
     arm: str = DEFAULT_ARM
+    assistant_arm: str = DEFAULT_ARM  # in dual mode
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
     first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
@@ -109,6 +110,7 @@ class CaseProcedure:
     case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints
     plan: Path | None = None  # for the simulated patient, in place of its own
     keep_raw: bool = False  # pictures and tracker frames as files
+    dual: bool = False  # with the assistant, which inserts the instrument
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +168,11 @@ class RunRequest:
         """Procedure of a calibration. Asserts that the request is for a calibration."""
         assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
         return self.procedure
+
+    @property
+    def is_dual(self) -> bool:
+        """Whether both arms work in the case."""
+        return isinstance(self.procedure, CaseProcedure) and self.procedure.dual
 
     @property
     def measures_targets(self) -> bool:

@@ -18,8 +18,9 @@ from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import ASSISTANT, MASTER, TheatreFile, read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
+from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.phantom_identity import parse_patient_id
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
@@ -52,6 +53,25 @@ def check_theatre(request: RunRequest) -> None:
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
+        if request.is_dual:
+            require_two_arms(theatre)
+
+
+def require_two_arms(theatre: TheatreFile) -> None:
+    """Raise DEV-007 unless a theatre file has both arms, with the records that two arms need."""
+    records = theatre.calibration
+    needed = {
+        f"robot.{MASTER}": MASTER in theatre.robot,
+        f"robot.{ASSISTANT}": ASSISTANT in theatre.robot,
+        "calibration.arm": records is not None and records.arm is not None,
+        "calibration.assistant_arm": records is not None and records.assistant_arm is not None,
+        "calibration.assistant_holder": records is not None and records.assistant_holder is not None,
+    }
+    if missing := [table for table, is_there in needed.items() if not is_there]:
+        raise NotInTheatre(
+            f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}",
+            action="Add them, or omit --dual: docs/how-to/case/two-arms.md says how.",
+        )
 
 
 def check_asking(request: RunRequest) -> None:
@@ -125,7 +145,7 @@ def check_case(request: RunRequest, out: Path) -> None:
     if request.faults is not None:
         from procedures.steps.catalogue import clinical_steps
 
-        steps = clinical_steps(measure_targets=case_procedure.measure_targets)
+        steps = clinical_steps(measure_targets=case_procedure.measure_targets, dual=case_procedure.dual)
         check_fault_script(request.faults, [step.name for step in steps])
 
 

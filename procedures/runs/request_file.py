@@ -54,6 +54,8 @@ class RequestFile(BaseModel):
     targets: int | None = None
     fiducials: str = FREE
     arm: str = DEFAULT_ARM
+    assistant_arm: str = Field(default=DEFAULT_ARM, description="Of a case with two arms.")
+    dual: bool = Field(default=False, description="Whether both arms work in the case.")
     calibrated: bool = False
     first_day: bool = False
     records: tuple[Path, ...] = ()
@@ -108,6 +110,7 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
                 strategy=case.strategy,
                 methods=case.methods,
                 measure_targets=case.measure_targets,
+                dual=case.dual,
                 keep_raw=case.keep_raw,
                 case=case.case and case.case.resolve(),
                 plan=case.plan and case.plan.resolve(),
@@ -145,6 +148,7 @@ def read_request(folder: Path) -> RunRequest:
             case=content.case,
             plan=content.plan,
             keep_raw=content.keep_raw,
+            dual=content.dual,
         )
     else:
         raise BadRequestFile(f"{path} names neither the strategy of a case nor a calibration")

@@ -53,6 +53,8 @@ class SimulatedTheatre:
         )
         if request.measures_targets:
             extra_options.append("--target-balls")
+        if request.is_dual:
+            extra_options += ["--dual", "--assistant-arm", request.choice.assistant_arm]
         if continued:
             extra_options.append("--continue")
         self.theatre = TheatreProcess(

@@ -14,6 +14,7 @@ from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answ
 from procedures.steps.branches import BRANCHES, HOLD
 from procedures.steps.clinical import (
     at_target,
+    base_to_base,
     cart_lock,
     confirmation,
     correspondence,
@@ -65,12 +66,16 @@ ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
 AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 
-def clinical_steps(*, measure_targets: bool = False) -> Steps:
-    """Return the steps of a case, including the measurement of targets on a phantom if requested."""
-    if not measure_targets:
-        return CLINICAL_STEPS
-    place = CLINICAL_STEPS.index(tool_change.STEP)
-    return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])
+def clinical_steps(*, measure_targets: bool = False, dual: bool = False) -> Steps:
+    """Return the steps of a case, with those of two arms and the measurement of targets if requested."""
+    more: dict[object, StepSpec[StepResult]] = {path_check.STEP: base_to_base.STEP} if dual else {}
+    before: dict[object, StepSpec[StepResult]] = (
+        {tool_change.STEP: target_measurement.STEP} if measure_targets else {}
+    )
+    steps: list[StepSpec[StepResult]] = []
+    for step in CLINICAL_STEPS:
+        steps += [one for one in (before.get(step), step, more.get(step)) if one is not None]
+    return tuple(steps)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ acknowledged it. Nothing retreats by itself, and nothing moves with an instrumen
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn
@@ -37,7 +37,8 @@ from ronna_hw.logs import logger
 from ronna_hw.preview import plan_motion
 from ronna_hw.vectors import JointVector
 
-OLDEST_S = 0.1  # theatre time: what is known of an arm while another moves
+OLDEST_S = 0.1  # what is known of an arm while another moves
+OLDEST_IN_LOCK_STEP_S = 5.0  # both arms keep step there, and a state is old only because the host is busy
 WATCH_S = 0.01  # theatre time between two looks at both arms
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
 STOP_LIMIT_S = 5.0  # host time
@@ -73,6 +74,7 @@ class ArmPair:
         self._clock = clock
         self._instrument_inside = instrument_inside
         self._around = dict.fromkeys(ROLES, Surroundings())
+        self._touching: dict[str, frozenset[str]] = dict.fromkeys(ROLES, frozenset())
         self._moving = threading.Lock()  # held by the motion under way
         self._at_rest_rad: dict[str, JointVector] = {}  # of arms that must not move meanwhile
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
@@ -82,31 +84,45 @@ class ArmPair:
     def surround(self, role: str, surroundings: Surroundings) -> None:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
         self._around[role] = surroundings
+        with suppress(OtherArmUnknown):  # else before its next motion
+            self._surround_with_other(role)
+
+    def place_assistant(self, base: Pose) -> None:
+        """Take another pose ROBOT <- base of the assistant, as measured better."""
+        self._bases[ASSISTANT] = base
+
+    def touch(self, parts: Mapping[str, Collection[str]]) -> None:
+        """Name the parts of the tools that may come close to the other arm, by role; none to end that."""
+        self._touching = {role: frozenset(parts.get(role, ())) for role in ROLES}
 
     def acknowledge(self, confirmed_by: str) -> None:
         """Release a halt once both arms can move again. Raises DEV-006 without a name, DUAL-001 otherwise."""
         require_person(confirmed_by)
         for role, arm in self._arms.items():
-            if arm.state not in RUNNING:
+            if arm.state not in (Lifecycle.CONFIGURED, *RUNNING):
                 raise BothArmsHalted(f"the {role} is not ready", got=f"it is {arm.state}")
         self.halted = None
 
-    def move(self, role: str, motion: Motion) -> ArmReading:
+    def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
         """Move one arm while the other rests, and return the settled reading.
 
+        `with_instrument` allows an instrument in the guide, which this motion moves along its axis.
+
         Raises DUAL-001 while both are halted, also if they are halted on the way, DUAL-002 while one moves,
-        DUAL-003 if the state of the other is unknown, ARM-007 if it is in the way, TOOL-001 with an
-        instrument in the guide, and the errors of the arm.
+        and DUAL-003 if the state of the other is unknown. ARM-007 means that the other is in the way,
+        TOOL-001 that an instrument is in the guide. The arm's own errors pass through.
         """
-        with self._under_way():
-            other = _other(role)
-            rests_rad = self._joints(other)
-            self._at_rest_rad = {other: rests_rad}
-            arm = self._arms[role]
-            obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
-            around = self._around[role]
-            arm.surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
+        with self._under_way(with_instrument=with_instrument):
+            self._at_rest_rad = {_other(role): self._surround_with_other(role)}
             return self._drive({role: motion})[role]
+
+    def _surround_with_other(self, role: str) -> JointVector:
+        """Surround an arm with the other one, where it rests; return the joints of that."""
+        other, around = _other(role), self._around[role]
+        rests_rad = self._joints(other)
+        obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
+        self._arms[role].surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
+        return rests_rad
 
     def move_together(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
         """Move both arms at once, if their paths are clear of each other in time.
@@ -167,13 +183,13 @@ class ArmPair:
         return None
 
     @contextmanager
-    def _under_way(self) -> Iterator[None]:
+    def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
         """Hold the right to move. Raises DUAL-001, DUAL-002, TOOL-001."""
         if not self._moving.acquire(blocking=False):
             raise OtherArmMoving("another motion is under way")
         try:
             self._require_released()
-            if (place := self._instrument_inside()) is not None:
+            if not with_instrument and (place := self._instrument_inside()) is not None:
                 raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
             self._live = LivePair(self._placed(MASTER), self._placed(ASSISTANT))
             yield
@@ -239,10 +255,11 @@ class ArmPair:
         if reading is None or reading.validity is not Validity.OK:
             raise OtherArmUnknown(f"the state of the {role} is not known")
         age_s = self._clock.now_s() - reading.stamp.theatre_time_s
-        if age_s > OLDEST_S:
+        oldest_s = OLDEST_S if self._clock.paced else OLDEST_IN_LOCK_STEP_S
+        if age_s > oldest_s:
             raise OtherArmUnknown(
                 f"the last state of the {role} is old",
-                limit=f"{1000 * OLDEST_S:.0f} ms",
+                limit=f"{1000 * oldest_s:.0f} ms",
                 got=f"{1000 * age_s:.0f} ms",
             )
         return reading.joints_rad
@@ -253,11 +270,14 @@ class ArmPair:
         return Course.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:
-        bodies = Bodies(self._arms[role].kinematics, self._around[role])
+        around, touching = self._around[role], self._touching[role]
+        if touching:
+            around = replace(around, tool=tuple(part for part in around.tool if part.name not in touching))
+        bodies = Bodies(self._arms[role].kinematics, around)
         return PlacedArm(role, bodies, self._bases[role])
 
     def _grown_mm(self, role: str) -> float:
-        """Return by how much the other arm is thickened as an obstacle to keep it as far as two arms."""
+        """Return the thickening of the other arm that turns obstacle margins into those between two arms."""
         around = self._around[role]
         return max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
 

@@ -16,9 +16,10 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_history import ArmLog, MotionKind
+from procedures.workcell.errors import BothArmsHalted
 from procedures.workcell.motions import AnnouncedMotions, PlannedMotion, describe_motions, motion_facts
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.devices import Device, Lifecycle, RobotArm
+from ronna_hw.devices import Device, Lifecycle, Motion, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import ArmReading
@@ -50,9 +51,20 @@ class SupervisedMotion:
     """
 
     def __init__(
-        self, log: ArmLog, arm: Callable[[], RobotArm], require_allowed: Callable[[PlannedMotion], None]
+        self,
+        log: ArmLog,
+        arm: Callable[[], RobotArm],
+        require_allowed: Callable[[PlannedMotion], None],
+        drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
+        release: Callable[[str], bool] = lambda _by: False,
     ) -> None:
-        """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now."""
+        """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now.
+
+        `drive` makes a leg of a motion, by default with the arm alone. `release` ends a halt of two arms that
+        were only held, and returns whether it did.
+        """
+        self._drive_leg = drive or (lambda leg, _motion: leg.drive(arm()))
+        self._release = release
         self._log = log
         self._arm = arm
         self._require_allowed = require_allowed
@@ -168,7 +180,7 @@ class SupervisedMotion:
         def drive() -> ArmReading:
             with checkpoint.watching(named, True):
                 self._require_allowed(motion)
-                return [leg.drive(self._arm()) for leg in motion.legs][-1]
+                return [self._drive_leg(leg, motion) for leg in motion.legs][-1]
 
         while True:
             checkpoint.here(f"before {named}")
@@ -201,6 +213,12 @@ class SupervisedMotion:
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
                     raise
                 self._confirmed = False
+                checkpoint.rest_after_stop(named, REPLANNED)
+                continue
+            except BothArmsHalted:
+                self._confirmed = False
+                if not self._release(OPERATOR):  # a fault, which a named person acknowledges
+                    raise
                 checkpoint.rest_after_stop(named, REPLANNED)
                 continue
             if motion.what is MotionKind.HOME:

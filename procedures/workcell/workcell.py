@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable, StepRefused
@@ -26,8 +27,10 @@ from procedures.workcell.arm_history import (
     PlaceKind,
     stands_at,
 )
+from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import ArmView, DeviceView
-from procedures.workcell.errors import GuideHeldAtEntry
+from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
@@ -36,8 +39,8 @@ from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig
-from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
+from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
@@ -47,6 +50,10 @@ from ronna_hw.theatre_kind import require_one_kind
 from ronna_hw.vectors import JointVector
 
 D = TypeVar("D")
+
+
+def _never(_by: str) -> bool:
+    return False
 
 
 class Workcell:
@@ -60,22 +67,41 @@ class Workcell:
         calibrations: Calibrations | None = None,
         calibrating: bool = False,
         history: ArmHistory = UNMOVED,
+        assistant: ArmHistory | None = None,
     ) -> None:
         """Create the workcell without opening or moving anything.
 
         `calibrations` replace those of the theatre file. While `calibrating`, a tool's record may refer to a
-        former tip. A resumed run has a `history`. Raises PRO-003 without an open journal, DEV-007 without a
-        device or calibrations, ARM-009, CFG-004 and CAL-013.
+        former tip. A resumed run has a `history`. With two arms, `assistant` is the history of the second.
+        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, ARM-009, CFG-004 and
+        CAL-013.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")
         require_one_kind(theatre.file)
-        theatre.require("tracker", "stereo", f"robot.{MASTER}")
+        roles = (MASTER,) if assistant is None else (MASTER, ASSISTANT)
+        theatre.require("tracker", "stereo", *(f"robot.{role}" for role in roles))
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
         self._computed = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
-        self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
+        self._pair: ArmPair | None = None
+        self.second: Assistant | None = None
+        drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
+        release: Callable[[str], bool] = _never
+        if assistant is not None:
+            drive, release = partial(self._drive_one, MASTER), self._release_held
+            self.second = Assistant(
+                lambda: theatre.arms[ASSISTANT],
+                ArmLog(journal, theatre.clock, assistant),
+                self.calibrations,
+                partial(self._drive_one, ASSISTANT),
+                self._release_held,
+                lambda: self.instrument.inside,
+            )
+        self.supervised = SupervisedMotion(
+            self._log, lambda: self._arm, self._require_allowed, drive, release
+        )
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.patient_frame = (
@@ -118,12 +144,16 @@ class Workcell:
     @property
     def devices(self) -> Mapping[str, DeviceView]:
         """Devices by role, in connection order; additional devices as `device.NAME`."""
-        return {**self._devices, "arm": self.arm}
+        second = {} if self.second is None else {ASSISTANT: self.second.arm}
+        return {**self._devices, "arm": self.arm, **second}
 
     @property
     def _devices(self) -> dict[str, Device]:
         others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
-        return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
+        arms: dict[str, Device] = {"arm": self._arm}
+        if self.second is not None:
+            arms[ASSISTANT] = self._theatre.arms[ASSISTANT]
+        return {"tracker": self._theatre.tracker, **arms, "stereo": self.stereo, **others}
 
     @property
     def device_tables(self) -> Mapping[str, DeviceConfig]:
@@ -255,7 +285,63 @@ class Workcell:
         """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
         near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
-        self._arm.surround(self.surroundings)
+        self._surround_master(self.surroundings)
+
+    def _surround_master(self, surroundings: Surroundings) -> None:
+        self._arm.surround(surroundings)
+        if self._pair is not None:
+            self._pair.surround(MASTER, surroundings)
+
+    # Two arms
+
+    def place_assistant(self, robot_from_base: Transform) -> None:
+        """Take the assistant's base as known: from now on either arm may move, watched with the other."""
+        second = self._require_second()
+        base = Pose.from_matrix(robot_from_base.as_matrix().tolist())
+        second.base = robot_from_base
+        if self._pair is None:
+            arms, clock = self._theatre.arms, self._theatre.clock
+            self._pair = ArmPair(arms, base, clock, lambda: self.instrument.inside)
+            if self.surroundings is not None:
+                self._surround_master(self.surroundings)
+        self._pair.place_assistant(base)
+
+    def surround_assistant(self, surroundings: Surroundings) -> None:
+        """Set what surrounds the assistant, in the robot frame; its tool is its own."""
+        second = self._require_second()
+        assert self._pair is not None, "where the assistant stands is known first"
+        self._pair.surround(ASSISTANT, second.surroundings(surroundings))
+
+    def touch(self, parts: Mapping[str, Collection[str]]) -> None:
+        """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
+        if self._pair is not None:
+            self._pair.touch(parts)
+
+    def release_halt(self, by: str) -> None:
+        """Release a halt of both arms once a named person has acknowledged their faults. Raises DUAL-001."""
+        if self._pair is not None and self._pair.halted is not None:
+            self._pair.acknowledge(by)
+
+    def _require_second(self) -> Assistant:
+        if self.second is None:
+            raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
+        return self.second
+
+    def _drive_one(self, role: str, leg: Motion, motion: PlannedMotion) -> ArmReading:
+        if self._pair is None:
+            raise OtherArmUnknown(
+                "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
+            )
+        with_instrument = role == ASSISTANT and motion.axis is not None
+        return self._pair.move(role, leg, with_instrument=with_instrument)
+
+    def _release_held(self, by: str) -> bool:
+        """Release a halt in which both arms are only held, as after a stop by the operator."""
+        running = all(arm.state in RUNNING for arm in self._theatre.arms.values())
+        if self._pair is None or not running:
+            return False
+        self._pair.acknowledge(by)
+        return True
 
     def shift_obstacles(self, by: Transform, on_cart: Collection[str]) -> None:
         """Move the obstacles in the room against a moved cart, except the bodies that it carries, by name."""
@@ -265,13 +351,14 @@ class Workcell:
         pairs = zip(around.obstacles, moved.obstacles, strict=True)
         obstacles = tuple(before if before.name in on_cart else after for before, after in pairs)
         self.surroundings = replace(moved, obstacles=obstacles)
-        self._arm.surround(self.surroundings)
+        self._surround_master(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
         if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
             self.instrument.require_out("start the arm")
-        self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
+        arms = (self._arm,) if self.second is None else (self._arm, self._theatre.arms[ASSISTANT])
+        self.supervised.start((*arms, self.stereo) if cameras else arms)
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` would make."""
@@ -409,7 +496,8 @@ class Workcell:
 
     def rest(self) -> None:
         """Stop the arm's correction stream and the cameras, for a tool change or a parked arm."""
-        for device in (self._arm, self.stereo):
+        second = () if self.second is None else (self._theatre.arms[ASSISTANT],)
+        for device in (self._arm, *second, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self.supervised.reset_confirmation()
@@ -458,5 +546,7 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
+        if self.second is not None and self.second.place.is_on_axis:
+            raise InstrumentInGuide(f"{what}: the assistant is on the axis of the guide")
         for held in self.place.hold_reasons:
             raise GuideHeldAtEntry(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")

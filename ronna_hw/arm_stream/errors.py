@@ -1,4 +1,4 @@
-"""Errors of a stream: what can happen to any, with the codes of the driver that it happens to."""
+"""Errors common to all streams, under the codes of each driver."""
 
 from __future__ import annotations
 

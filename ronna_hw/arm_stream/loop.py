@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import time
+from abc import ABC, abstractmethod
 from typing import Any
 
 from ronna_hw.arm_stream.mailbox import Mailbox
@@ -33,7 +34,7 @@ LOOK_EACH_CYCLES = 32  # of lock-step, for the processor of the sender and for f
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
 
-class StreamLoop:
+class StreamLoop(ABC):
     """Main loop that ends once the parent has exited and the arm is at rest."""
 
     def __init__(
@@ -73,16 +74,18 @@ class StreamLoop:
 
     # What a protocol adds:
 
+    @abstractmethod
     def _step(self) -> None:
         """Receive and answer a telegram, or call `_check_orders` when none arrives in time."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _rehearse(self) -> None:
         """Run the code path from telegram to reply without effect, to keep the caches warm."""
 
-    def _look_aside(self) -> None:
+    def _look_aside(self) -> None:  # noqa: B027 -- not every protocol needs it
         """Look at what a stream in lock-step needs only now and then."""
 
+    @abstractmethod
     def close(self) -> None:
         """Close what the loop has opened."""
 

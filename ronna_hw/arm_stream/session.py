@@ -12,6 +12,7 @@ as planned.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from math import radians
 from typing import Protocol
 
@@ -69,7 +70,7 @@ class NoSenders:
     disagreeing = 0
 
 
-class StreamSession:
+class StreamSession(ABC):
     """Session of one arm: a driver answers each telegram with `choose` and calls `finish_cycle`."""
 
     def __init__(self, settings: StreamSettings, kinematics: Kinematics, cycle_s: float) -> None:
@@ -112,6 +113,7 @@ class StreamSession:
 
     # What a protocol adds:
 
+    @abstractmethod
     def _measure(self) -> None:
         """Take over the measured axes of the last telegram."""
 
@@ -119,13 +121,15 @@ class StreamSession:
         """Return the force on the tool in the last telegram, of an arm that estimates one."""
         return NO_FORCE
 
+    @abstractmethod
     def _prepare_reply(self, points: SetPoints) -> None:
         """Encode the prepared points; the reply may be replaced by a stop until it is sent."""
 
+    @abstractmethod
     def _open(self, command: Command) -> bool:
         """Prepare for the first telegram of a stream; False if there is nothing to receive it from."""
-        return True
 
+    @abstractmethod
     def _forget_reply(self) -> None:
         """Discard a reply that was complete: something has changed."""
 

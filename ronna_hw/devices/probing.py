@@ -105,6 +105,16 @@ class EndpointProbe(Probe, Protocol):
         ...
 
 
+@runtime_checkable
+class PortProbe(EndpointProbe, Protocol):
+    """Probe of a device whose ports are fixed: it checks endpoints at these, and no other probe does."""
+
+    @property
+    def endpoint_ports(self) -> frozenset[int]:
+        """Ports of the endpoints that the probe can check."""
+        ...
+
+
 def connect_and_identify(
     name: str,
     config: DeviceConfig,

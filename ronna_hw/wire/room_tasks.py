@@ -9,6 +9,8 @@ SKIN = "skin"
 DRILL = "drill"
 DURA = "dura"
 INSERT = "insert"  # the instrument, up to its stop
+HOLDER = "holder"  # put the instrument into the assistant's holder, its depth stop at the clamp
+SEATED = "seated"  # look whether the stop rests on the guide; the gap in mm is read
 OUT = "out"  # take the instrument out of the guide, or the divot from it
 HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
 CART_PLACE = "cart_place"  # wheel the cart to its place
@@ -24,6 +26,8 @@ TASKS = (
     DRILL,
     DURA,
     INSERT,
+    HOLDER,
+    SEATED,
     OUT,
     HEAD_CLAMP,
     CART_PLACE,

@@ -63,23 +63,6 @@ DOUBLE: Final = FieldType("DOUBLE", "d")
 VECTOR3D: Final = FieldType("VECTOR3D", "3d")
 VECTOR6D: Final = FieldType("VECTOR6D", "6d")
 VECTOR6INT32: Final = FieldType("VECTOR6INT32", "6i")
-VECTOR6UINT32: Final = FieldType("VECTOR6UINT32", "6I")
-
-FIELD_TYPES: Final = {
-    kind.name: kind
-    for kind in (
-        BOOL,
-        UINT8,
-        UINT32,
-        UINT64,
-        INT32,
-        DOUBLE,
-        VECTOR3D,
-        VECTOR6D,
-        VECTOR6INT32,
-        VECTOR6UINT32,
-    )
-}
 
 REGISTERS: Final = 48  # integers and doubles each
 CLIENT_REGISTERS: Final = range(24, REGISTERS)  # those below belong to fieldbuses
@@ -267,7 +250,6 @@ SET_POINT_INPUTS: Final = tuple(f"input_double_register_{24 + number}" for numbe
 SEQUENCE_OUTPUT: Final = "output_int_register_24"  # of the set-point used in this cycle
 STATE_OUTPUT: Final = "output_int_register_25"  # ScriptState
 RUN_OUTPUT: Final = "output_int_register_26"
-UNCHANGED_OUTPUT: Final = "output_int_register_27"  # cycles since the sequence last changed
 
 
 class ScriptSettings(NamedTuple):

@@ -86,8 +86,15 @@ def theatre(
         bool, typer.Option("--target-balls", help="Put a ball at each target, as on a phantom.")
     ] = False,
     dual: Annotated[
-        bool, typer.Option("--dual", help="Add a second arm, the assistant, on a cart of its own.")
+        bool,
+        typer.Option(
+            "--dual",
+            help="Add a second arm, the assistant, on a cart of its own, and records of both arms.",
+        ),
     ] = False,
+    assistant_arm: Annotated[
+        ArmChoice, typer.Option(help="With --dual: the model of the assistant.")
+    ] = ArmChoice.KR6,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -143,6 +150,7 @@ def theatre(
         first_day=first_day,
         target_balls=target_balls,
         dual=dual,
+        assistant_arm=assistant_arm,
     )
     records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""

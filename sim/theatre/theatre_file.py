@@ -26,7 +26,9 @@ from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
+from sim.world.scene.assistant import FRAME_MM, FRAME_TURN
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
+from sim.world.scene.parts import ASSISTANT_FRAME_NAME
 from sim.world.true_arm import arm_seed
 
 RECORD_LIFE = timedelta(days=30)
@@ -39,6 +41,8 @@ DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
 DRAWN_DIRECTION_RAD = 1.2e-3  # of the bore about either axis: 0.1 degrees in total
 DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be credible
+# Clamp and ball of the assistant's holder on its flange, as a laboratory measures them, per axis.
+HOLDER_MM, HOLDER_RAD = 0.02, 2e-4
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
 
@@ -205,6 +209,7 @@ def _make_calibrations(scene: Scene, created: datetime, parameters: tuple[str, .
             tool_from_marker=_pose_document(marker),
         ),
         **_arm_record(scene, record, parameters),
+        **_assistant_records(scene, record),
     }
 
 
@@ -233,6 +238,37 @@ def _arm_record(
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
+
+
+def _assistant_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    """Return the records of the assistant: its arm, and its holder with the frame and the ball as drawn."""
+    residual, assistant = scene.calibration_error.arm, scene.assistant
+    if residual is None or assistant is None:
+        return {}
+    arm = assistant.arm
+    draws = noise(scene.seed, "assistant calibration", 0)
+    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.ASSISTANT), ())
+    values = arm_values(arm, residual, draws, stated)
+    scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
+    values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
+    twist = matrix_from(
+        draws.normal(0.0, HOLDER_MM, 3), rotation_from_vector(draws.normal(0.0, HOLDER_RAD, 3))
+    )
+    ball_mm = np.array(assistant.flange_from_ball_mm) + draws.normal(0.0, HOLDER_MM, 3)
+    return {
+        "assistant_arm": record(
+            "assistant-arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values
+        ),
+        "assistant_holder": record(
+            "assistant-holder",
+            3**0.5 * HOLDER_MM,
+            stated_direction_error_rad=2**0.5 * HOLDER_RAD,
+            flange_from_clamp=_pose_document(matrix_of(assistant.flange_from_clamp) @ twist),
+            flange_from_ball_mm=[float(value) for value in ball_mm],
+            flange_from_frame=_pose_document(matrix_from(FRAME_MM, FRAME_TURN)),
+            frame=ASSISTANT_FRAME_NAME,
+        ),
+    }
 
 
 def _camera_record(

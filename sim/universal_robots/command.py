@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import ArmChoice, ArmRole
+from sim.world.options import ArmChoice, ArmRole, UrArm
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
 MASTER = ArmRole.MASTER
-
-
-class ModelName(StrEnum):
-    """Arm, with the controller that it is sold with: UR5 on a CB3, UR5e on an e-Series controller."""
-
-    UR5 = "ur5"
-    UR5E = "ur5e"
 
 
 def ur(
@@ -27,8 +19,8 @@ def ur(
         str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
     ] = "127.0.0.9",
     model: Annotated[
-        ModelName, typer.Option(help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz).")
-    ] = ModelName.UR5E,
+        UrArm, typer.Option(help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz).")
+    ] = UrArm.UR5E,
     lock_step: Annotated[
         bool,
         typer.Option(
@@ -61,7 +53,7 @@ def ur(
     from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
     from sim.universal_robots.cycle_loop import CycleLoop
     from sim.universal_robots.factory_calibration import calibrate
-    from sim.universal_robots.model import MODELS, ArmName
+    from sim.universal_robots.model import MODELS
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
     from sim.world.true_arm import arm_seed
 
@@ -76,7 +68,7 @@ def ur(
     place = require_loopback(address)
     chosen = ArmChoice(model.value)
     room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)
-    described, truth = MODELS[ArmName(model.value)], room.scene.arm_of(role)
+    described, truth = MODELS[model], room.scene.arm_of(role)
     require_arm(truth, described)
     seed = arm_seed(room.scene.seed, role)
     last = room.arm(role) if room.has_arm(role) else None
@@ -86,7 +78,7 @@ def ur(
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
     tool = room.mounted_tool if role is MASTER else _no_tool
-    cycle_loop = CycleLoop(controller, arm, tool, room, place)
+    cycle_loop = CycleLoop(controller, arm, tool, room, place, alone=world is None)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(

@@ -30,13 +30,13 @@ class Poll:
         self._paused: dict[socket.socket, tuple[float, Callable[[], None]]] = {}
 
     def register(self, one: socket.socket, action: Callable[[], None]) -> None:
-        """Wait for a socket too."""
+        """Add a socket to wait for."""
         self._paused.pop(one, None)
         self._actions[one.fileno()] = action
         self._epoll.register(one, select.EPOLLIN)
 
     def unregister(self, one: socket.socket) -> None:
-        """Wait for a socket no more; without effect for one that was not waited for."""
+        """Remove a socket; does nothing if it is not registered."""
         self._paused.pop(one, None)
         if self._actions.pop(one.fileno(), None) is not None:
             self._epoll.unregister(one)
@@ -48,7 +48,7 @@ class Poll:
         self._paused[one] = time.monotonic() + pause_s, action
 
     def serve(self, timeout_s: float) -> None:
-        """Wait once, and do what is to be done."""
+        """Wait once and run the actions of all readable sockets."""
         for one, (until_s, resumed) in tuple(self._paused.items()):
             if time.monotonic() >= until_s:
                 self.register(one, resumed)
@@ -59,7 +59,7 @@ class Poll:
                 action()
 
     def close(self) -> None:
-        """Wait for nothing any more."""
+        """Stop waiting."""
         self._epoll.close()
 
 
@@ -82,7 +82,7 @@ class HangUp(Exception):
 
 
 class Connection:
-    """A client. What it does not read in time closes it."""
+    """Connection to a client, closed once the client stops reading."""
 
     def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[Connection], None]) -> None:
         self.socket = client
@@ -131,7 +131,7 @@ class Connection:
         self.close()
 
     def hold(self, *, holds: bool) -> None:
-        """Let nothing pass in either direction, or what was sent meanwhile and everything again."""
+        """Suspend traffic in both directions, or resume it and send what was held back."""
         if holds is (self._held is not None) or not self.open:
             return
         if holds:
@@ -194,7 +194,7 @@ class Listener:
         return f"tcp://{host}:{port}"
 
     def hold(self, *, holds: bool) -> None:
-        """Let nothing pass, and nobody connect, or everything again."""
+        """Suspend all traffic and new connections, or resume both."""
         if holds is self._holds:
             return
         self._holds = holds

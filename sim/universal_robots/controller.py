@@ -99,7 +99,7 @@ class Controller:
 
     @property
     def is_running(self) -> bool:
-        """Whether a program runs, or is changing from or to that."""
+        """Whether a program is running, starting or stopping."""
         return self.runtime_state not in (RuntimeState.STOPPED, RuntimeState.PAUSED)
 
     @property

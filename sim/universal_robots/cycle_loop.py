@@ -5,8 +5,9 @@ A single thread does everything: no locks, and no other thread competes for the 
 
 Real time: cycle k begins at t0 + k cycles. Lock-step: while our script streams, the next cycle begins once
 the client that owns its registers has answered the package of the last one. While its set-point is unchanged,
-the controller rests until someone waits for theatre time. Without such a program cycles run in real time:
-clients that only watch could not follow faster ones.
+the controller of a theatre rests until someone waits for theatre time; one that stands alone, with a clock
+that nobody else has, goes on in real time. Without such a program cycles run in real time: clients that only
+watch could not follow faster ones.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ class CycleLoop:
         mounted_tool: Callable[[], int],
         world: World,
         address: str,
+        *,
+        alone: bool = False,
     ) -> None:
+        """Serve at an address; `alone`: the world is not that of a theatre."""
         self._controller = controller
         self._arm = arm
         self._mounted_tool = mounted_tool
@@ -63,6 +67,7 @@ class CycleLoop:
         self._cycle_s = controller.model.cycle_s
         self._cycle_ns = round(self._cycle_s * 1e9)
         self._lock_step = not self._clock.paced
+        self._rest_cycle_s = self._cycle_s if alone else REST_CYCLE_S
         self._deadline_s = 0.0
         self._ending = False
         self._silent = False  # the client that sends set-points did not answer in time
@@ -174,7 +179,7 @@ class CycleLoop:
             if wait_s <= 0.0:
                 self._silent = True
                 break
-        self._rest(streamer, began_s + REST_CYCLE_S)
+        self._rest(streamer, began_s + self._rest_cycle_s)
         self._deadline_s = time.monotonic()
 
     def _rest(self, streamer: Session, next_s: float) -> None:

@@ -13,12 +13,14 @@ from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import Frame
-from sim.universal_robots.model import JOINTS, TORQUES_NM, ArmName
+from sim.universal_robots.model import JOINTS
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
+from sim.world.options import UrArm
 
 GRAVITY_M_S2: Final = 9.81
 MM: Final = 1000.0
+TORQUES_NM: Final = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  # largest of each joint
 LINK_CENTRES_M: Final = (
     (0.0, -0.02561, 0.00193),
     (0.2125, 0.0, 0.11336),
@@ -28,14 +30,14 @@ LINK_CENTRES_M: Final = (
     (0.0, 0.0, -0.001159),
 )
 LINK_MASSES_KG: Final = {
-    ArmName.UR5: (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
-    ArmName.UR5E: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
+    UrArm.UR5: (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+    UrArm.UR5E: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
 }
 TORQUE_PER_CURRENT_NM_A: Final = (12.6, 12.6, 12.6, 9.3, 9.3, 9.3)  # motor constant times gear (U)
 # Noise of one cycle, and largest error of the estimate on each axis, N (U). CB3 estimates from currents; the
 # e-Series has a sensor in the flange, of 3.5 N precision by its data sheet.
-NOISE_N: Final = {ArmName.UR5: 3.0, ArmName.UR5E: 0.5}
-BIAS_N: Final = {ArmName.UR5: 5.0, ArmName.UR5E: 2.0}
+NOISE_N: Final = {UrArm.UR5: 3.0, UrArm.UR5E: 0.5}
+BIAS_N: Final = {UrArm.UR5: 5.0, UrArm.UR5E: 2.0}
 NOISE_TABLE: Final = 4099  # a prime: three values a cycle do not repeat soon
 CONTACT_STIFFNESS_N_MM: Final = 20.0  # of an instrument in bone, by which it is relieved when drawn back (U)
 BONE_RAMP_MM: Final = 0.5  # from its surface to its full resistance (U)

@@ -7,10 +7,10 @@ independently of the kinematics that the drivers use.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import pi, radians
 from typing import Final
 
+from sim.world.options import UrArm
 from sim.world.universal_robots_arm import FULL_SPEED_DEG_S, RANGE_DEG, UR5, UR5E, Place
 
 JOINTS: Final = 6
@@ -22,21 +22,13 @@ HOME_RAD: Final[Vector6] = (0.0, -pi / 2, -pi / 2, -pi / 2, pi / 2, -pi / 2)
 JOINT_RANGE_RAD: Final = radians(RANGE_DEG)
 FULL_SPEED_RAD_S: Final = radians(FULL_SPEED_DEG_S)
 LARGEST_ACCELERATION_RAD_S2: Final = 40.0  # that a program may ask for
-TORQUES_NM: Final[Vector6] = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
-
-
-class ArmName(StrEnum):
-    """Arm with its controller: UR5 on a CB3, UR5e on an e-Series controller."""
-
-    UR5 = "ur5"
-    UR5E = "ur5e"
 
 
 @dataclass(frozen=True)
 class Model:
     """An arm with the controller that it is sold with."""
 
-    name: ArmName
+    name: UrArm
     d_m: Vector6
     a_m: Vector6
     cycle_s: float
@@ -56,7 +48,7 @@ class Model:
         return ".".join(map(str, self.version))
 
 
-def _model(name: ArmName, places: tuple[Place, ...], **controller: object) -> Model:
+def _model(name: UrArm, places: tuple[Place, ...], **controller: object) -> Model:
     d1, a2, a3, d4 = places[0][0][2], places[2][0][0], places[3][0][0], places[3][0][2]
     d5, d6 = -places[4][0][1], places[5][0][1]
     return Model(
@@ -68,10 +60,10 @@ def _model(name: ArmName, places: tuple[Place, ...], **controller: object) -> Mo
 
 
 MODELS: Final = {
-    ArmName.UR5: _model(
-        ArmName.UR5, UR5, cycle_s=0.008, version=(3, 15, 8, 106339), realtime_doubles=138, controller_box=1
+    UrArm.UR5: _model(
+        UrArm.UR5, UR5, cycle_s=0.008, version=(3, 15, 8, 106339), realtime_doubles=138, controller_box=1
     ),
-    ArmName.UR5E: _model(
-        ArmName.UR5E, UR5E, cycle_s=0.002, version=(5, 11, 5, 1010327), realtime_doubles=152, controller_box=2
+    UrArm.UR5E: _model(
+        UrArm.UR5E, UR5E, cycle_s=0.002, version=(5, 11, 5, 1010327), realtime_doubles=152, controller_box=2
     ),
 }

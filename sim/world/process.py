@@ -144,11 +144,13 @@ def load_scene(
     first_day: bool = False,
     target_balls: bool = False,
     dual: bool = False,
+    assistant_arm: ArmChoice = ArmChoice.KR6,
 ) -> Scene:
     """Draw a named scene, or read a scene file; raises SIM-001.
 
     `calibrated`: the arm has a calibration record. `first_day`: frame and tip have no valid one.
-    `target_balls`: a ball at each target. `dual`: a second arm, unless the scene has one.
+    `target_balls`: a ball at each target. `dual`: a second arm, unless the scene has one; both arms are
+    calibrated, as two arms must be.
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
@@ -163,9 +165,9 @@ def load_scene(
         head = drawn.head.model_copy(update={"target_balls": True})
         drawn = drawn.model_copy(update={"head": head})
     if dual:
-        drawn = add_assistant(drawn)
+        drawn = add_assistant(drawn, assistant_arm)
     error = drawn.calibration_error
-    if calibrated and error.arm is None:
+    if (calibrated or dual) and error.arm is None:
         error = error.model_copy(update={"arm": ArmResidual()})
     if first_day:
         error = error.model_copy(update={"first_day": True})

@@ -26,8 +26,10 @@ from ronna_hw.wire.room_tasks import (
     DURA,
     GAUGE,
     HEAD_CLAMP,
+    HOLDER,
     INSERT,
     OUT,
+    SEATED,
     SKIN,
     TOUCH,
     OnStand,
@@ -38,7 +40,13 @@ from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.truth import TrueGuide, append_sample, sample_instrument, tip_at_calibration
+from sim.world.truth import (
+    TrueGuide,
+    append_sample,
+    sample_instrument,
+    sample_seated_instrument,
+    tip_at_calibration,
+)
 from sim.world.world import World
 
 Readings = tuple[float, ...]
@@ -48,7 +56,7 @@ SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
 
-THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT)
+THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT, SEATED)
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
@@ -87,6 +95,8 @@ class Staff:
             **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
+            HOLDER: nothing,
+            SEATED: lambda: self._look_at_stop(trajectory),
             OUT: self._take_out,
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
@@ -131,6 +141,16 @@ class Staff:
             append_sample(sample, self._folder)
         self._world.put_in_guide(trajectory)
         return ()
+
+    def _look_at_stop(self, trajectory: str) -> Readings:
+        """Look whether the stop of an instrument that the assistant has inserted rests on the guide."""
+        if self._stop_mm is None or self._stop_for not in ("", trajectory):
+            raise ValueError(f"no depth stop was set for {trajectory}")
+        sample, gap_mm = sample_seated_instrument(self._world, self._guide, trajectory, self._stop_mm)
+        if self._folder is not None:
+            append_sample(sample, self._folder)
+        self._world.put_in_guide(trajectory)
+        return (_round_to_scale(gap_mm, SCALE_MM),)
 
     def _take_out(self) -> Readings:
         self._world.put_in_guide(None)
@@ -211,7 +231,7 @@ def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Ite
     if len(numbers) != count or not all(map(isfinite, numbers)):
         given = ", ".join(f"{number:g}" for number in numbers) or "no numbers"
         raise TaskRefused(f"{task} needs {needed}; got {given}", "Give the numbers as in the question.")
-    if task == INSERT and not trajectory:
+    if task in (INSERT, SEATED) and not trajectory:
         raise TaskRefused(
             f"{task} needs the name of a trajectory of the plan; got none",
             "Add --trajectory with the name in the question, such as --trajectory T1.",

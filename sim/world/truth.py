@@ -15,16 +15,19 @@ from pydantic import ValidationError
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.mistakes import describe_mistakes
-from sim.errors import BadTruth
+from sim.errors import BadTruth, StandNotReady
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import Fault, FaultBoard, FaultKind
 from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, as_point, matrix_from, matrix_of, rotation_from_vector
+from sim.world.options import ArmRole
+from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
 
 Vector = NDArray[np.float64]
 
+SLIDES_MM = 2.0  # way of the assistant's clamp along the instrument, against a friction
+BINDS_MM = 1.0  # beside the axis of the bore at one of its ends: beyond it a held instrument bends
 SEAT, PLAY = "changer", "bore"  # noise keys
 
 TRUTH_FILE = "truth.jsonl"
@@ -70,6 +73,59 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
         head_shift_mm=room.head_mm,
         head_turn_rad=room.head_rad,
     )
+
+
+def sample_seated_instrument(
+    world: World, guide: TrueGuide, target: str, stop_mm: float
+) -> tuple[TipSample, float]:
+    """Sample the true tip of an instrument that the assistant has led into the guide, and the gap in mm.
+
+    The bore decides where it is, within its play on the side to which the assistant holds it. Its clamp
+    slides once the depth stop rests on the guide. Raises SIM-015 where it would bind or not slide.
+    """
+    assistant, bore = world.scene.assistant, world.scene.mount.guide
+    if assistant is None or not world.has_arm(ArmRole.ASSISTANT):
+        raise StandNotReady("there is no assistant that holds an instrument")
+    room = ShiftedRoom(world)
+    flange = world.arm(ArmRole.ASSISTANT).robot_from_flange
+    clamp = room.robot_from_assistant(room.now()) @ flange @ matrix_of(assistant.flange_from_clamp)
+    in_guide = inverse(guide.tip_frame()) @ clamp
+    upper_z, lower_z = -bore.bore_mm - bore.reach_mm, -bore.reach_mm
+    gap_mm = float(upper_z - in_guide[2, 3])
+    if gap_mm < -SLIDES_MM:
+        raise StandNotReady(
+            "the clamp has slid to its end", limit=f"{SLIDES_MM:g} mm", got=f"{-gap_mm:.2f} mm"
+        )
+    gap_mm = max(0.0, gap_mm)
+    ends = [_beside_mm(in_guide, z) for z in (upper_z, lower_z)]
+    off_mm = max(float(np.linalg.norm(end)) for end in ends)
+    if off_mm > BINDS_MM:
+        raise StandNotReady(
+            "the instrument binds in the guide",
+            limit=f"{BINDS_MM:g} mm beside its axis",
+            got=f"{off_mm:.2f} mm",
+        )
+    upper, lower = (
+        end * min(1.0, bore.play_mm / 2.0 / max(float(np.linalg.norm(end)), 1e-9)) for end in ends
+    )
+    now = room.now()
+    sample = TipSample(
+        target=target,
+        theatre_time_s=world.clock.now_s(),
+        mounted_tool=world.mounted_tool(),
+        arm_at_rest=world.arm().at_rest,
+        tip_mm=as_point(guide.tip_between_mm(stop_mm - gap_mm, upper, lower)),
+        axis=as_point(guide.tip_frame()[:3, 2]),
+        head_shift_mm=now.head_mm,
+        head_turn_rad=now.head_rad,
+    )
+    return sample, gap_mm
+
+
+def _beside_mm(pose: Matrix, z_mm: float) -> Vector:
+    """Return where the z axis of a pose passes the plane at a height, (2,)."""
+    along = pose[:3, 2] / pose[2, 2]
+    return np.asarray(pose[:2, 3] + along[:2] * (z_mm - pose[2, 3]))
 
 
 def append_sample(sample: TipSample, folder: Path) -> None:
@@ -151,8 +207,13 @@ class TrueGuide:
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
         """Draw the tip (3,) of an instrument inserted to its depth stop, within the play of the bore."""
         guide = self._scene.mount.guide
-        beyond_mm = stop_mm - guide.bore_mm
         upper, lower = _draw_in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
+        return self.tip_between_mm(stop_mm, upper, lower)
+
+    def tip_between_mm(self, stop_mm: float, upper: Vector, lower: Vector) -> Vector:
+        """Return the tip (3,) of an instrument at these places (2,) in both ends of the bore."""
+        guide = self._scene.mount.guide
+        beyond_mm = stop_mm - guide.bore_mm
         offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
         point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])

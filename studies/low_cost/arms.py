@@ -26,7 +26,8 @@ from ronna_hw.registry import make_device
 from ronna_hw.vectors import JointVector, joint_vector
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.factory_calibration import calibrate
-from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.model import MODELS
+from sim.world.options import UrArm
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
@@ -51,9 +52,7 @@ class PositionedArm(Protocol):
 def factory_kinematics(truth: ArmTruth, seed: int) -> CalibratedUniversalRobot:
     """Return the kinematics that an arm's controller states: as the factory measured this arm."""
     arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(
-        MODELS[ArmName(truth.variant)], truth, seed, ControllerParameters().factory_calibration
-    )
+    stated = calibrate(MODELS[UrArm(truth.variant)], truth, seed, ControllerParameters().factory_calibration)
     a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
     return CalibratedUniversalRobot(
         arm,

@@ -1,4 +1,4 @@
-"""What is measured once, before any arm: CT scans of the phantom, the tool's tip, the registration.
+"""Measurements shared by all arms: CT scans of the phantom, the tool's tip, the registration.
 
 A person pivots the tool in a divot beside the phantom. The tracker then sees the phantom's spheres and its
 frame at the same time, so that the CT is registered to that frame and the phantom may be moved.

@@ -36,9 +36,9 @@ import sim
 import studies
 from conformance import robot, stereo, tracker
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi import options as kuka_rsi
 from drivers.ndi_polaris.options import PolarisOptions
-from drivers.universal_robots.options import UrOptions
+from drivers.universal_robots import options as universal_robots
 from procedures.engine.machine import state_chart_mermaid
 from procedures.exchange import allowed_fields
 from procedures.journal.results import StepResult
@@ -46,7 +46,7 @@ from procedures.operator.question import FOR_A_PERSON, Topic, join_answers
 from procedures.planning.plan_model import Plan
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
-from ronna_hw.config import TheatreFile
+from ronna_hw.config import Role, TheatreFile
 from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
@@ -56,7 +56,7 @@ from sim.world.faults.universal_robots import UR_FAULTS
 from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
-CASE_STEPS = clinical_steps(measure_targets=True)
+CASE_STEPS = clinical_steps(measure_targets=True, dual=True)
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
 _RAISED = re.compile(r"(?<!class )\b([A-Z]\w*)(?:\.from_\w+)?\(")
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
@@ -90,18 +90,28 @@ def tables() -> dict[str, str]:
         "polaris-checklist.md": checklist(tracker.SUITE, "ndi-polaris"),
         "records.md": model_tables({model.kind: model for model in list_step_results()}),
         "robot-checklist.md": checklist(robot.SUITE, "kuka-rsi-eki"),
-        "robot-options.md": model_tables({"Options": KukaOptions}),
+        "robot-options.md": _tabulate_roles(kuka_rsi.ROLES) + model_tables({"Options": kuka_rsi.KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
         "scanner-faults.md": scanner_faults(),
         "state-chart.md": f"```mermaid\n{state_chart_mermaid(CASE_STEPS)}```\n\n{_tabulate_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
-        "ur-options.md": model_tables({"Options": UrOptions}),
+        "ur-options.md": _tabulate_roles(universal_robots.ROLES)
+        + model_tables({"Options": universal_robots.UrOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
         "ur-simulator.md": _describe_ur_simulator(),
     }
+
+
+def _tabulate_roles(roles: Mapping[str, Role]) -> str:
+    """Tabulate the endpoints that a driver needs, all of them."""
+    rows = [(f"`{name}`", f"`{role.example}`", role.purpose) for name, role in roles.items()]
+    return (
+        "## Endpoints\n\nTable `[robot.<name>.endpoints]`; all are required.\n\n"
+        f"{table(('role', 'for example', 'what passes there'), rows)}\n"
+    )
 
 
 def with_table(page: str, content: str) -> str:

@@ -27,7 +27,6 @@ JOINT = struct.Struct(">3d4fB")
 MASTERBOARD = struct.Struct(">iibbddbbddffffB")  # until the safety mode
 KINEMATICS = struct.Struct(">6I24dI")
 MESSAGE = struct.Struct(">QbB")  # time, source, kind
-VERSION_NUMBERS = struct.Struct(">BBii")
 MOVING_RAD_S = 1e-3
 
 

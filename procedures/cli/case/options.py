@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from procedures.runs.console_link import ConsoleRequest
 
 DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
-SIMULATED = (*DRAWN, "scene", "first_day", "calibration", "speed", "faults")
+SIMULATED = (*DRAWN, "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
 
 ConfigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
@@ -220,6 +220,17 @@ class CaseOptions(TheatreOptions):
     speed: Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")] = (
         SpeedChoice.MAX
     )
+    dual: Annotated[
+        bool,
+        typer.Option(
+            "--dual",
+            help="With two calibrated arms, the master and an assistant, measured against each other. "
+            "--config must name [robot.assistant] and the records of both.",
+        ),
+    ] = False
+    assistant_arm: Annotated[
+        ArmChoice, typer.Option(help="With --sim --dual: the model of the assistant.")
+    ] = ArmChoice.KR6
     faults: Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")] = None
     keep_raw: Annotated[
         bool,
@@ -233,7 +244,11 @@ class CaseOptions(TheatreOptions):
     def choice(self) -> SceneChoice:
         """Scene choices for generating the simulated theatre and phantom."""
         return replace(
-            super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
+            super().choice,
+            markers=self.markers,
+            targets=self.targets,
+            fiducials=self.fiducials.value,
+            assistant_arm=self.assistant_arm.value,
         )
 
     def request(self) -> RunRequest:
@@ -243,6 +258,8 @@ class CaseOptions(TheatreOptions):
         self.check()
         if self.config is None and self.case is not None:
             raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
+        if not self.dual and self._list_changed_options(("assistant_arm",)):
+            raise UsageMistake("--assistant-arm requires --dual")
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
         procedure = CaseProcedure(
@@ -252,6 +269,7 @@ class CaseOptions(TheatreOptions):
             case=self.case,
             plan=self.plan,
             keep_raw=self.keep_raw,
+            dual=self.dual,
         )
         return RunRequest(
             procedure=procedure,

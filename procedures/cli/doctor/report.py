@@ -38,7 +38,7 @@ from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
-from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal
+from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
@@ -277,15 +277,23 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
     by_driver: dict[str, list[Endpoint]] = {}
     for endpoint in endpoints:
         endpoint.require(*schemes)
-        drivers = [name for name, probe in probes.items() if endpoint.scheme in probe.endpoint_schemes]
-        if len(drivers) > 1:
+        drivers = _drivers_checking(endpoint, probes)
+        if len(drivers) != 1:
             raise BadEndpoint(
-                f"{endpoint}: {' and '.join(drivers)} can check this kind of endpoint",
+                f"{endpoint}: {' and '.join(drivers) or 'no driver'} can check this kind of endpoint",
                 action="Name the driver in a theatre file, and use --config.",
             )
         by_driver.setdefault(drivers[0], []).append(endpoint)
     for driver, driver_endpoints in by_driver.items():
         yield f"endpoints of {driver}", partial(probes[driver].probe_endpoints, driver_endpoints)
+
+
+def _drivers_checking(endpoint: Endpoint, probes: Mapping[str, EndpointProbe]) -> list[str]:
+    """Return the drivers that can check an endpoint: those of a device with this fixed port, or others."""
+    fitting = {name: probe for name, probe in probes.items() if endpoint.scheme in probe.endpoint_schemes}
+    fixed = {name: probe for name, probe in fitting.items() if isinstance(probe, PortProbe)}
+    at_port = [name for name, probe in fixed.items() if endpoint.port in probe.endpoint_ports]
+    return at_port or [name for name in fitting if name not in fixed]
 
 
 def _check_frames_offline(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TypeVar
 
@@ -140,7 +140,7 @@ def search_all(
 ) -> tuple[DeviceTable, ...]:
     """Run every finder and choose where several devices are found for a table. CLI-001 if nobody chooses.
 
-    A table for which nothing is found has the example of its first finder.
+    A table for which nothing is found has the example of its first finder, and what all of them searched.
     """
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
@@ -160,8 +160,12 @@ def search_all(
             proposals = list(_select_pairs(proposals, cameras))
         connected = [one for one in proposals if not one.absent]
         chosen = _choose_proposal(table, connected, choose)
-        fallback = proposals[0] if proposals else group[0].example(search)
-        found.append(DeviceTable(table, chosen or fallback, chosen is not None))
+        if chosen is None:
+            missing = proposals or [finder.example(search) for finder in group]
+            absent = "; ".join(dict.fromkeys(one.absent for one in missing if one.absent))
+            found.append(DeviceTable(table, replace(missing[0], absent=absent), is_found=False))
+        else:
+            found.append(DeviceTable(table, chosen, is_found=True))
     return tuple(found)
 
 

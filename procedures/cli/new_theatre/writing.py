@@ -34,6 +34,7 @@ NO_RECORDS = (
     "No case and no calibration starts without these records. Enter each from the drawing of your "
     "mount, created and expiring on the date of the drawing, then measure: "
 )
+EMPTY_KEY = '"" = '
 TOOLS = "tools"  # option of a tracker: definitions of the tools to see
 # Only in a simulated theatre may records last longer than a year: judged when the devices are known.
 ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
@@ -118,9 +119,11 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _line(key: str, value: Any) -> str:
-    """Format `key = value` on one line of any length; an empty table is written inline."""
+    """Format `key = value` on one line of any length; lists and an empty table are written inline."""
     if value == {}:
         return f"{key} = {{}}"
+    if isinstance(value, list | tuple) and not _is_list_of_tables(value):
+        return f"{key} = [{', '.join(_line('', one).removeprefix(EMPTY_KEY) for one in value)}]"
     if isinstance(value, Enum):
         value = value.value
     return _toml({key: str(value) if isinstance(value, Path) else value}).strip()

@@ -19,6 +19,7 @@ from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
+from procedures.steps.clinical.base_to_base import require_platforms_unmoved
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -92,6 +93,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         workcell.start()
         workcell.return_home()
     require_unmoved(context, f"before {trajectory}")
+    require_platforms_unmoved(context)
     _tell_pushes(context)
     workcell.start()
     with require_head_in_view(context):

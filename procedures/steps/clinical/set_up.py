@@ -16,7 +16,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.config import Calibrations, DeviceConfig, ProcedureSettings
+from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -71,6 +71,9 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
     cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
     settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
     home_rad: Numbers6 = Field(description="Measured joints of the arm at the start, where it also parks.")
+    assistant_home_rad: Numbers6 | None = Field(
+        default=None, description="The same for the assistant, in a case with two arms."
+    )
 
 
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
@@ -96,6 +99,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
     require_this_arm(calibrations.arm, identities["arm"].serial)
+    if workcell.second is not None:
+        require_this_arm(calibrations.assistant_arm, identities[ASSISTANT].serial)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
@@ -114,6 +119,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             cell=context.setting.surroundings,
             settings=context.setting.settings,
             home_rad=workcell.set_home(),
+            assistant_home_rad=None if workcell.second is None else workcell.second.set_home(),
         ),
         summary="; ".join(
             [", ".join(f"{role} {identity.model}" for role, identity in identities.items()), *notices]

@@ -175,11 +175,6 @@ class Course:
         """Number of postures."""
         return len(self.joints_rad)
 
-    def reach_mm(self, low: int, at: int, high: int) -> float:
-        """Return a bound on the motion of any point from posture `at` to any in a range."""
-        low_mm, here_mm, high_mm = (float(self.travel_mm[number]) for number in (low, at, high))
-        return max(high_mm - here_mm, here_mm - low_mm)
-
     def at(self, time_s: float) -> int:
         """Return the number of the posture at a time, at the end for a later one."""
         return min(max(round(time_s / self.cycle_s), 0), self.count - 1)

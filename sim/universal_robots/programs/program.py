@@ -25,7 +25,6 @@ class Program:
     name: str
     steps: Callable[[Robot, Program], Iterator[None]]
     watchdog: Watchdog | None = None
-    streams: bool = False  # its set-points come from one client, cycle by cycle
     awaits_client: bool = field(default=False, init=False)  # streams now: lock-step waits for each set-point
     links: list[Outgoing] = field(default_factory=list, init=False)  # closed when the program stops
     failure: str = field(default="", init=False)  # a runtime exception, and why

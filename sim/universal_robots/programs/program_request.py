@@ -32,7 +32,7 @@ def requested_program(name: str, host: str, port: int) -> Program:
             program.failure = f"{name}: no script from {host}:{port}"
             return
         script = recognise(text.decode("utf-8", "replace"), robot.cycle_s)
-        program.watchdog, program.streams = script.watchdog, script.streams
+        program.watchdog = script.watchdog
         yield from script.steps(robot, program)
 
     return Program(name, steps)

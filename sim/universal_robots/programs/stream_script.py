@@ -18,7 +18,6 @@ from ronna_hw.wire.universal_robots import (
     SEQUENCE_OUTPUT,
     SET_POINT_INPUTS,
     STATE_OUTPUT,
-    UNCHANGED_OUTPUT,
     ScriptOrder,
     ScriptSettings,
     ScriptState,
@@ -35,9 +34,7 @@ _SETTING = re.compile(
 )
 _SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_INPUT)
 _SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)
-_USED, _STATE, _RUN_ECHO, _UNCHANGED = map(
-    index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT, UNCHANGED_OUTPUT)
-)
+_USED, _STATE, _RUN_ECHO = map(index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT))
 NO_SET_POINT: Final = 0
 LOAD_CALLS: Final = ("set_payload(", "set_tcp(")  # carried out at the start
 _RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
@@ -81,7 +78,7 @@ def stream_program(name: str, text: str) -> Program:
         run_at_once(robot, load)
         yield from _stream(robot, program, settings)
 
-    return Program(name, steps, streams=True)
+    return Program(name, steps)
 
 
 def _stream(robot: Robot, program: Program, settings: ScriptSettings) -> Iterator[None]:
@@ -90,38 +87,36 @@ def _stream(robot: Robot, program: Program, settings: ScriptSettings) -> Iterato
     slows = robot.parameters.slider_slows_servoj
     cycles = max(1, round(settings.CYCLE_S / robot.cycle_s))  # that servoj blocks
     largest = settings.LARGEST_STEP_RAD
-    used, unchanged = NO_SET_POINT, 0
+    used, unchanged, state = NO_SET_POINT, 0, ScriptState.WAITING
     goal: list[float] = drives.target
-    values[_USED], values[_UNCHANGED], values[_STATE] = NO_SET_POINT, 0, ScriptState.WAITING.value
+    values[_USED], values[_STATE] = used, state.value
     while True:
         values[_RUN_ECHO] = values[_RUN]
         if values[_ORDER] == ScriptOrder.END:
             state = ScriptState.ENDED
             break
         sequence = values[_SEQUENCE]
-        if sequence == used:
-            if sequence == NO_SET_POINT:
-                yield
-                continue
-            unchanged += 1
-            if unchanged >= settings.STARVED_CYCLES:
-                state = ScriptState.STARVED
-                break
-        else:
+        if sequence != used:
             wanted = values[_SET_POINT]
             if max(map(_distance, wanted, goal)) > largest:
                 state = ScriptState.TOO_FAR
                 break
-            if used == NO_SET_POINT:
-                values[_STATE] = ScriptState.STREAMING.value
-                program.awaits_client = True
+            state = ScriptState.STREAMING
             used, unchanged, goal = sequence, 0, wanted
-        values[_USED], values[_UNCHANGED] = used, unchanged
+        elif state is ScriptState.WAITING:
+            yield
+            continue
+        else:
+            unchanged += 1
+            if unchanged >= settings.STARVED_CYCLES:
+                state = ScriptState.STARVED
+                break
+        values[_USED], values[_STATE], program.awaits_client = used, state.value, True
         for _ in range(cycles):
             drives.servo(goal, lag_s / max(robot.speed_fraction, 1e-3) if slows else lag_s)
             yield
     program.awaits_client = False
-    values[_STATE], values[_UNCHANGED] = state.value, unchanged
+    values[_STATE] = state.value
     yield from stopj(robot, settings.STOP_DECELERATION_RAD_S2)
 
 

@@ -94,3 +94,8 @@ DESIGNS = {
 def arm_named(variant: str) -> str:
     """Return the name under which an arm is chosen, or that of its model if none is."""
     return next((str(name) for name, design in DESIGNS.items() if design.variant == variant), variant)
+
+
+def head_place_mm(variant: str) -> Point:
+    """Return the middle of the places of the head's centre in front of an arm, in its base."""
+    return next((one.head_mm for one in DESIGNS.values() if one.variant == variant), KR6.head_mm)

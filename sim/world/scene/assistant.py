@@ -13,8 +13,9 @@ import numpy as np
 from ronna_hw.calibration import PoseRecord
 from sim.errors import BadScene
 from sim.world.noise import noise
-from sim.world.options import ArmRole
+from sim.world.options import ArmChoice, ArmRole
 from sim.world.rigid import as_point, matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.world.scene.arm_design import DESIGNS, head_place_mm
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import AssistantTruth, Scene, TrackerTool
 from sim.world.scene.parts import (
@@ -23,18 +24,26 @@ from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
 )
 
-CART_MM, CART_TURN_DEG = (620.0, -830.0, 0.0), 90.0  # it faces the patient
+# From the middle of the places of the head, on the floor; it faces the patient, who is as high for its own
+# base as for that of a master of its model.
+CART_FROM_HEAD_MM, CART_TURN_DEG = (-130.0, -700.0), 90.0
 PARKED_MM, PARKED_DEG, FLOOR_DEG = 25.0, 3.0, 0.3  # by hand, on a floor that is not quite level; one sigma
 # Behind the flange, on the side away from the holder; it faces back along the flange's axis.
 FRAME_MM = (70.0, 0.0, -80.0)
+FRAME_TURN = rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
 BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
-BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame and post against their drawing; one sigma
+# The post also carries the clamp, across: the instrument points along the flange's x axis.
+CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
+BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
 # The flange down, drawn back from the patient.
-HOME_DEG = (0.0, -110.0, 130.0, 0.0, 70.0, 0.0)
+KR6_HOME_DEG = (0.0, -120.0, 145.0, 0.0, 65.0, 0.0)
+UR_HOME_DEG = (-60.0, -75.0, -105.0, -90.0, 90.0, -90.0)
+HOMES_DEG = {ArmChoice.KR6: KR6_HOME_DEG, ArmChoice.UR5: UR_HOME_DEG, ArmChoice.UR5E: UR_HOME_DEG}
+CLAMP = "clamp of the assistant"  # noise key
 
 
-def add_assistant(scene: Scene) -> Scene:
-    """Return the scene with an assistant; raises SIM-001 without a patient."""
+def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
+    """Return the scene with an assistant of a model; raises SIM-001 without a patient."""
     if not scene.tracker.fiducials_visible:
         raise BadScene(f"{scene.name} has no patient for two arms")
     if scene.assistant is not None:
@@ -42,15 +51,22 @@ def add_assistant(scene: Scene) -> Scene:
     draws = noise(scene.seed, ArmRole.ASSISTANT.value, 1)
     on_floor = rotation_from_vector((*np.radians(draws.normal(0.0, FLOOR_DEG, 2)), 0.0))
     turned = rotation_from_vector((0.0, 0.0, radians(CART_TURN_DEG + draws.normal(0.0, PARKED_DEG))))
-    place_mm = np.array(CART_MM) + draws.normal(0.0, PARKED_MM, 3) * (1.0, 1.0, 0.2)
-    facing = rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
+    design = DESIGNS[arm]
+    x_mm, y_mm, z_mm = head_place_mm(scene.arm.variant)
+    beside_mm = (x_mm + CART_FROM_HEAD_MM[0], y_mm + CART_FROM_HEAD_MM[1], z_mm - design.head_mm[2])
+    place_mm = np.array(beside_mm) + draws.normal(0.0, PARKED_MM, 3) * (1.0, 1.0, 0.2)
     frame_turn = rotation_from_vector(np.radians(draws.normal(0.0, BUILT_DEG, 3)))
-    arm = draw_arm(draws).model_copy(update={"home_deg": HOME_DEG})
+    clamp = noise(scene.seed, CLAMP, 0).normal(0.0, BUILT_DEG, 3)
+    clamp_turn = rotation_from_vector((0.0, radians(CLAMP_TURN_DEG), 0.0)) @ rotation_from_vector(
+        np.radians(clamp)
+    )
+    true_arm = draw_arm(draws, design).model_copy(update={"home_deg": HOMES_DEG[arm]})
     assistant = AssistantTruth(
         robot_from_base=pose_of(matrix_from(place_mm, on_floor @ turned)),
-        arm=arm,
-        flange_from_frame=_built(FRAME_MM, facing @ frame_turn, draws),
+        arm=true_arm,
+        flange_from_frame=_built(FRAME_MM, FRAME_TURN @ frame_turn, draws),
         flange_from_ball_mm=as_point(np.array(BALL_MM) + draws.normal(0.0, BUILT_MM, 3)),
+        flange_from_clamp=_built(CLAMP_MM, clamp_turn, draws),
     )
     tools = tuple(one for one in scene.tracker.tools if one.part_number != ASSISTANT_FRAME_PART_NUMBER)
     tracker = scene.tracker.model_copy(update={"tools": (*tools, frame_on_assistant())})

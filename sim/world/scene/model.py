@@ -7,7 +7,7 @@ Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Leng
 from __future__ import annotations
 
 from itertools import combinations
-from math import dist
+from math import dist, sqrt
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -246,6 +246,9 @@ class Mount(Strict):
         return self
 
 
+SQUARE = sqrt(0.5)  # of a quaternion: a quarter turn
+
+
 class AssistantTruth(Strict):
     """The assistant: a second arm on a cart of its own, with a tracked frame and a ball on its holder."""
 
@@ -261,6 +264,11 @@ class AssistantTruth(Strict):
     )
     ball_radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
         default=SPHERE_RADIUS_MM, description="Radius of that ball."
+    )
+    flange_from_clamp: PoseRecord = Field(
+        default=PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=(SQUARE, 0.0, SQUARE, 0.0)),
+        description="Pose flange <- clamp of its holder, z along the instrument; the depth stop is at its "
+        "origin.",
     )
 
 

@@ -7,7 +7,8 @@ from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
 from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
 from ronna_hw.vectors import joint_vector
 from sim.universal_robots.factory_calibration import calibrate
-from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.model import MODELS
+from sim.world.options import UrArm
 from sim.world.scene.model import ArmTruth
 
 CALIBRATION = FactoryCalibration(
@@ -24,7 +25,7 @@ def stated_kinematics(
 ) -> CalibratedUniversalRobot:
     """Return what a driver computes of a simulated arm from the parameters that its controller sends."""
     arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(MODELS[ArmName(truth.variant)], truth, seed, kind)
+    stated = calibrate(MODELS[UrArm(truth.variant)], truth, seed, kind)
     a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
     theta_rad, alpha_rad = joint_vector(stated.theta_rad), joint_vector(stated.alpha_rad)
     return CalibratedUniversalRobot(

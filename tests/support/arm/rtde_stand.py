@@ -1,4 +1,4 @@
-"""Session of the RTDE process with a controller and our script around it, cycle by cycle, without I/O.
+"""Session of the RTDE process with a controller that runs our script, cycle by cycle, without I/O.
 
 Packages are encoded and decoded here by the vendor's guide, not by the driver.
 """
@@ -10,6 +10,10 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+from urscript import RunningScript
+
+from drivers.universal_robots.controller.script import render_script
+from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import OUTPUT
 from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
@@ -18,6 +22,7 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm_stream.records import Command, CommandKind, Orders, Result, StopOrder
 from ronna_hw.vectors import JointVector
+from ronna_hw.wire.universal_robots import RuntimeState, ScriptState
 
 MODEL = universal_robot("ur5e")
 CYCLE_S = 0.002
@@ -37,8 +42,8 @@ SETTINGS = LinkSettings(
 )
 OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
 IN = struct.Struct(">HBB i i i 6d")
-WAITING, STREAMING, ENDED, STARVED = 1, 2, 3, 4
-STARVED_CYCLES = 10
+SCRIPT = render_script(script_settings(UrOptions()))
+RUNS = (ScriptState.NONE, ScriptState.WAITING, ScriptState.STREAMING)  # states of a script that goes on
 
 
 class RtdeStand:
@@ -55,7 +60,8 @@ class RtdeStand:
         self.commands = 0
         self.scaling, self.fraction = 1.0, 1.0
         self.robot_mode, self.safety_mode, self.runtime_state = 7, 1, 1
-        self.script_state, self.script_run, self.used, self.unchanged = 0, 0, 0, 0
+        self.script: RunningScript | None = None
+        self.script_state, self.script_run, self.used = 0, 0, 0
         self.inputs: tuple[Any, ...] = (0, 0, 0, *START)
         self.goal: JointVector = START
         self.follows = True
@@ -80,7 +86,7 @@ class RtdeStand:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
 
     def start_script(self) -> None:
-        self.script_state, self.script_run, self.runtime_state = WAITING, self.inputs[2], 2
+        self.script, self.runtime_state = RunningScript(SCRIPT, self.goal), RuntimeState.PLAYING
 
     def package(self) -> bytes:
         return OUT.pack(
@@ -138,21 +144,16 @@ class RtdeStand:
         return max(abs(b - a) for p, q in pairwise(self.goals) for a, b in zip(p, q, strict=True))
 
     def _run_script(self) -> None:
-        if self.runtime_state != 2 or self.script_state not in (WAITING, STREAMING):
+        script = self.script
+        if script is None or self.runtime_state != RuntimeState.PLAYING or self.script_state not in RUNS:
             return
-        sequence, order, run, *wanted = self.inputs
-        self.script_run = run
-        if order == 1:
-            self.script_state = ENDED
+        script.integers, script.doubles = list(self.inputs[:3]), list(self.inputs[3:])
+        goes_on = script.cycle()
+        self.used, self.script_state, self.script_run = (script.outputs[number] for number in (24, 25, 26))
+        if not goes_on:
             return
-        if sequence != self.used:
-            self.used, self.unchanged, self.script_state = sequence, 0, STREAMING
-            a, b, c, d, e, f = wanted
-            self.goal = (a, b, c, d, e, f)
-        elif self.script_state == STREAMING:
-            self.unchanged += 1
-            if self.unchanged >= STARVED_CYCLES:
-                self.script_state = STARVED
+        a, b, c, d, e, f = script.goal
+        self.goal = (a, b, c, d, e, f)
         self.goals.append(self.goal)
         if self.follows:
             self.measured = self.goal

@@ -33,12 +33,12 @@ end
 """
 OUTPUTS = (
     "timestamp,target_q,target_qd,output_int_register_24,output_int_register_25,output_int_register_26,"
-    "output_int_register_27,robot_mode,safety_mode,runtime_state"
+    "robot_mode,safety_mode,runtime_state"
 )
 INPUTS = "input_int_register_24,input_int_register_25,input_int_register_26," + ",".join(
     f"input_double_register_{number}" for number in range(24, 30)
 )
-_OUTPUT = struct.Struct(">B13d6iI")
+_OUTPUT = struct.Struct(">B13d5iI")
 _INPUT = struct.Struct(">HBB3i6d")
 
 
@@ -51,7 +51,6 @@ class State(NamedTuple):
     used: int
     script: int
     run: int
-    unchanged: int
     robot_mode: int
     safety_mode: int
     runtime: int

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from conformance.device_under_test import DeviceUnderTest
-from conformance.errors import DeviceNotInFile, NoSimulator
+from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
 from conformance.protocol import ProtocolCases
 from conformance.target import Choice, device_under_test, resolve_target
 from ronna_hw.host.child_process import ChildNotReady
@@ -85,6 +85,14 @@ def test_named_endpoints_reach_the_driver_under_their_names() -> None:
     named = ("rsi=udp://127.0.0.1:1", "eki_project=tcp://127.0.0.1:2")
     with under_test("robot", Choice(endpoints=named)) as dut:
         assert dut.config.endpoints == {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"}
+
+
+def test_endpoints_with_other_names_are_refused_with_all_names_and_an_example() -> None:
+    given = ("rtde=tcp://127.0.0.1:1", "dashbord=tcp://127.0.0.1:2")
+    with pytest.raises(NoDeviceChosen) as caught:
+        resolve_target("robot", Choice(endpoints=given, driver="universal_robots"))
+    assert "did you mean 'dashboard'" in caught.value.what
+    assert caught.value.expected == "rtde, dashboard, primary"
 
 
 def test_an_equals_sign_in_an_address_does_not_make_a_name() -> None:

@@ -9,13 +9,13 @@ from sim.errors import BadScene
 from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
-from sim.universal_robots.model import HOME_RAD, MODELS, ArmName
-from sim.world.options import ArmChoice
+from sim.universal_robots.model import HOME_RAD, MODELS
+from sim.world.options import ArmChoice, UrArm
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState
 
-CYCLE_S = MODELS[ArmName.UR5E].cycle_s
+CYCLE_S = MODELS[UrArm.UR5E].cycle_s
 SCENE = draw_scene("bench", seed=4, arm=ArmChoice.UR5E)
 PARAMETERS = ControllerParameters()
 LAG_S = 0.03
@@ -88,4 +88,4 @@ def test_an_arm_of_a_continued_world_is_where_it_was() -> None:
 
 def test_another_arm_than_the_scenes_is_refused() -> None:
     with pytest.raises(BadScene, match="does not move the scene's arm ur5e"):
-        require_arm(SCENE.arm, MODELS[ArmName.UR5])
+        require_arm(SCENE.arm, MODELS[UrArm.UR5])

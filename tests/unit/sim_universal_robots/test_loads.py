@@ -11,9 +11,10 @@ from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.loads import BIAS_N, NOISE_N, resistance_n
-from sim.universal_robots.model import MODELS, ArmName
+from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.statements import run_at_once
 from sim.universal_robots.variables import PLACES
+from sim.world.options import UrArm
 
 EXACT = "force_error_scale=0.000001"
 SETTLED_CYCLES = 100
@@ -28,7 +29,7 @@ def torques_nm(controller: Controller) -> list[float]:
     return list(controller.robot.values[PLACES["target_moment"]])
 
 
-def make(*assignments: str, arm: ArmName = ArmName.UR5E) -> Controller:
+def make(*assignments: str, arm: UrArm = UrArm.UR5E) -> Controller:
     return Controller(MODELS[arm], parse_parameters(assignments), seed=3)
 
 
@@ -46,8 +47,8 @@ def test_an_axial_load_pushes_the_tool_back_along_its_axis() -> None:
     assert force_n(controller) == pytest.approx(expected, abs=0.01)
 
 
-@pytest.mark.parametrize("arm", ArmName)
-def test_the_estimate_of_a_free_tool_is_noisy_and_biased_as_its_generation(arm: ArmName) -> None:
+@pytest.mark.parametrize("arm", UrArm)
+def test_the_estimate_of_a_free_tool_is_noisy_and_biased_as_its_generation(arm: UrArm) -> None:
     controller = make(arm=arm)
     samples = []
     for _ in range(1000):
@@ -68,7 +69,7 @@ def test_a_mass_that_the_controller_was_not_told_appears_as_its_weight() -> None
 
 
 def test_gravity_turns_the_shoulder_of_a_stretched_arm_and_not_its_base() -> None:
-    controller = Controller(MODELS[ArmName.UR5E], parse_parameters(()), start_rad=(0.0,) * 6)
+    controller = Controller(MODELS[UrArm.UR5E], parse_parameters(()), start_rad=(0.0,) * 6)
     run(controller, 1)
     base, shoulder, *_ = torques_nm(controller)
     assert base == pytest.approx(0.0, abs=1e-9)

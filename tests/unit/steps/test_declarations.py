@@ -46,6 +46,7 @@ from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
@@ -57,7 +58,7 @@ from ronna_hw.records import read_record
 
 BASELINE = Baseline.model_construct(looks=())
 PROCEDURES: dict[str, Steps] = {
-    "case": clinical_steps(measure_targets=True),
+    "case": clinical_steps(measure_targets=True, dual=True),
     "calibration": head_calibration(60, 3, None),
     "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
     "check": head_check(BASELINE, 3),
@@ -157,6 +158,21 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
                 bore_mm=90.0, standoff_mm=25.0, depth_mm=50.0, computed_mm=165.0, read_mm=165.05
             ),
             pushed_mm=0.01,
+        ),
+        KnownBases(
+            robot_from_base=pose,
+            by_frames_mm=0.3,
+            error_mm=0.09,
+            apart_mm=0.1 + 0.2,
+            scatter_mm=0.08,
+            frame_looks=(20, 20),
+            ball_looks=30,
+            outliers=1,
+            flange_from_ball_mm=(0.1, 0.2, 160.0),
+            head_shift_mm=(0.1, 0.0, 1 / 3),
+            region_mm=(750.0, 0.0, 480.0),
+            master_seen_mm=((1.0, 2.0, 3.0),),
+            assistant_seen_mm=(0.0, 0.0, 1 / 3),
         ),
         Retreated(joints_rad=HOME_RAD, link=LINK),
         ConfirmedTarget(

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 
 import pytest
 from handmade_ur import HandmadeController
 
 from drivers.universal_robots import probe as ur_probe
+from drivers.universal_robots import services
 from drivers.universal_robots.probe import probe
+from drivers.universal_robots.services import SERVICES
+from procedures.cli.new_theatre.searching import DeviceTable
+from procedures.cli.new_theatre.writing import theatre_text
+from ronna_hw.config import parse_theatre
 from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface
+from ronna_hw.wire.universal_robots import DASHBOARD_PORT, PRIMARY_PORT, RTDE_PORT, SECONDARY_PORT
 
 HERE = Endpoint("tcp", "127.0.0.1", 54602)  # its port is another arm's
 LOOPBACK = Interface("lo", "127.0.0.1", 8, True)
@@ -63,6 +70,50 @@ def test_an_address_without_a_controller_says_so_and_on_a_network_it_is_passed_o
     (proposal,) = found(Search(controllers=(HERE,)))
     assert "no dashboard server" in proposal.absent
     assert found(Search(interfaces=(LOOPBACK,))) == []
+
+
+@pytest.mark.parametrize(
+    ("role", "port", "says"),
+    [
+        ("dashboard", DASHBOARD_PORT, "arm UR5, RUNNING"),
+        ("rtde", RTDE_PORT, "software 5.11.5.1010327"),
+        ("primary", PRIMARY_PORT, "it sends the arm's state"),
+        ("primary", SECONDARY_PORT, "it sends the arm's state"),
+    ],
+)
+def test_each_service_of_a_controller_is_recognized_at_its_port(
+    controller: HandmadeController, monkeypatch: pytest.MonkeyPatch, role: str, port: int, says: str
+) -> None:
+    endpoint = parse_endpoint(controller.endpoints[role])
+    monkeypatch.setitem(SERVICES, endpoint.port, SERVICES[port])
+    (diagnostic,) = probe.probe_endpoints([endpoint], lambda share: None)
+    assert diagnostic.well
+    assert diagnostic.seen.endswith(f"of a Universal Robots controller: {says}")
+    assert diagnostic.command == "ronna-procedure new-theatre --controller 127.0.0.1"
+
+
+@pytest.mark.parametrize("port", SERVICES)
+def test_another_server_at_a_port_of_a_controller_is_none(
+    controller: HandmadeController, monkeypatch: pytest.MonkeyPatch, port: int
+) -> None:
+    controller.banner = b"SSH-2.0-OpenSSH\r\n"
+    monkeypatch.setattr(services, "CONNECT_LIMIT_S", 0.2)
+    endpoint = parse_endpoint(controller.endpoints["dashboard"])
+    monkeypatch.setitem(SERVICES, endpoint.port, SERVICES[port])
+    (diagnostic,) = probe.probe_endpoints([endpoint], lambda share: None)
+    assert not diagnostic.well
+    assert diagnostic.advice
+
+
+def test_a_found_controller_is_written_to_a_theatre_file_that_can_be_read(
+    controller: HandmadeController,
+) -> None:
+    (proposal,) = found(Search(controllers=(HERE,)))
+    text = theatre_text("lab", [DeviceTable("robot", proposal, is_found=True)], "host:", {})
+    robot = parse_theatre(tomllib.loads(text)).robot["master"]
+    assert robot.endpoints == controller.endpoints
+    assert robot.options["model"] == "ur5e"
+    assert "# tool_inputs = [0, 1, 2, 3]\n" in text
 
 
 def test_the_example_is_complete_and_names_what_was_searched() -> None:

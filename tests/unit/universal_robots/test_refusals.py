@@ -14,7 +14,7 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import BadOptions, ControllerLost, NoAnswer
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.clock import HostClock
-from ronna_hw.config import DeviceConfig
+from ronna_hw.config import BadTheatreFile, DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
@@ -98,6 +98,26 @@ def test_another_arm_version_calibration_or_service_is_refused(
         else:
             setattr(controller, name, value)
     assert refused(controller, **options).code == code
+
+
+def test_the_model_is_told_apart_by_the_software_where_the_dashboard_calls_both_alike(
+    controller: HandmadeController,
+) -> None:
+    assert refused(controller, model="ur5").got == (
+        "ur5e: the dashboard calls both generations UR5, and software 5.11.5.1010327 is that of an e-Series "
+        "controller"
+    )
+
+
+def test_all_missing_endpoints_are_named_at_once_and_a_misspelt_one_is_recognized() -> None:
+    here = "tcp://127.0.0.1:1"
+    config = DeviceConfig(driver="universal_robots", endpoints={"rtde": here, "dashbord": here})
+    with pytest.raises(BadTheatreFile) as raised:
+        UniversalRobotsArm("robot.master", config, HostClock())
+    assert "dashbord is unknown (did you mean 'dashboard'?)" in raised.value.what
+    assert raised.value.expected == (
+        'dashboard = "tcp://192.168.56.101:29999", primary = "tcp://192.168.56.101:30001"'
+    )
 
 
 def test_an_address_where_nothing_answers_is_refused(controller: HandmadeController) -> None:

@@ -40,6 +40,16 @@ class LineProbe:
         return [Diagnostic(f"line {endpoint}", True, "answered") for endpoint in endpoints]
 
 
+class PortProbe(LineProbe):
+    """A probe of a device with fixed ports."""
+
+    endpoint_schemes = frozenset({"tcp"})
+    endpoint_ports = frozenset({29999})
+
+    def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+        return [Diagnostic(f"dashboard {endpoint}", True, "answered") for endpoint in endpoints]
+
+
 def failing(name: str, config: DeviceConfig, progress: Progress, inspect: Inspection) -> Sequence[Diagnostic]:
     raise ConnectError("no such bus", action="Plug it in.")
 
@@ -83,6 +93,16 @@ def test_a_probe_with_a_fault_of_its_own_is_a_problem_of_its_device_only(theatre
     assert (first.subject, first.well) == ("device tracker", False)
     assert "ValueError: not a bus number" in first.seen
     assert [each.subject for each in others] == ["line tcp://127.0.0.1:1", "device device.force"]
+
+
+def test_an_endpoint_with_the_fixed_port_of_a_device_is_checked_by_its_probe_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(doctor, "endpoint_probes", lambda: {"lines": LineProbe(), "arm": PortProbe()})
+    report = examine(None, ("tcp://127.0.0.1:29999", "tcp://127.0.0.1:1"))
+    assert [one.subject for one in report.devices] == [
+        "dashboard tcp://127.0.0.1:29999", "line tcp://127.0.0.1:1"
+    ]  # fmt: skip
 
 
 def test_a_clock_that_ended_with_its_theatre_is_a_problem_in_the_json_output_too(tmp_path: Path) -> None:

@@ -1,0 +1,249 @@
+"""The assistant: the second arm, which holds a ball for the stereo head, and the instrument for the guide.
+
+Its poses and joints are in its own base, as those of any arm; `base` leads from there to the robot frame. It
+moves only with the master, see `ArmPair`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from procedures.journal.errors import StepRefused
+from procedures.journal.journal import Entry
+from procedures.operator.question import Topic
+from procedures.strategies.strategy import ONE_SIDE, approach_joints
+from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, Insertion, MotionKind
+from procedures.workcell.device_views import ArmView
+from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
+from procedures.workcell.motions import PlannedMotion
+from procedures.workcell.supervised_motion import SupervisedMotion
+from procedures.workcell.tools import CarriedTool, Sides, calibrated_arm
+from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
+from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibration import HolderCalibration
+from ronna_hw.config import Calibrations
+from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
+from ronna_hw.devices.errors import NotInTheatre
+from ronna_hw.devices.readings import ArmReading
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector, Vector3
+
+POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
+POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
+AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
+INSERTION_MM_S = 5.0  # fastest motion with the instrument in or at the guide
+
+
+class Assistant:
+    """The assistant of a workcell."""
+
+    def __init__(
+        self,
+        arm: Callable[[], RobotArm],
+        log: ArmLog,
+        calibrations: Calibrations,
+        drive: Callable[[Motion, PlannedMotion], ArmReading],
+        release: Callable[[str], bool],
+        instrument_inside: Callable[[], str | None],
+    ) -> None:
+        """Supervise `arm`, which `drive` moves; the others as in `SupervisedMotion` and `ArmPair`.
+
+        Raises DEV-007 without records of the arm and its holder.
+        """
+        record, holder = calibrations.assistant_arm, calibrations.assistant_holder
+        if record is None or holder is None or calibrations.arm is None:
+            raise NotInTheatre(
+                "two arms need the records of both, and of the assistant's holder",
+                expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
+                action="Add them to the theatre file, or omit --dual.",
+            )
+        self._arm, self._log, self._record = arm, log, record
+        self.holder: HolderCalibration = holder
+        self.base: Transform | None = None  # ROBOT <- base of the assistant, once it is known
+        self._computed = calibrated_arm(arm().kinematics, record)
+        self._instrument_inside = instrument_inside
+        self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
+        self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
+        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release)
+
+    @property
+    def arm(self) -> ArmView:
+        """Arm without the methods that move it."""
+        return ArmView(self._arm())
+
+    @property
+    def calibrated(self) -> CalibratedArm:
+        """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
+        if self._arm().kinematics is not self._computed.nominal:
+            self._computed = calibrated_arm(self._arm().kinematics, self._record)
+        return self._computed
+
+    @property
+    def place(self) -> ArmPlace:
+        """Journalled position of the arm."""
+        return self._log.history.place
+
+    @property
+    def history(self) -> ArmHistory:
+        """History of the arm, from the journal."""
+        return self._log.history
+
+    @property
+    def home_rad(self) -> JointVector:
+        """Joint angles at set-up, rad. Raises PRO-001 before set-up."""
+        if self._log.home_rad is None:
+            raise StepRefused("the assistant has no home position yet", action="Run set_up first.")
+        return self._log.home_rad
+
+    def set_home(self) -> JointVector:
+        """Make the present position home."""
+        home_rad = self._log.home_rad = self.joints_rad()
+        self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
+        return home_rad
+
+    def restore_home(self, home_rad: JointVector) -> None:
+        """Restore the home of a resumed run. Nothing moves."""
+        self._log.home_rad = home_rad
+
+    def joints_rad(self) -> JointVector:
+        """Measure the joint angles, rad."""
+        return self._arm().read_state().joints_rad
+
+    def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Return the flange in the assistant's base, by the arm's calibration."""
+        return self.calibrated.flange_pose(joints_rad, arrived)
+
+    def flange_joints(self, flange: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
+        """Return the joints for a flange pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        return self.calibrated.compensate(flange, near, arriving).joints_rad
+
+    def surroundings(self, around: Surroundings) -> Surroundings:
+        """Return surroundings given in the robot frame for the assistant, with the tool that it carries."""
+        assert self.base is not None
+        to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
+        return replace(around.moved(to_base), tool=self._tool())
+
+    @property
+    def flange_from_clamp(self) -> Transform:
+        """Pose FLANGE <- clamp by the record, shifted as the ball was found beside its own."""
+        drawn = self.holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL)
+        return drawn.displace(self.shift_mm)
+
+    def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Return the clamp in the robot frame."""
+        assert self.base is not None
+        return self.base @ self.flange_pose(joints_rad, arrived) @ self.flange_from_clamp
+
+    def clamp_joints(self, clamp: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
+        """Return the joints for a clamp in the robot frame. Raises ARM-001 to ARM-003."""
+        assert self.base is not None
+        flange = self.base.inverse() @ clamp @ self.flange_from_clamp.inverse()
+        return self.flange_joints(flange, near, arriving)
+
+    def axis_in_base(self, axis: Insertion) -> Insertion:
+        """Return an axis given in the robot frame in that of the assistant's base."""
+        assert self.base is not None
+        return replace(axis, held=self.base.inverse() @ axis.held)
+
+    def is_clear(self, motions: Sequence[PlannedMotion], start_rad: JointVector) -> bool:
+        """Return whether motions one after the other are possible and clear; nothing moves."""
+        at_rad = start_rad
+        for motion in motions:
+            for leg in motion.legs:
+                try:
+                    preview = self._arm().preview(leg, start_rad=at_rad)
+                except LimitError:
+                    return False
+                if preview.refused is not None:
+                    return False
+                if isinstance(leg, JointMove):
+                    at_rad = leg.target_rad
+        return True
+
+    def hold_instrument(self, tip_mm: float) -> None:
+        """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
+        self._tip_mm = tip_mm
+
+    def _tool(self) -> tuple[Part, ...]:
+        clamp = self.flange_from_clamp
+        middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, self._tip_mm))
+        post = Capsule((0.0, 0.0, 0.0), self.holder.flange_from_ball_mm, POST_MM)
+        parts = [Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM))]
+        if self._tip_mm:
+            parts.append(Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
+        return tuple(parts)
+
+    # Motion
+
+    def settle(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> ArmReading:
+        """Move to joint angles, each joint arriving from its given side."""
+        return self.supervised.carry_out(self.settle_motion(joints_rad, arriving))
+
+    def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
+        """Return the motion that `settle` would make."""
+        before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
+        return PlannedMotion(MotionKind.SETTLE, "the holder", joints_rad, (before, JointMove(joints_rad)))
+
+    def go_home(self) -> ArmReading:
+        """Move home, each joint arriving from the same side."""
+        home_rad = self.home_rad
+        legs = (JointMove(approach_joints(home_rad, ONE_SIDE)), JointMove(home_rad))
+        return self.supervised.carry_out(PlannedMotion(MotionKind.HOME, "the holder", home_rad, legs))
+
+    def insert_motion(self, axis: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
+        """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
+        return self._along(MotionKind.INSERT, axis.held, axis, near_rad)
+
+    def insert(self, axis: Insertion) -> ArmReading:
+        """Lead the instrument straight along the axis to the held pose of the clamp."""
+        return self.supervised.carry_out(self.insert_motion(axis))
+
+    def withdraw_motion(self) -> PlannedMotion:
+        """Return the motion that `withdraw` would make. Raises PRO-014 on no axis."""
+        axis = self.place.axis
+        if axis is None:
+            raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
+        return self._along(MotionKind.WITHDRAW, axis.start, axis)
+
+    def withdraw(self) -> ArmReading:
+        """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
+        return self.supervised.carry_out(self.withdraw_motion())
+
+    def retreat(self) -> None:
+        """Withdraw the instrument once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
+        motion = self.withdraw_motion()
+        subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
+        self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
+        self.withdraw()
+
+    def _along(
+        self, what: MotionKind, clamp: Transform, axis: Insertion, near_rad: JointVector | None = None
+    ) -> PlannedMotion:
+        # The one place for a guard of the axial force: the motion that leads the instrument in the guide.
+        flange_from_clamp = self.flange_from_clamp
+        carried = CarriedTool(self.calibrated, flange_from_clamp)
+        commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
+        share = min(1.0, INSERTION_MM_S / self._arm().limits().line_speed_mm_s)
+        line = LineMove(commanded, flange_from_clamp, share)
+        return PlannedMotion(what, "the instrument", _vector(clamp.translation_mm), (line,), axis=axis)
+
+    def _require_allowed(self, motion: PlannedMotion) -> None:
+        """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""
+        on, axis = self.place.axis, motion.axis
+        if axis is not None and (on is None or axis.trajectory == on.trajectory):
+            return
+        if on is not None:
+            raise GuideHeldAtEntry(
+                f"{motion.what}: the assistant holds an instrument at the guide",
+                expected=f"a retreat along {on.trajectory}",
+            )
+        if (inside := self._instrument_inside()) is not None:
+            raise InstrumentInGuide(f"{motion.what}: an instrument is in the guide, and in {inside}")
+
+
+def _vector(values: object) -> Vector3:
+    x, y, z = (float(value) for value in values)  # type: ignore[attr-defined]
+    return (x, y, z)
