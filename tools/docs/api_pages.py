@@ -20,6 +20,7 @@ import procedures.relocalization
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
+from drivers.universal_robots import UniversalRobotsArm
 from procedures.exchange import raw_readings, recorded_tables, run_tables
 from procedures.strategies import strategy, trajectory
 from ronna_hw import frames, loaded_run, theatre
@@ -114,6 +115,7 @@ def devices() -> str:
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),
             _driver_part(KukaRsiArm, RobotArm),
+            _driver_part(UniversalRobotsArm, RobotArm),
             _driver_part(BaslerStereoPair, StereoPair),
         ]
     )
