@@ -185,6 +185,7 @@ class UniversalRobotsArm(HandGuidedArm):
         return self.connections.set_load(load, timeout_s)
 
     def read_tool_load(self, timeout_s: float = 2.0) -> ToolLoad:
+        """Read the load that the controller presently assumes."""
         self._watch.raise_new()
         self._guard.require("read_tool_load", READABLE)
         return self.connections.read_load(timeout_s)

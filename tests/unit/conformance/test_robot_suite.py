@@ -164,6 +164,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "any speed": ("R09", {"drive": other_motion(at_any_speed)}),
     "jumps at the second start": ("R10", {"deactivate": jumps_at_the_second}),
+    "inserts anything": ("R29", {"insert": nothing, "senses_force": False}),
     "misses its target": ("R11", {"drive": other_motion(not_quite)}),
     "misses the end of a line": ("R12", {"drive": other_motion(twice_as_far)}),
     "moves anywhere": ("R13", {"drive": anywhere}),

@@ -79,7 +79,7 @@ def test_only_the_client_that_does_not_read_is_disconnected(cell: UrCell) -> Non
 
 
 def line_of(kind: FaultKind) -> str:
-    values = {"INT": "2", "NUMBER": "5"}
+    values = {"INT": "2", "NUMBER": "5", "SIGNED": "+5"}
     return " ".join(["ur", *(values.get(word, word) for word in kind.phrase.split())])
 
 
