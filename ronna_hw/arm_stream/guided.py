@@ -89,12 +89,12 @@ class GuidedMotion:
 
     @property
     def is_finished(self) -> bool:
-        """Whether it was stopped, and is at rest."""
+        """Return whether the arm was stopped and is at rest."""
         return self._stopping and self._is_still
 
     @property
     def is_over(self) -> bool:
-        """Whether it must be stopped: its time is over, or a joint is at its limit."""
+        """Return whether the time is over or a joint is at its limit."""
         return self.is_at_limit or self._cycles >= self._guide.cycles
 
     @property

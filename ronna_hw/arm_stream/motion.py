@@ -126,7 +126,7 @@ class MotionFollower:
                 return state, GuidanceEnd.RELEASED
             is_over = state.cycles - begin >= guide.cycles
             return state, GuidanceEnd.TIMED_OUT if is_over else GuidanceEnd.AT_LIMIT
-        except BaseException:
+        except BaseException:  # including interruptions: the arm does not go on without its caller
             link.stop(StopOrder.HOLD)
             raise
         finally:

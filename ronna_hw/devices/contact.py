@@ -1,4 +1,4 @@
-"""What an arm may do in contact: insert an instrument, carry a load, follow a hand.
+"""Motions in contact: insert an instrument, carry a load, follow a hand.
 
 Small protocols: an arm without a force estimate inserts without a force limit, and follows no hand.
 """
@@ -106,7 +106,7 @@ class FollowsHand(Protocol):
 
 @dataclass(frozen=True)
 class ToolLoad:
-    """What the controller must know of the tool: its mass, and points in the flange frame."""
+    """Mass of the tool, its centre of gravity and tip in the flange frame, as the controller needs them."""
 
     mass_kg: float
     centre_mm: Vector3 = (0.0, 0.0, 0.0)  # centre of gravity

@@ -40,7 +40,7 @@ START_LIMIT_S, SILENCE_LIMIT_S, HEARTBEAT_LIMIT_S = 60.0, 30.0, 30.0
 
 
 class PositionedArm(Protocol):
-    """What the experiment needs of an arm: `RobotArm` offers it."""
+    """Part of `RobotArm` that the experiment uses."""
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0

@@ -81,7 +81,7 @@ FLANGE_ONWARDS = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 
 
 
 class KnownBases(StepResult, kind="base_to_base"):
-    """Where the assistant stands, and how well that is known."""
+    """Pose of the assistant's base relative to the master's, with its uncertainty."""
 
     robot_from_base: FramedPose = Field(description="Pose robot <- base of the assistant.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")

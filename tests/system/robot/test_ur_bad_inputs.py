@@ -1,4 +1,4 @@
-"""What is wrong with a Universal Robots arm, as the doctor says it: code or condition, reason and action."""
+"""Faults of a Universal Robots arm in the doctor's words: code or condition, reason and action."""
 
 from __future__ import annotations
 
