@@ -65,9 +65,10 @@ class BaseToBase:
 
 
 class BasesByFrames(NamedTuple):
-    """Bases by the tracker, and the pose flange <- frame of the assistant (4, 4) that belongs to them."""
+    """Bases by the tracker, with poses (4, 4) of the tracker and of the assistant's frame on its flange."""
 
     bases: BaseToBase
+    robot_from_tracker: Array
     flange_from_frame: Array
 
 
@@ -96,7 +97,7 @@ def bases_by_frames(
     both[:6, :6], both[6:, 6:] = first.covariance[6:, 6:], second.covariance[6:, 6:]
     covariance = slope @ both @ slope.T
     covariance[3:, 3:] += np.eye(3) * (bias_mm**2 + sum(error**2 for error in arms_error_mm) / 3.0)
-    return BasesByFrames(BaseToBase(bases, covariance), second.flange_from_marker)
+    return BasesByFrames(BaseToBase(bases, covariance), z_master, second.flange_from_marker)
 
 
 @dataclass(frozen=True)

@@ -159,17 +159,19 @@ class _Search:
         return near_misses
 
     def _leaves_head_in_view(self, check: PathCheck) -> bool:
-        """Return whether the tracker, if one counts, sees enough spheres past the guide at its targets."""
+        """Return whether a tracker, if one counts, sees enough of the head past the guide at all targets."""
         setting = self.setting
-        if setting.tracker is None or setting.scene is None:
+        if not setting.sights or setting.scene is None:
             return True
-        for one in check.reached:
-            if one.visit.name.kind is PoseKind.TARGET:
-                around = setting.scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
-                seen = setting.tracker.seen(setting.kinematics, around, one.at_rad)
-                if int(seen.sum()) < LEAST_POINTS:
-                    return False
-        return True
+        around = setting.scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
+        return all(
+            any(
+                int(sight.seen(setting.kinematics, around, one.at_rad).sum()) >= LEAST_POINTS
+                for sight in setting.sights
+            )
+            for one in check.reached
+            if one.visit.name.kind is PoseKind.TARGET
+        )
 
     def find_visible_turns(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
         """Find the turns at which every sphere is visible, by axis and in the strategy's order.

@@ -26,7 +26,7 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
-    from procedures.planning.line_of_sight import TrackerSight
+    from procedures.planning.tracker_sight import TrackerSight
 
 APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
 
@@ -125,8 +125,8 @@ class ArmSetting:
     head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
     states for its operating mode. With a `scene`, every motion must
     also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
-    the guide is checked after mounting; None leaves that out. With a `tracker`, targets at which it sees the
-    head past the guide are preferred.
+    the guide is checked after mounting; None leaves that out. With `sights` of a tracker on
+    the head, targets that leave one of them open past the guide are preferred.
     """
 
     kinematics: Kinematics
@@ -140,7 +140,7 @@ class ArmSetting:
     scene: PlanningScene | None = None
     sizes: ErrorSizes = UNCALIBRATED
     gauge_rad: JointVector | None = None
-    tracker: TrackerSight | None = None
+    sights: Sequence[TrackerSight] = ()
 
     def __post_init__(self) -> None:
         """Raise FRM-001 if a transform has the wrong frames."""

@@ -206,22 +206,24 @@ def _require_coaxial(
 
 def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownBases) -> None:
     """Raise PRO-007 if the tracker sees the frames of both arms elsewhere than the joints have them."""
-    workcell = context.workcell
-    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
+    workcell, room = context.workcell, room_watch(context)
+    read, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
+    frames = [room.as_localized(one) for one in read]
     names = workcell.calibrations.tracker_frame.tool, second.holder.frame
     master, assistant = (mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names)
     if master is None or assistant is None:
         hidden = names[0] if master is None else names[1]
-        context.find(
-            f"over {context.trajectory} the tracker does not see {hidden}: only the joints were compared"
-        )
+        context.find(f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count")
         return
     assert second.base is not None
     flange = second.base @ second.flange_pose(second.joints_rad())
-    by_joints = robot_from_marker(workcell, workcell.joints_rad()).inverse() @ flange
-    apart = (master.inverse() @ assistant).inverse() @ by_joints @ known.flange_from_frame.transform
-    apart_mm = float(np.linalg.norm(apart.translation_mm))
-    turned_rad = float(apart.rigid.rotation.magnitude())
+    by_joints = (flange @ known.flange_from_frame.transform).rigid
+    turn = known.robot_from_tracker.transform.rigid.rotation
+    # From the master's frame: the tracker's smooth error is much the same for both.
+    seen_mm = turn.apply(assistant.translation_mm - master.translation_mm)
+    held_mm = by_joints.translation - robot_from_marker(workcell, workcell.joints_rad()).translation_mm
+    apart_mm = float(np.linalg.norm(seen_mm - held_mm))
+    turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
     if apart_mm > SEEN_APART_MM or turned_rad > SEEN_APART_RAD:
         raise GateFailed(
             f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",

@@ -36,7 +36,7 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
 from procedures.planning.guide import depth_stop_mm
-from procedures.planning.line_of_sight import explain_hidden_frame
+from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -87,6 +87,7 @@ class KnownBases(StepResult, kind="base_to_base"):
     """Pose of the assistant's base relative to the master's, with its uncertainty."""
 
     robot_from_base: FramedPose = Field(description="Pose robot <- base of the assistant.")
+    robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker, by the master's turned frame.")
     flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
     error_mm: float = Field(description="The same after the looks at the ball.")
@@ -141,6 +142,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     return Outcome(
         KnownBases(
             robot_from_base=FramedPose.of(_robot_from_base(fit.bases)),
+            robot_from_tracker=FramedPose.of(_of_tracker(by_frames.robot_from_tracker)),
             flange_from_frame=FramedPose.of(_on_flange(by_frames.flange_from_frame)),
             by_frames_mm=by_frames_mm,
             error_mm=error_mm,
@@ -494,6 +496,10 @@ def _between_bases(matrix: Array) -> Transform:
 
 def _on_flange(matrix: Array) -> Transform:
     return Transform(Frame.FLANGE, Frame.MARKER, RigidTransform.from_matrix(matrix))
+
+
+def _of_tracker(matrix: Array) -> Transform:
+    return Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.from_matrix(matrix))
 
 
 def _inverse(matrix: Array) -> Array:

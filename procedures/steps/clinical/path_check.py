@@ -26,7 +26,7 @@ from procedures.planning.free_angle import (
     find_unreached,
 )
 from procedures.planning.guide import place_guides
-from procedures.planning.line_of_sight import StereoSight, TrackerSight
+from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, preview_motions
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.target_error import choose_best_strategies
@@ -34,8 +34,8 @@ from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, strategy_answer
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.room import ROOM_READS, room_watch
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -216,7 +216,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
-        tracker=None if workcell.second is None else _tracker_sight(context),
+        sights=() if workcell.second is None else room_watch(context).sights,  # to watch its insertion
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(
@@ -252,12 +252,6 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         + "".join(f"; {name} by {strategy}" for name, strategy in (chosen | replaced).items())
         + "".join(f"; without {name}" for name in search.left_out),
     )
-
-
-def _tracker_sight(context: StepContext) -> TrackerSight:
-    """Return the tracker's sight on the matched spheres: it watches the head while the assistant inserts."""
-    room, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
-    return TrackerSight(room.robot_from_tracker.transform, room.points_mm[[seen for _, seen in pairs]])
 
 
 def _describe_closest(motions: Sequence[PreviewedMotion]) -> str:
@@ -391,6 +385,6 @@ STEP = StepSpec(
     "Check every path",
     Phase.PREPARATION,
     run,
-    reads=(GlobalLocalization, Correspondence, CheckedSetUp, *READS),
+    reads=(*ROOM_READS, CheckedSetUp, *READS),
     preconditions=needs_guide_unmounted,
 )
