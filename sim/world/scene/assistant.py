@@ -28,9 +28,8 @@ from sim.world.scene.parts import (
 # base as for that of a master of its model.
 CART_FROM_HEAD_MM, CART_TURN_DEG = (-130.0, -700.0), 90.0
 PARKED_MM, PARKED_DEG, FLOOR_DEG = 25.0, 3.0, 0.3  # by hand, on a floor that is not quite level; one sigma
-# Behind the flange, on the side away from the holder, on a stalk that keeps it in view past the wrist; it
-# faces back along the flange's axis.
-FRAME_MM = (70.0, 0.0, -125.0)
+# Behind the flange, on the side away from the holder; it faces back along the flange's axis.
+FRAME_MM = (70.0, 0.0, -80.0)
 FRAME_TURN = rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
 BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
 # The post also carries the clamp, across: the instrument points along the flange's x axis.

@@ -144,4 +144,4 @@ ASSISTANT_FRAME_NAME = "assistant_frame"
 ASSISTANT_FRAME_PART_NUMBER = "RONNA-A"
 # The six distances differ by 5 mm from each other and by 2 mm from those of other frames. No three markers
 # are near a line: any three that are seen show the orientation.
-ASSISTANT_FRAME_MARKERS_MM = ((-66.0, 65.0, 0.0), (-5.0, -58.0, 0.0), (19.0, 42.0, 0.0), (52.0, -49.0, 0.0))
+ASSISTANT_FRAME_MARKERS_MM = ((-39.0, -84.0, 0.0), (56.0, 15.0, 0.0), (-46.0, 3.0, 0.0), (28.0, 66.0, 0.0))

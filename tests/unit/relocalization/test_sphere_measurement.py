@@ -229,7 +229,7 @@ def test_clutter_without_a_sphere_is_refused_and_a_sphere_in_clutter_is_found(re
 
 
 def test_a_sphere_is_measured_in_half_the_time_of_a_filter_over_its_frame(renderer, look):
-    """The budget in milliseconds is the benchmark's; twice the usual share of 0.27 means that something broke."""
+    """The budget in ms is the benchmark's; twice the usual share of 0.27 means that something broke."""
     picture = renderer.sphere(NOMINAL, look(post=True, stains=3))
     measuring, filtering = (
         cpu_median_s(partial(call, *arguments), 9)
