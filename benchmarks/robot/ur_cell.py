@@ -12,14 +12,33 @@ from typing import Self
 
 from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
 from drivers.universal_robots import UniversalRobotsArm
-from drivers.universal_robots.realtime.packages import INPUT, OUTPUT
+from drivers.universal_robots.realtime.packages import (
+    ACTUAL,
+    ECHO,
+    INPUT,
+    INPUT_FIELDS,
+    OUTPUT,
+    RECIPE_ID,
+    ROBOT_MODE,
+    RUN,
+    RUNTIME_STATE,
+    SAFETY_MODE,
+    SCRIPT_STATE,
+    SPEED_FRACTION,
+    SPEED_SCALING,
+    TARGET,
+    TIMESTAMP,
+)
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 from ronna_hw.wire.universal_robots import (
     RTDE_PORT,
+    RUN_INPUT,
+    SEQUENCE_INPUT,
+    SET_POINT_INPUTS,
     PackageType,
     RobotMode,
     RuntimeState,
@@ -36,10 +55,14 @@ REPLY_LIMIT_S = 0.2
 CYCLE_S = 0.002
 FIRST_RECIPE = 1
 FULL_SPEED = 1.0
+BEGIN_S = 100.0  # time stamp of the first package
 LONGEST = 65536
 SCENE_SEED = 3
 SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
 TYPE_PLACE = 2  # in a package
+_FIRST_INPUT = RECIPE_ID + 1  # in an unpacked set-point
+_SEQUENCE, _RUN = (_FIRST_INPUT + INPUT_FIELDS.index(name) for name in (SEQUENCE_INPUT, RUN_INPUT))
+_SET_POINT = tuple(_FIRST_INPUT + INPUT_FIELDS.index(name) for name in SET_POINT_INPUTS)
 
 
 def own_address(number: int) -> str:
@@ -48,16 +71,32 @@ def own_address(number: int) -> str:
     return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
 
 
+def resting_values() -> list[float]:
+    """Return the values of an output package of an arm at rest whose script awaits the first set-point.
+
+    What the driver asks for beyond that is zero.
+    """
+    values: list[float] = list(OUTPUT.unpack(bytes(OUTPUT.size)))
+    values[:TIMESTAMP] = OUTPUT.size, PackageType.DATA, FIRST_RECIPE
+    values[TIMESTAMP] = BEGIN_S
+    values[TARGET] = values[ACTUAL] = HOME_RAD
+    values[SPEED_SCALING] = values[SPEED_FRACTION] = FULL_SPEED
+    values[ROBOT_MODE], values[SAFETY_MODE] = RobotMode.RUNNING, SafetyMode.NORMAL
+    values[RUNTIME_STATE], values[SCRIPT_STATE] = RuntimeState.PLAYING, ScriptState.WAITING
+    return values
+
+
 class ControllerStandIn:
     """Listens for one client, which gets the packages of a controller and of our script at a given pace."""
 
-    def __init__(self) -> None:
+    def __init__(self, reply_limit_s: float = REPLY_LIMIT_S) -> None:
+        """Listen; a reply that takes longer than `reply_limit_s` is lost."""
+        self._reply_limit_s = reply_limit_s
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         self._link: socket.socket | None = None
-        self._timestamp_s = 100.0
         self._goal = HOME_RAD
-        self._used = self._run = 0
+        self._values = resting_values()
         self.turnarounds_s: list[float] = []
         self.unanswered = 0
         self.moved_rad = 0.0  # travel of the base so far: shows that a moving client really moves
@@ -69,7 +108,7 @@ class ControllerStandIn:
         due_s = time.perf_counter()
         for _ in range(count):
             due_s = max(due_s + pace_s, time.perf_counter())
-            package = self._next_package()
+            package = self.next_package()
             pause_s = due_s - time.perf_counter()
             if pause_s > 0.0:
                 time.sleep(pause_s)
@@ -81,15 +120,15 @@ class ControllerStandIn:
                 self.unanswered += 1
                 continue
             found.append(time.perf_counter() - began_s)
-            self._follow(reply)
+            self.follow(reply)
         self.turnarounds_s += found
         return found
 
     def exchange(self) -> None:
-        """Send a package and wait for the reply."""
+        """Send a package, wait for the reply and take it."""
         link = self._connected()
-        link.send(self._next_package())
-        link.recv(LONGEST)
+        link.send(self.next_package())
+        self.follow(link.recv(LONGEST))
 
     def share(self, share: float) -> float:
         """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
@@ -110,30 +149,30 @@ class ControllerStandIn:
         if self._link is None:
             self._link, _ = self._server.accept()
             self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._link.settimeout(REPLY_LIMIT_S)
+            self._link.settimeout(self._reply_limit_s)
             self._link.setblocking(False)
             with contextlib.suppress(BlockingIOError):  # its request to start, which an echo does not send
                 self._link.recv(LONGEST)
-            self._link.settimeout(REPLY_LIMIT_S)
+            self._link.settimeout(self._reply_limit_s)
         return self._link
 
-    def _next_package(self) -> bytes:
-        self._timestamp_s += CYCLE_S
-        state = ScriptState.STREAMING if self._used else ScriptState.WAITING
-        return OUTPUT.pack(
-            OUTPUT.size, PackageType.DATA, FIRST_RECIPE, self._timestamp_s, *self._goal, *self._goal,
-            FULL_SPEED, FULL_SPEED,
-            RobotMode.RUNNING, SafetyMode.NORMAL, RuntimeState.PLAYING, self._used, state, self._run,
-        )  # fmt: skip
+    def next_package(self) -> bytes:
+        """Return the package of the next cycle."""
+        values = self._values
+        values[TIMESTAMP] += CYCLE_S
+        return OUTPUT.pack(*values)
 
-    def _follow(self, reply: bytes) -> None:
+    def follow(self, reply: bytes) -> None:
+        """Take a set-point, as our script does."""
         if len(reply) != INPUT.size:
             return  # an echo commands nothing
-        _, _, _, sequence, _, self._run, a, b, c, d, e, f = INPUT.unpack(reply)
-        if sequence:
-            self._used = sequence
-            self.moved_rad += abs(a - self._goal[0])
-            self._goal = (a, b, c, d, e, f)
+        inputs, values = INPUT.unpack(reply), self._values
+        values[RUN] = inputs[_RUN]
+        if inputs[_SEQUENCE]:
+            goal = joint_vector(inputs[place] for place in _SET_POINT)
+            self.moved_rad += abs(goal[0] - self._goal[0])
+            self._goal = values[TARGET] = values[ACTUAL] = goal
+            values[ECHO], values[SCRIPT_STATE] = inputs[_SEQUENCE], ScriptState.STREAMING
 
 
 class Relay:
