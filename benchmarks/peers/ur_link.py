@@ -1,7 +1,7 @@
 """The Universal Robots driver's real-time process with an open stream.
 
-Arguments: the controller's endpoint; rest, or move to be always in motion; unrehearsed for a link that never
-rehearses its reply.
+Arguments: the controller's endpoint; rest, or move to be always in motion; ur5 for that arm, not a UR5e;
+unrehearsed for a link that never rehearses its reply.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FIRST_RECIPE, RUN = 1, 4711
 def main() -> None:
     """Serve until terminated. The real-time process exits along with its parent."""
     end_with_parent(lambda: os._exit(0))
-    options = UrOptions.model_validate({})
+    options = UrOptions.model_validate({"model": "ur5" if "ur5" in sys.argv else "ur5e"})
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     settings = replace(
         link_settings(options, theirs.fileno()),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import threading
 import time
@@ -12,6 +13,7 @@ from typing import Self
 
 from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
 from drivers.universal_robots import UniversalRobotsArm
+from drivers.universal_robots.options import FOREMOST_PRIORITY
 from drivers.universal_robots.realtime.packages import (
     ACTUAL,
     ECHO,
@@ -89,9 +91,10 @@ def resting_values() -> list[float]:
 class ControllerStandIn:
     """Listens for one client, which gets the packages of a controller and of our script at a given pace."""
 
-    def __init__(self, reply_limit_s: float = REPLY_LIMIT_S) -> None:
+    def __init__(self, reply_limit_s: float = REPLY_LIMIT_S, cycle_s: float = CYCLE_S) -> None:
         """Listen; a reply that takes longer than `reply_limit_s` is lost."""
         self._reply_limit_s = reply_limit_s
+        self._cycle_s = cycle_s
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         self._link: socket.socket | None = None
@@ -101,13 +104,13 @@ class ControllerStandIn:
         self.unanswered = 0
         self.moved_rad = 0.0  # travel of the base so far: shows that a moving client really moves
 
-    def block(self, count: int, pace_s: float) -> list[float]:
-        """Send `count` packages `pace_s` apart on an absolute schedule. Return the turnarounds in s."""
+    def block(self, count: int) -> list[float]:
+        """Send `count` packages, a cycle apart on an absolute schedule. Return the turnarounds in s."""
         link = self._connected()
         found: list[float] = []
         due_s = time.perf_counter()
         for _ in range(count):
-            due_s = max(due_s + pace_s, time.perf_counter())
+            due_s = max(due_s + self._cycle_s, time.perf_counter())
             package = self.next_package()
             pause_s = due_s - time.perf_counter()
             if pause_s > 0.0:
@@ -159,7 +162,7 @@ class ControllerStandIn:
     def next_package(self) -> bytes:
         """Return the package of the next cycle."""
         values = self._values
-        values[TIMESTAMP] += CYCLE_S
+        values[TIMESTAMP] += self._cycle_s
         return OUTPUT.pack(*values)
 
     def follow(self, reply: bytes) -> None:
@@ -206,34 +209,43 @@ class Relay:
                 for end in (client, controller):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 passage = _Passage(client, controller, self.turnarounds_s if port == RTDE_PORT else [])
-                for pass_on in (passage.to_client, passage.to_controller):
-                    threading.Thread(target=pass_on, daemon=True).start()
+                threading.Thread(target=passage.run, daemon=True).start()
 
 
 class _Passage:
-    """One connection through a relay."""
+    """One connection through a relay, served by one thread: two would wait for each other's interpreter."""
 
     def __init__(self, client: socket.socket, controller: socket.socket, turnarounds_s: list[float]) -> None:
         self._client, self._controller = client, controller
         self._turnarounds_s = turnarounds_s
         self._sent_s = 0.0
 
-    def to_client(self) -> None:
-        with contextlib.suppress(OSError):
-            while data := self._controller.recv(LONGEST):
-                if _is_data(data):
-                    self._sent_s = time.perf_counter()
-                self._client.sendall(data)
-            self._client.shutdown(socket.SHUT_WR)
+    def run(self) -> None:
+        """Pass on what arrives, until either side closes."""
+        client, controller = self._client, self._controller
+        with client, controller, select.epoll() as poll, contextlib.suppress(OSError):
+            for end in (client, controller):
+                poll.register(end, select.EPOLLIN)
+            while True:
+                for number, _ in poll.poll():
+                    passed = self._to_client() if number == controller.fileno() else self._to_controller()
+                    if not passed:
+                        return
 
-    def to_controller(self) -> None:
-        with contextlib.suppress(OSError):
-            while data := self._client.recv(LONGEST):
-                if self._sent_s and _is_data(data):
-                    self._turnarounds_s.append(time.perf_counter() - self._sent_s)
-                    self._sent_s = 0.0
-                self._controller.sendall(data)
-            self._controller.shutdown(socket.SHUT_WR)
+    def _to_client(self) -> bool:
+        data = self._controller.recv(LONGEST)
+        if _is_data(data):
+            self._sent_s = time.perf_counter()
+        self._client.sendall(data)
+        return bool(data)
+
+    def _to_controller(self) -> bool:
+        data = self._client.recv(LONGEST)
+        if self._sent_s and _is_data(data):
+            self._turnarounds_s.append(time.perf_counter() - self._sent_s)
+            self._sent_s = 0.0
+        self._controller.sendall(data)
+        return bool(data)
 
 
 def _is_data(data: bytes) -> bool:
@@ -243,7 +255,7 @@ def _is_data(data: bytes) -> bool:
 class UrCell:
     """`ronna-sim ur` with an active arm driver; in lock-step, or in real time behind a relay."""
 
-    def __init__(self, *, lock_step: bool = True) -> None:
+    def __init__(self, *, lock_step: bool = True, real_time_priority: int = FOREMOST_PRIORITY) -> None:
         self._ending = ExitStack()
         scene = draw_scene("bench", seed=SCENE_SEED, arm=ArmChoice.UR5E)
         self.world = World.create(scene, paced=not lock_step)
@@ -256,7 +268,7 @@ class UrCell:
         if self.relay is not None:
             self._ending.callback(self.relay.close)
             endpoints["rtde"] = f"tcp://{self.relay.address}:{parse_endpoint(ready['rtde']).port}"
-        options = {"silence_limit_s": SILENCE_LIMIT_S}
+        options = {"silence_limit_s": SILENCE_LIMIT_S, "real_time_priority": real_time_priority}
         config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options=options)
         self.arm = UniversalRobotsArm("robot.master", config, open_clock(self.world.clock_endpoint))
         self._ending.callback(self.arm.close)
