@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import socket
+import struct
 import threading
 import time
 from contextlib import ExitStack
@@ -62,6 +63,9 @@ LONGEST = 65536
 SCENE_SEED = 3
 SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
 TYPE_PLACE = 2  # in a package
+SO_TIMESTAMPNS = 35  # socket(7); stamps are a struct timespec of CLOCK_REALTIME
+TIMESPEC = struct.Struct("qq")
+STAMP_SPACE_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
 _FIRST_INPUT = RECIPE_ID + 1  # in an unpacked set-point
 _SEQUENCE, _RUN = (_FIRST_INPUT + INPUT_FIELDS.index(name) for name in (SEQUENCE_INPUT, RUN_INPUT))
 _SET_POINT = tuple(_FIRST_INPUT + INPUT_FIELDS.index(name) for name in SET_POINT_INPUTS)
@@ -181,7 +185,7 @@ class ControllerStandIn:
 class Relay:
     """Passes on what client and controller send at the fixed ports of an address, and measures RTDE clients.
 
-    The turnaround is from a data package until the client's next one.
+    The turnaround is from a data package until the kernel has received the client's next one.
     """
 
     def __init__(self, address: str, controller: str) -> None:
@@ -208,6 +212,7 @@ class Relay:
                 controller = socket.create_connection((self._controller, port))
                 for end in (client, controller):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                client.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 passage = _Passage(client, controller, self.turnarounds_s if port == RTDE_PORT else [])
                 threading.Thread(target=passage.run, daemon=True).start()
 
@@ -235,17 +240,24 @@ class _Passage:
     def _to_client(self) -> bool:
         data = self._controller.recv(LONGEST)
         if _is_data(data):
-            self._sent_s = time.perf_counter()
+            self._sent_s = time.clock_gettime(time.CLOCK_REALTIME)
         self._client.sendall(data)
         return bool(data)
 
     def _to_controller(self) -> bool:
-        data = self._client.recv(LONGEST)
+        data, stamps, _, _ = self._client.recvmsg(LONGEST, STAMP_SPACE_BYTES)
         if self._sent_s and _is_data(data):
-            self._turnarounds_s.append(time.perf_counter() - self._sent_s)
+            self._turnarounds_s.append(_arrival_s(stamps) - self._sent_s)
             self._sent_s = 0.0
         self._controller.sendall(data)
         return bool(data)
+
+
+def _arrival_s(stamps: list[tuple[int, int, bytes]]) -> float:
+    """Return when the kernel received a package: that the relay has still to wake up is no client's matter."""
+    (_, _, stamp), *_ = stamps
+    seconds, fraction_ns = TIMESPEC.unpack(stamp)
+    return float(seconds + fraction_ns / 1e9)
 
 
 def _is_data(data: bytes) -> bool:

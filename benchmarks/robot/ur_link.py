@@ -202,6 +202,8 @@ def _measure_beside_ur_rtde(size: Size) -> list[Figure]:
             time.sleep(SETTLING_S)
             relay.turnarounds_s.clear()
             time.sleep(size.relayed_s)
+            if not relay.turnarounds_s:
+                raise RuntimeError(f"{who} has stopped sending set-points")
             return median(relay.turnarounds_s)
 
     clients = {who: partial(relayed, who) for who in (OURS, PLAIN, POLLED, PACED)}
