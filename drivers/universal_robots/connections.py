@@ -37,12 +37,11 @@ from drivers.universal_robots.errors import (
 )
 from drivers.universal_robots.faults import fault_error, stream_faults
 from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
-from drivers.universal_robots.options import ROLES, UrOptions, script_settings
+from drivers.universal_robots.options import ROLES, UrOptions, link_settings, script_settings
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.primary.packages import KinematicsInfo, MessageKind
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
-from drivers.universal_robots.realtime.settings import LinkSettings
 from drivers.universal_robots.rtde import RtdeSetup, Version
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from drivers.universal_robots.watch import UrWatch
@@ -189,21 +188,7 @@ class Connections:
         self.close_link()
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         options = self._options
-        settings = LinkSettings(
-            parent_pid=os.getpid(),
-            silence_limit_s=options.silence_limit_s,
-            heartbeat_limit_s=options.heartbeat_limit_s,
-            settle_tolerance_deg=options.settle_tolerance_deg,
-            real_time_priority=options.real_time_priority,
-            rehearsal_lead_us=options.rehearsal_lead_us,
-            force_filter_s=options.force_filter_s,
-            force_at_rest_N=options.force_at_rest_N,
-            handover_fd=theirs.fileno(),
-            model=options.model.value,
-            cycle_s=options.cycle_s,
-            starved_cycles=script_settings(options).STARVED_CYCLES,
-            calibration=self._calibration,
-        )
+        settings = link_settings(options, theirs.fileno(), self._calibration)
         with theirs:
             try:
                 self.open_link = LinkClient(

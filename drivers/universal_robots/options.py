@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from math import degrees, radians
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ from pydantic import Field
 
 from drivers.theatre_options import parse_options
 from drivers.universal_robots.errors import BadOptions
+from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import (
     LEAST_LINE_SPEED_MM_S,
     RANGE_MARGIN_RAD,
@@ -192,4 +194,23 @@ def script_settings(options: UrOptions) -> ScriptSettings:
         STOP_DECELERATION_RAD_S2=options.stop_deceleration_rad_s2,
         LOOKAHEAD_S=options.lookahead_s,
         GAIN=options.gain,
+    )
+
+
+def link_settings(options: UrOptions, handover_fd: int, calibration: tuple[float, ...] = ()) -> LinkSettings:
+    """Return the settings of a real-time process that this one starts."""
+    return LinkSettings(
+        parent_pid=os.getpid(),
+        silence_limit_s=options.silence_limit_s,
+        heartbeat_limit_s=options.heartbeat_limit_s,
+        settle_tolerance_deg=options.settle_tolerance_deg,
+        real_time_priority=options.real_time_priority,
+        rehearsal_lead_us=options.rehearsal_lead_us,
+        force_filter_s=options.force_filter_s,
+        force_at_rest_N=options.force_at_rest_N,
+        handover_fd=handover_fd,
+        model=options.model.value,
+        cycle_s=options.cycle_s,
+        starved_cycles=script_settings(options).STARVED_CYCLES,
+        calibration=calibration,
     )
