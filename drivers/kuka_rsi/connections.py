@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from drivers.kuka_rsi.eki.client import EkiClient, Listener
+from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
 from drivers.kuka_rsi.errors import CommandRefused, ControllerLost, ControllerNotFound, NoTelegram, Unverified
 from drivers.kuka_rsi.fault_errors import fault_error, start_error
@@ -19,17 +19,17 @@ from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.client import LinkClient, TrafficHandler, pass_traffic
+from ronna_hw.arm_stream.control_channel import BytesPassed, Listener
 from ronna_hw.arm_stream.records import CommandKind, Fault, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.capabilities import ByteSink, Direction
+from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
-BytesPassed = Callable[[Direction, bytes], None]
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 SHORTEST_TRY_S = 0.2
@@ -83,7 +83,9 @@ class Connections:
             return False
         return True
 
-    def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
+    def find_controller(
+        self, timeout_s: float, listener: Listener[ControllerState], *, retry: bool = False
+    ) -> Identity:
         """Open the EKI connection and identify the controller.
 
         With `retry`, try until the time limit at growing pauses: after a loss the controller's server must

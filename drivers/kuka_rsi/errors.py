@@ -259,6 +259,9 @@ class ControllerStopped(LimitError):
 
 
 STREAM_ERRORS = StreamErrors(
+    not_found=ControllerNotFound,
+    lost=ControllerLost,
+    no_answer=NoAnswer,
     not_started=LinkNotStarted,
     died=LinkProcessDied,
     stalled=LinkProcessStalled,

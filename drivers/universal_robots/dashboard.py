@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TypeVar
 
 from drivers.universal_robots.errors import (
@@ -16,6 +16,7 @@ from drivers.universal_robots.errors import (
     ControllerNotFound,
     NoAnswer,
 )
+from ronna_hw.arm_stream.control_channel import BytesPassed, describe, open_connection
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
 
@@ -29,23 +30,13 @@ TRUTHS = {"true": True, "false": False}
 class DashboardClient:
     """Thread-safe connection to the dashboard server."""
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        timeout_s: float,
-        on_bytes: Callable[[Direction, bytes], None] | None = None,
-    ) -> None:
+    def __init__(self, host: str, port: int, timeout_s: float, on_bytes: BytesPassed | None = None) -> None:
         """Connect; raises URD-002 if no dashboard server answers. `on_bytes` receives all traffic."""
         self.where = f"tcp://{host}:{port}"
         self._on_bytes = on_bytes
         self._asking = threading.Lock()
         self._received = b""
-        try:
-            self._socket = socket.create_connection((host, port), timeout_s)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise ControllerNotFound(f"nothing answers at {self.where} ({reason})") from error
+        self._socket = open_connection(host, port, timeout_s, ControllerNotFound)
         try:
             banner = self._read_line(time.monotonic() + timeout_s)
         except (NoAnswer, ControllerLost, BadBytes) as error:
@@ -137,4 +128,4 @@ class DashboardClient:
         return line.decode(errors="replace").strip()
 
     def _lost_error(self, error: OSError) -> ControllerLost:
-        return ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}")
+        return ControllerLost(f"{self.where}: {describe(error)}")

@@ -328,6 +328,9 @@ class ControllerExchanged(ConnectError):
 
 
 STREAM_ERRORS = StreamErrors(
+    not_found=ControllerNotFound,
+    lost=ControllerLost,
+    no_answer=NoAnswer,
     not_started=LinkNotStarted,
     died=LinkProcessDied,
     stalled=LinkProcessStalled,

@@ -5,13 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ronna_hw.devices.errors import MotionInterrupted
-from ronna_hw.errors import ConnectError, DeviceError, LimitError, LinkTimeout, RefusedError, StateError
+from ronna_hw.errors import (
+    ConnectError,
+    DeviceError,
+    LimitError,
+    LinkTimeout,
+    ProtocolError,
+    RefusedError,
+    StateError,
+)
 
 
 @dataclass(frozen=True)
 class StreamErrors:
     """A driver's errors, and its word for the time stamp of telegrams."""
 
+    not_found: type[ConnectError]  # no controller answers
+    lost: type[ProtocolError]  # a connection to it broke
+    no_answer: type[LinkTimeout]
     not_started: type[ConnectError]  # the real-time process
     died: type[DeviceError]
     stalled: type[DeviceError]

@@ -23,7 +23,6 @@ from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
 from drivers.basler_stereo.identity import decode_identity
 from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
-from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
 from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
 from drivers.ndi_polaris.command_link import decode_ascii, split_binary
@@ -37,6 +36,7 @@ from drivers.universal_robots.primary.packages import PackageKind, iterate_parts
 from drivers.universal_robots.realtime.line import RtdeLine, is_output
 from drivers.universal_robots.realtime.packages import OUTPUT
 from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.arm_stream.control_channel import RECEIVE_BYTES
 from ronna_hw.arm_stream.records import Orders
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
