@@ -10,11 +10,10 @@ import json
 import os
 import socket
 import sys
-from dataclasses import replace
 
 from drivers.universal_robots.connections import PROCESS
 from drivers.universal_robots.errors import STREAM_ERRORS
-from drivers.universal_robots.options import UrOptions, planning_limits, script_settings
+from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -55,7 +54,7 @@ def main() -> None:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             Handover(FIRST_RECIPE, FIRST_RECIPE, RUN).give(ours, connection)
         model = universal_robot(options.model)
-        limits = replace(planning_limits(options), cycle_s=options.cycle_s)
+        limits = options.limits(settings.kinematics(), options.cycle_s)
         number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": sys.argv[1], "pid": link.process.pid}), flush=True)

@@ -144,7 +144,7 @@ def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
     with pytest.raises(ControllerExchanged):
         arm.recover("Ann", LIMIT_S)
     assert arm.state is Lifecycle.FAULT
-    assert arm.kinematics is arm.connections.kinematics is kinematics
+    assert arm.kinematics is kinematics
     arm.close()
 
 
