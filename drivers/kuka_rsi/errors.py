@@ -277,4 +277,5 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="IPOC",
+    message_name="telegram",
 )

@@ -346,6 +346,7 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="timestamp",
+    message_name="package",
     speed_name="the speed slider",
     speed_action=SpeedAtZero.action,
 )

@@ -38,5 +38,6 @@ class StreamErrors:
     not_finished: type[LinkTimeout]
     refused: type[RefusedError]
     clock_name: str
+    message_name: str  # of what the controller sends in every cycle
     speed_name: str = "the controller's speed"  # what slows motions there
     speed_action: str | None = None  # and what to do about it

@@ -75,8 +75,8 @@ class StreamFaults:
     def silence_error(self, state: LinkState, note: str = "") -> RonnaError:
         """Build the error for a controller that has fallen silent."""
         return self.errors.silent(
-            f"{self.name}: after {state.cycles} cycles telegrams stopped{note}",
-            expected="a telegram in every cycle",
+            f"{self.name}: after {state.cycles} cycles {self.errors.message_name}s stopped{note}",
+            expected=f"a {self.errors.message_name} in every cycle",
             limit=f"{self.options.silence_limit_s:g} s",
             got=f"{self.errors.clock_name} {state.device_clock}",
         )
