@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from drivers.universal_robots.controller.script import render_script, render_secondary
-from drivers.universal_robots.dashboard import DashboardClient
+from drivers.universal_robots.dashboard import DashboardClient, is_accepted
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
@@ -39,7 +39,7 @@ from drivers.universal_robots.faults import UrFaults
 from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
 from drivers.universal_robots.options import ROLES, script_settings
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
-from drivers.universal_robots.primary.packages import KinematicsInfo, MessageKind
+from drivers.universal_robots.primary.packages import KinematicsInfo
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
 from drivers.universal_robots.realtime.settings import LinkSettings
@@ -59,9 +59,9 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
+from ronna_hw.wire.universal_robots_services import ARM_TYPE, MessageKind, Order, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
-ARM_TYPE = "UR5"  # as the dashboard calls both generations
 MAJOR_VERSION = {UrModel.UR5: 3, UrModel.UR5E: 5}
 GENERATIONS = {UrModel.UR5: "a CB3 controller", UrModel.UR5E: "an e-Series controller"}
 LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote control
@@ -231,20 +231,20 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         """
         dashboard = self.dashboard
         self._require_remote()
-        dashboard.require("stop", "Stopped", ASK_LIMIT_S)
+        dashboard.require(Order.STOP, ASK_LIMIT_S)
         safety = dashboard.safety_mode(ASK_LIMIT_S)
         if safety is SafetyMode.PROTECTIVE_STOP:
             self._unlock(person, deadline)
         elif safety in RESTART_MODES:
-            dashboard.ask("close safety popup", ASK_LIMIT_S)
-            dashboard.require("restart safety", "Restarting safety", ASK_LIMIT_S)
+            dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
+            dashboard.require(Order.RESTART_SAFETY, ASK_LIMIT_S)
         if safety in (SafetyMode.PROTECTIVE_STOP, *RESTART_MODES):
             self._await(lambda: dashboard.safety_mode(ASK_LIMIT_S) in NORMAL_MODES or None, deadline)
         self._require_safe()
 
     def switch_off(self, timeout_s: float) -> None:
         """Switch the arm off."""
-        self.dashboard.require("power off", "Powering off", timeout_s)
+        self.dashboard.require(Order.POWER_OFF, timeout_s)
 
     def close_control(self) -> None:
         """Close dashboard and primary interface, if open."""
@@ -270,7 +270,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         return self.link.wait(has_ended, timeout_s) is not None
 
     def _end_program(self, timeout_s: float) -> None:
-        self.dashboard.require("stop", "Stopped", timeout_s)
+        self.dashboard.require(Order.STOP, timeout_s)
 
     def _identify(self, timeout_s: float) -> Identity:
         """Connect and check the arm; raises URD-002 to URD-005, ARM-010."""
@@ -279,8 +279,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.open_dashboard = dashboard = DashboardClient(
             address.host, address.port, timeout_s, self._bytes_of("dashboard")
         )
-        model = dashboard.ask("get robot model", remaining_s(deadline))
-        serial = dashboard.ask("get serial number", remaining_s(deadline))
+        model = dashboard.ask(Query.ROBOT_MODEL, remaining_s(deadline))
+        serial = dashboard.ask(Query.SERIAL_NUMBER, remaining_s(deadline))
         version = self._read_version(remaining_s(deadline))
         self._require_arm(model, serial, version)
         address = self._primary_address
@@ -378,9 +378,9 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         if mode is RobotMode.RUNNING:
             return
         if mode not in (RobotMode.IDLE, RobotMode.BACKDRIVE):
-            dashboard.require("power on", "Powering on", ASK_LIMIT_S)
+            dashboard.require(Order.POWER_ON, ASK_LIMIT_S)
             self._await_mode((RobotMode.IDLE, RobotMode.RUNNING), deadline)
-        dashboard.require("brake release", "Brake releasing", ASK_LIMIT_S)
+        dashboard.require(Order.BRAKE_RELEASE, ASK_LIMIT_S)
         self._await_mode((RobotMode.RUNNING,), deadline)
 
     def _await_mode(self, modes: tuple[RobotMode, ...], deadline: float) -> None:
@@ -435,11 +435,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         """Release a protective stop in the name of a person, as soon as the controller permits it."""
         dashboard = self.dashboard
         with contextlib.suppress(NoAnswer):
-            dashboard.ask(f"addToLog protective stop released by {_ascii(person)}", ASK_LIMIT_S)
-        dashboard.ask("close safety popup", ASK_LIMIT_S)
+            dashboard.ask(f"{Query.ADD_TO_LOG} protective stop released by {_ascii(person)}", ASK_LIMIT_S)
+        dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
         while True:
-            answer = dashboard.ask("unlock protective stop", ASK_LIMIT_S)
-            if answer.lower().startswith("protective stop releasing"):
+            answer = dashboard.ask(Order.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)
+            if is_accepted(Order.UNLOCK_PROTECTIVE_STOP, answer):
                 return
             if remaining_s(deadline) <= UNLOCK_PAUSE_S:
                 raise ProtectivelyStopped(f"{self._name}: the protective stop remains", got=answer)

@@ -20,6 +20,7 @@ from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.universal_robots_services import Order
 
 DASHBOARD_LIMIT_S = 1.0
 POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
@@ -95,4 +96,4 @@ class UrWatch(StreamWatch[ControllerState]):
         was_ended, self._program_ended = self._program_ended, must_end
         if must_end and not was_ended:
             with contextlib.suppress(RonnaError):
-                dashboard.ask("stop", DASHBOARD_LIMIT_S)
+                dashboard.ask(Order.STOP, DASHBOARD_LIMIT_S)

@@ -19,13 +19,13 @@ from drivers.universal_robots.primary.packages import (
     KinematicsInfo,
     Masterboard,
     Message,
-    PackageKind,
     RobotModeData,
     iterate_parts,
     read_message,
 )
 from ronna_hw.arm_stream.control_channel import BytesPassed, ControlChannel
 from ronna_hw.vectors import JointVector
+from ronna_hw.wire.universal_robots_services import PackageKind
 
 MESSAGES_KEPT = 20
 T = TypeVar("T")
