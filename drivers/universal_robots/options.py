@@ -73,6 +73,7 @@ class UrOptions(StreamOptions):
     )
     tool_inputs: tuple[DigitalInput, ...] = Field(
         TOOL_INPUTS,
+        min_length=1,
         max_length=8,
         description="Digital inputs that carry the number of the mounted tool, least significant bit first: "
         "0 to 7 standard, 8 to 15 configurable, 16 and 17 on the tool flange.",
