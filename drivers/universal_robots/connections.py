@@ -55,6 +55,7 @@ from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import ToolLoad
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
@@ -89,6 +90,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self._calibration: tuple[float, ...] = ()
         self._identity: Identity | None = None  # found first: another one is refused
         self._load: ToolLoad | None = None  # set by a caller, and sent again with each script
+        self._goes_off = False  # on our order, until the robot mode says so
         self._channel: socket.socket | None = None  # over which connections are handed to the process
 
     @property
@@ -188,6 +190,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             raise fault
         if load:
             self._require_load(max(remaining_s(deadline), ASK_LIMIT_S))
+        self._require_power_kept()
         return mode
 
     def set_load(self, load: ToolLoad, timeout_s: float) -> ToolLoad:
@@ -232,6 +235,9 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         dashboard = self.dashboard
         self._require_remote()
         dashboard.require(Order.STOP, ASK_LIMIT_S)
+        if self._goes_off:
+            self._await(lambda: dashboard.robot_mode(ASK_LIMIT_S) is RobotMode.POWER_OFF or None, deadline)
+            self._goes_off = False  # a person has looked, even if it has been switched on again meanwhile
         safety = dashboard.safety_mode(ASK_LIMIT_S)
         if safety is SafetyMode.PROTECTIVE_STOP:
             self._unlock(person, deadline)
@@ -243,7 +249,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self._require_safe()
 
     def switch_off(self, timeout_s: float) -> None:
-        """Switch the arm off."""
+        """Switch the arm off; until it is off, no start succeeds."""
+        self._goes_off = True
         self.dashboard.require(Order.POWER_OFF, timeout_s)
 
     def close_control(self) -> None:
@@ -375,6 +382,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         """Switch power on and release the brakes; raises URD-008 if that takes too long."""
         dashboard, deadline = self.dashboard, time.monotonic() + POWER_LIMIT_S
         mode = dashboard.robot_mode(ASK_LIMIT_S)
+        self._goes_off = self._goes_off and mode is not RobotMode.POWER_OFF
+        self._require_power_kept()
         if mode is RobotMode.RUNNING:
             return
         if mode not in (RobotMode.IDLE, RobotMode.BACKDRIVE):
@@ -382,6 +391,16 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             self._await_mode((RobotMode.IDLE, RobotMode.RUNNING), deadline)
         dashboard.require(Order.BRAKE_RELEASE, ASK_LIMIT_S)
         self._await_mode((RobotMode.RUNNING,), deadline)
+
+    def _require_power_kept(self) -> None:
+        """Raise URD-008 while the arm is being switched off on our own order."""
+        if self._goes_off:
+            raise NotPowered(
+                f"{self._name}: the arm is being switched off on request",
+                expected=RobotMode.POWER_OFF.name,
+                got=self.dashboard.robot_mode(ASK_LIMIT_S).name,
+                action=f"Wait until it is off, then {ACKNOWLEDGE}: the next start switches it on again.",
+            )
 
     def _await_mode(self, modes: tuple[RobotMode, ...], deadline: float) -> None:
         def reached() -> bool | None:
