@@ -20,9 +20,7 @@ from drivers.universal_robots.dashboard import DashboardClient, is_accepted
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
-    ControllerExchanged,
     ControllerNotFound,
-    FactoryCalibrationDiffers,
     LinkNotStarted,
     LoadNotTaken,
     LocalMode,
@@ -32,14 +30,18 @@ from drivers.universal_robots.errors import (
     RegistersInUse,
     ScriptNotStarted,
     SpeedAtZero,
-    WrongArm,
-    WrongVersion,
 )
 from drivers.universal_robots.faults import UrFaults
+from drivers.universal_robots.identification import (
+    identity_of,
+    require_arm,
+    require_calibration,
+    require_same,
+    require_version,
+)
 from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
 from drivers.universal_robots.options import ROLES, script_settings
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
-from drivers.universal_robots.primary.packages import KinematicsInfo
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
 from drivers.universal_robots.realtime.settings import LinkSettings
@@ -48,7 +50,6 @@ from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
-from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase
@@ -60,12 +61,9 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
-from ronna_hw.wire.universal_robots_services import ARM_TYPE, MessageKind, Order, Query
+from ronna_hw.wire.universal_robots_services import MessageKind, Order, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
-MAJOR_VERSION = {UrModel.UR5: 3, UrModel.UR5E: 5}
-GENERATIONS = {UrModel.UR5: "a CB3 controller", UrModel.UR5E: "an e-Series controller"}
-LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote control
 POLL_S = 0.05  # host time between two looks at the controller's modes
 PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
 POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
@@ -289,7 +287,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         model = dashboard.ask(Query.ROBOT_MODEL, remaining_s(deadline))
         serial = dashboard.ask(Query.SERIAL_NUMBER, remaining_s(deadline))
         version = self._read_version(remaining_s(deadline))
-        self._require_arm(model, serial, version)
+        require_arm(self._name, options, model, serial, version)
         address = self._primary_address
         self.open_control = primary = PrimaryClient(
             address.host, address.port, remaining_s(deadline), self._bytes_of("primary")
@@ -300,16 +298,18 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             primary.await_state(remaining_s(deadline))
         finally:
             self.clock.hold_back()
-        details = (("calibration", info.fingerprint), ("cycle_ms", f"{options.cycle_s * 1e3:g}"))
-        model_name = universal_robot(options.model).name
-        identity = Identity("Universal Robots", model_name, serial, str(version), details)
-        if self._identity is not None and self._identity != identity:
-            raise ControllerExchanged(
-                f"{self._name}: another arm or controller answers than at the start",
-                expected=_describe(self._identity),
-                got=_describe(identity),
+        identity = identity_of(options, serial, version, info)
+        require_same(self._name, self._identity, identity)
+        calibration = require_calibration(self._name, options, info)
+        if calibration is not None:
+            nominal = universal_robot(options.model).dimensions
+            self.faults = replace(self.faults, arm=CalibratedUniversalRobot(nominal, calibration))
+            self._calibration = (
+                *calibration.theta_rad,
+                *calibration.a_mm,
+                *calibration.d_mm,
+                *calibration.alpha_rad,
             )
-        self._use_calibration(info)
         self._identity = identity
         return identity
 
@@ -318,54 +318,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
         try:
             version = rtde.read_version()
-            major, least = MAJOR_VERSION[self._options.model], LEAST_MINOR[self._options.model]
-            if version.major == major and version.minor < least:
-                raise WrongVersion(
-                    f"{self._name}: the controller's software is too old",
-                    expected=f"{major}.{least} or newer",
-                    got=str(version),
-                )
+            require_version(self._name, self._options, version)
             rtde.set_up_outputs(1.0)
             return version
         finally:
             rtde.close()
-
-    def _require_arm(self, model: str, serial: str, version: Version) -> None:
-        options = self._options
-        if model != ARM_TYPE or version.major != MAJOR_VERSION[options.model]:
-            raise WrongArm(
-                f"{self._name}: the controller drives another arm",
-                expected=f"option model, {options.model}",
-                got=_arm_text(model, version),
-            )
-        if options.serial and serial != options.serial:
-            raise WrongArm(
-                f"{self._name}: the arm has another serial number",
-                expected=f"option serial, {options.serial}",
-                got=serial,
-            )
-
-    def _use_calibration(self, info: KinematicsInfo) -> None:
-        options = self._options
-        if options.calibration and info.fingerprint != options.calibration:
-            raise FactoryCalibrationDiffers(
-                f"{self._name}: the controller has the factory calibration of another arm",
-                expected=f"option calibration, {options.calibration}",
-                got=info.fingerprint,
-            )
-        if not options.factory_calibration:
-            return
-        nominal = universal_robot(options.model).dimensions
-        calibration = FactoryCalibration.from_parameters(
-            nominal, info.theta_rad, info.a_mm, info.d_mm, info.alpha_rad
-        )
-        self.faults = replace(self.faults, arm=CalibratedUniversalRobot(nominal, calibration))
-        self._calibration = (
-            *calibration.theta_rad,
-            *calibration.a_mm,
-            *calibration.d_mm,
-            *calibration.alpha_rad,
-        )
 
     def _require_ready(self) -> None:
         """Raise what prevents a start before anything is switched on or sent."""
@@ -482,22 +439,6 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
 
     def _operating_mode(self, safety: SafetyMode) -> OperatingMode:
         return OperatingMode.REDUCED_SPEED if safety is SafetyMode.REDUCED else OperatingMode.AUTOMATIC
-
-
-def _describe(identity: Identity) -> str:
-    calibration = dict(identity.details)["calibration"]
-    return f"{identity.serial}, software {identity.firmware}, calibration {calibration}"
-
-
-def _arm_text(model: str, version: Version) -> str:
-    """Say which arm the controller drives, and how that is known."""
-    found = next((m for m, major in MAJOR_VERSION.items() if major == version.major), None)
-    if model != ARM_TYPE or found is None:
-        return f"{model}, software {version}"
-    return (
-        f"{found}: the dashboard calls both generations {ARM_TYPE}, and software {version} is that of "
-        f"{GENERATIONS[found]}"
-    )
 
 
 def _ascii(name: str) -> str:
