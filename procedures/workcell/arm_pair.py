@@ -19,8 +19,8 @@ from ronna_hw.arm.clearance.arm_pair import (
     APART_MM,
     PLANNED_APART_MM,
     ArmPairWorld,
-    Course,
     PlacedArm,
+    SampledPath,
     require_apart,
 )
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
@@ -134,9 +134,9 @@ class ArmPair:
         """
         with self._under_way():
             self._at_rest_rad = {}
-            courses = {role: self._course(role, motions[role]) for role in ROLES}
-            world = ArmPairWorld(courses[MASTER].arm, courses[ASSISTANT].arm)
-            require_apart(world, courses[MASTER], courses[ASSISTANT], LARGEST_LAG_S)
+            paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
+            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm)
+            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S)
             for role, arm in self._arms.items():
                 arm.surround(self._around[role])
             return self._drive(motions)
@@ -271,10 +271,10 @@ class ArmPair:
             )
         return reading.joints_rad
 
-    def _course(self, role: str, motion: Motion) -> Course:
+    def _sampled_path(self, role: str, motion: Motion) -> SampledPath:
         arm, limits = self._arms[role], self._arms[role].limits()
         plan = plan_motion(arm.kinematics, self._joints(role), motion, limits)
-        return Course.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
+        return SampledPath.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:
         around, touching = self._around[role], self._touching[role]
