@@ -101,6 +101,7 @@ class EkiClient:
         self._states: dict[int, ControllerState] = {}
         self.latest: ControllerState | None = None  # the last one sent, requested or unsolicited
         self.failure: RonnaError | None = None  # cause of the loss
+        self._listened_s = 0.0  # host time up to which the reader took what came
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read_telegrams, name="eki reader", daemon=True)
@@ -108,9 +109,12 @@ class EkiClient:
 
     @property
     def silent_s(self) -> float:
-        """Host time since the last state was received; the controller sends one every 0.1 s."""
+        """Host time for which the reader has listened in vain for a state; the controller sends ten a second.
+
+        The time in which this program did not run is no silence of the controller.
+        """
         latest = self.latest
-        return time.monotonic() - latest.received_s if latest is not None else 0.0
+        return max(0.0, self._listened_s - latest.received_s) if latest is not None else 0.0
 
     def listen(self, listener: Listener) -> None:
         """Register a listener for states, silence and loss of the connection."""
@@ -236,12 +240,15 @@ class EkiClient:
     def _receive_bytes(self) -> bytes:
         """Receive the next bytes, or none once the controller has closed the connection."""
         while True:
+            began_s = time.monotonic()
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
+                self._listened_s = began_s + QUIET_S
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
+            self._listened_s = time.monotonic()
             if self._on_bytes is not None:
                 self._on_bytes(Direction.RECEIVED, data)
             return data

@@ -98,7 +98,7 @@ class PrimaryClient:
         self.kinematics: KinematicsInfo | None = None
         self.messages: deque[Message] = deque(maxlen=MESSAGES_KEPT)
         self.failure: RonnaError | None = None  # cause of the loss
-        self._heard_s = time.monotonic()
+        self._heard_s = self._listened_s = time.monotonic()
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read_packages, name="ur primary reader", daemon=True)
@@ -106,8 +106,8 @@ class PrimaryClient:
 
     @property
     def silent_s(self) -> float:
-        """Host time since the last package."""
-        return time.monotonic() - self._heard_s
+        """Host time for which the reader has listened in vain; not the time in which it did not run."""
+        return max(0.0, self._listened_s - self._heard_s)
 
     def listen(self, listener: Listener) -> None:
         """Register a listener for states, silence and loss of the connection."""
@@ -187,9 +187,11 @@ class PrimaryClient:
     def _receive(self) -> bytes:
         """Receive the next bytes, or none once the controller has closed the connection."""
         while True:
+            began_s = time.monotonic()
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
+                self._listened_s = began_s + QUIET_S
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
