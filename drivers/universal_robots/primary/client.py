@@ -35,6 +35,7 @@ from ronna_hw.vectors import JointVector
 RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 QUIET_S = 0.2  # two periods of the state: after such a silence a listener should check how long it lasts
+READER_LIMIT_S = 2.0  # beyond its limit, in which a wait lets the reader take what has arrived by then
 MESSAGES_KEPT = 20
 T = TypeVar("T")
 _TIMEVAL = struct.Struct("ll")
@@ -98,7 +99,8 @@ class PrimaryClient:
         self.kinematics: KinematicsInfo | None = None
         self.messages: deque[Message] = deque(maxlen=MESSAGES_KEPT)
         self.failure: RonnaError | None = None  # cause of the loss
-        self._heard_s = self._listened_s = time.monotonic()
+        self._heard_s = time.monotonic()
+        self._listened_s = self._heard_s  # up to here the reader has taken all that arrived
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read_packages, name="ur primary reader", daemon=True)
@@ -157,10 +159,12 @@ class PrimaryClient:
                     return found
                 if self.failure is not None:
                     raise self.failure
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0:
+                now_s = time.monotonic()
+                # On a busy computer this thread may run first, while the state waits in the socket.
+                limit_s = deadline if self._listened_s >= deadline else deadline + READER_LIMIT_S
+                if now_s >= limit_s:
                     raise NoAnswer(f"{self.where} does not send {what}", limit=f"{timeout_s:g} s")
-                self._arrived.wait(remaining_s)
+                self._arrived.wait((deadline if now_s < deadline else limit_s) - now_s)
 
     def _read_packages(self) -> None:
         received = b""
@@ -191,7 +195,9 @@ class PrimaryClient:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
-                self._listened_s = began_s + QUIET_S
+                with self._arrived:
+                    self._listened_s = began_s + QUIET_S
+                    self._arrived.notify_all()
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue

@@ -1,13 +1,17 @@
-"""Silence of the primary interface: that of the controller, not of this program."""
+"""Silence of a controller: what was listened to in vain, not the time in which this program did not run."""
 
 from __future__ import annotations
 
 import socket
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
+from handmade_ur import robot_state
 
+from drivers.universal_robots.dashboard import BANNER, DashboardClient
 from drivers.universal_robots.primary.client import QUIET_S, ControllerState, PrimaryClient
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
@@ -75,3 +79,27 @@ def test_what_a_reader_has_listened_to_in_vain_is_silence(line: Line) -> None:
         listener.heard_nothing.clear()
         assert listener.heard_nothing.wait(LIMIT_S)
     assert line.client.silent_s == pytest.approx(STOOD_STILL_S + QUIET_S)
+
+
+def test_a_state_that_came_in_time_is_taken_though_the_reader_runs_after_the_limit(line: Line) -> None:
+    line.runs.clear()
+    line.controller.sendall(robot_state())
+    assert line.received.wait(LIMIT_S)
+    line.now_s += STOOD_STILL_S
+    threading.Timer(0.1, line.runs.set).start()
+    assert line.client.await_state(0.0) is line.client.latest
+
+
+def test_an_answer_of_the_dashboard_that_came_in_time_is_taken_after_the_limit() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
+        accepting = pool.submit(lambda: _greet(server.accept()[0]))
+        host, port = server.getsockname()
+        dashboard = DashboardClient(host, port, LIMIT_S)
+        with accepting.result() as controller, closing(dashboard):
+            controller.sendall(b"Robotmode: RUNNING\n")
+            assert dashboard.ask("robotmode", 0.0) == "Robotmode: RUNNING"
+
+
+def _greet(client: socket.socket) -> socket.socket:
+    client.sendall(BANNER.encode() + b"\n")
+    return client
