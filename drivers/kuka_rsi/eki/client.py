@@ -36,6 +36,7 @@ RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
 REQUEST_PERIOD_S = 0.2  # two periods of the unsolicited state
+READER_LIMIT_S = 2.0  # beyond its limit, in which a wait lets the reader take what has arrived by then
 QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
 T = TypeVar("T")
 NOT_SERVED = (
@@ -101,7 +102,7 @@ class EkiClient:
         self._states: dict[int, ControllerState] = {}
         self.latest: ControllerState | None = None  # the last one sent, requested or unsolicited
         self.failure: RonnaError | None = None  # cause of the loss
-        self._listened_s = 0.0  # host time up to which the reader took what came
+        self._listened_s = 0.0  # host time up to which the reader has taken all that arrived
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read_telegrams, name="eki reader", daemon=True)
@@ -206,18 +207,23 @@ class EkiClient:
                     return found
                 if self.failure is not None:
                     raise self.failure
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0:
+                now_s = time.monotonic()
+                # On a busy computer this thread may run first, while the answer waits in the socket.
+                limit_s = deadline if self._listened_s >= deadline else deadline + READER_LIMIT_S
+                if now_s >= limit_s:
                     return None
-                self._arrived.wait(remaining_s)
+                self._arrived.wait((deadline if now_s < deadline else limit_s) - now_s)
 
     def _read_telegrams(self) -> None:
         scanner = TelegramScanner()
         failure: RonnaError
         try:
             while data := self._receive_bytes():
+                received_s = time.monotonic()
                 for telegram in scanner.feed(data):
                     self._handle_element(parse_telegram(telegram))
+                if len(data) < RECEIVE_BYTES:  # nothing was left in the socket
+                    self._tell_listened(received_s)
             failure = self._lost_error(" closed the connection")
         except RonnaError as error:
             failure = error
@@ -244,14 +250,18 @@ class EkiClient:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
-                self._listened_s = began_s + QUIET_S
+                self._tell_listened(began_s + QUIET_S)
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
-            self._listened_s = time.monotonic()
             if self._on_bytes is not None:
                 self._on_bytes(Direction.RECEIVED, data)
             return data
+
+    def _tell_listened(self, until_s: float) -> None:
+        with self._arrived:
+            self._listened_s = until_s
+            self._arrived.notify_all()
 
     def _handle_element(self, root: ElementTree.Element) -> None:
         try:
