@@ -70,6 +70,7 @@ FIRST_PAUSE_S = 0.1  # between attempts to reopen the connections; doubled each 
 LONGEST_PAUSE_S = 2.0
 SHORTEST_TRY_S = 0.2
 POLL_S = 0.05  # host time between two looks at the controller's modes
+STATE_PERIOD_S = 0.1  # of the primary interface
 PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
 POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
 END_LIMIT_S = 1.0  # host time for the script to end on our order
@@ -140,8 +141,8 @@ class Connections:
         return True
 
     def read_state(self, timeout_s: float) -> ControllerState:
-        """Return a state that arrived after this call."""
-        self._clock.let_pass(timeout_s)
+        """Return a state that arrived after this call; lets no more theatre time pass than it needs."""
+        self._clock.let_pass(STATE_PERIOD_S)
         try:
             return self.primary.await_state(timeout_s, newer_than_s=time.monotonic())
         finally:
