@@ -254,7 +254,7 @@ class _Passage:
 
 
 def _arrival_s(stamps: list[tuple[int, int, bytes]]) -> float:
-    """Return when the kernel received a package: that the relay has still to wake up is no client's matter."""
+    """Return when the kernel received a package: the relay's own waking up is no client's matter."""
     (_, _, stamp), *_ = stamps
     seconds, fraction_ns = TIMESPEC.unpack(stamp)
     return float(seconds + fraction_ns / 1e9)
