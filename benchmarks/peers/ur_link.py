@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from drivers.universal_robots.connections import PROCESS
 from drivers.universal_robots.errors import STREAM_ERRORS
-from drivers.universal_robots.options import UrOptions, link_settings, planning_limits
+from drivers.universal_robots.options import UrOptions, link_settings
 from drivers.universal_robots.realtime.loop import Handover
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
@@ -48,7 +48,7 @@ def main() -> None:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             Handover(FIRST_RECIPE, FIRST_RECIPE, RUN).give(ours, connection)
         model = universal_robot(options.model)
-        limits = replace(planning_limits(options), cycle_s=options.cycle_s)
+        limits = options.limits(settings.kinematics(), options.cycle_s)
         number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": sys.argv[1], "pid": link.process.pid}), flush=True)

@@ -14,7 +14,6 @@ from typing import Self
 
 from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
 from drivers.universal_robots import UniversalRobotsArm
-from drivers.universal_robots.options import FOREMOST_PRIORITY
 from drivers.universal_robots.realtime.packages import (
     ACTUAL,
     ECHO,
@@ -32,6 +31,7 @@ from drivers.universal_robots.realtime.packages import (
     TARGET,
     TIMESTAMP,
 )
+from ronna_hw.arm_stream.options import FOREMOST_PRIORITY
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
@@ -254,7 +254,7 @@ class _Passage:
 
 
 def _arrival_s(stamps: list[tuple[int, int, bytes]]) -> float:
-    """Return when the kernel received a package: the relay's own waking up is no client's matter."""
+    """Return when the kernel received a package: how late the relay wakes up is no client's matter."""
     (_, _, stamp), *_ = stamps
     seconds, fraction_ns = TIMESPEC.unpack(stamp)
     return float(seconds + fraction_ns / 1e9)
