@@ -12,7 +12,8 @@ import pytest
 from handmade_ur import robot_state
 
 from drivers.universal_robots.dashboard import BANNER, DashboardClient
-from drivers.universal_robots.primary.client import QUIET_S, ControllerState, PrimaryClient
+from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
+from ronna_hw.arm_stream.control_channel import QUIET_S
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
 
