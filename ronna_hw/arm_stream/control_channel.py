@@ -95,7 +95,8 @@ class ControlChannel(ABC, Generic[S]):
         self._sending = threading.Lock()
         self.latest: S | None = None  # the last state, requested or unsolicited
         self.failure: RonnaError | None = None  # cause of the loss
-        self._listened_s = 0.0  # host time up to which the reader has taken all that arrived
+        self._opened_s = time.monotonic()
+        self._listened_s = self._opened_s  # up to then the reader has taken all that arrived
         self._listener: Listener[S] | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name=self.thread_name, daemon=True)
@@ -116,7 +117,7 @@ class ControlChannel(ABC, Generic[S]):
         The time in which this program did not run is no silence of the controller.
         """
         latest = self.latest
-        return max(0.0, self._listened_s - latest.received_s) if latest is not None else 0.0
+        return max(0.0, self._listened_s - (self._opened_s if latest is None else latest.received_s))
 
     def listen(self, listener: Listener[S]) -> None:
         """Register a listener for states, silence and loss of the connection."""

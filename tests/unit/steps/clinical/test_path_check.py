@@ -9,6 +9,7 @@ from prepared_results import (
     checked_set_up,
     correspondence,
     far_away,
+    global_localization,
     joints_at,
     localized_fiducials,
 )
@@ -27,7 +28,8 @@ from ronna_hw.frames import Transform
 
 def check(cell: ClinicalCell, robot_from_ct: Transform = ROBOT_FROM_CT) -> Stored[CheckedPaths]:
     return cell.run(
-        *(correspondence(robot_from_ct), localized_fiducials(), checked_plan(), checked_set_up(cell)), STEP
+        *(global_localization(), correspondence(robot_from_ct), localized_fiducials()),
+        *(checked_plan(), checked_set_up(cell), STEP),
     )
 
 
@@ -57,7 +59,9 @@ def test_the_strategy_of_the_case_is_used_and_recorded(cell: ClinicalCell) -> No
     assert paths.localizations_for(None) == paths.localizations[NEUTRAL]
     assert tuple(paths.targets) == TRAJECTORIES
     kinds = {name.partition("-")[2] for name in stored.record.parents}
-    assert kinds == {"correspondence", "fiducial_localization", "plan_check", "set_up"}
+    assert kinds == {
+        *("global_localization", "correspondence", "fiducial_localization", "plan_check", "set_up")
+    }
 
 
 def test_a_head_out_of_reach_is_refused_and_the_failing_poses_are_named(cell: ClinicalCell) -> None:
