@@ -59,9 +59,7 @@ def test_the_strategy_of_the_case_is_used_and_recorded(cell: ClinicalCell) -> No
     assert paths.localizations_for(None) == paths.localizations[NEUTRAL]
     assert tuple(paths.targets) == TRAJECTORIES
     kinds = {name.partition("-")[2] for name in stored.record.parents}
-    assert kinds == {
-        *("global_localization", "correspondence", "fiducial_localization", "plan_check", "set_up")
-    }
+    assert kinds == {"correspondence", "fiducial_localization", "plan_check", "set_up"}
 
 
 def test_a_head_out_of_reach_is_refused_and_the_failing_poses_are_named(cell: ClinicalCell) -> None:
@@ -82,7 +80,13 @@ def plan_with_one_out_of_reach() -> CheckedPlan:
 @pytest.mark.branch("UNREACHABLE")
 def test_a_trajectory_out_of_reach_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.UNREACHABLE)
-    given = (correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell))
+    given = (
+        global_localization(),
+        correspondence(),
+        localized_fiducials(),
+        plan_with_one_out_of_reach(),
+        checked_set_up(cell),
+    )
     with pytest.raises(NotReachable, match=f"{LAST}/"):
         cell.run(*given, STEP)
 
