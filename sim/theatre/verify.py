@@ -41,7 +41,8 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     its theatre, which may have seen other runs and, by mistake, another patient.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
-    lateral_mm, axial_mm, axis_error_rad), as plain data; `other_samples` names those at no target of
+    lateral_mm, axial_mm, axis_error_rad, and how far from the axis of the guide an assistant held the
+    instrument: held_off_mm, held_off_rad), as plain data; `other_samples` names those at no target of
     the plan.
     """
     _require_single_run(run)
@@ -173,4 +174,6 @@ def _verify_target(scene: Scene, trajectory: dict[str, Any], sample: TipSample) 
         "axis_error_rad": float(np.arccos(np.clip(np.array(sample.axis) @ planned_axis, -1.0, 1.0))),
         "guide_mounted": sample.mounted_tool == scene.mount.tool_number_guide,
         "arm_at_rest": sample.arm_at_rest,
+        **({} if sample.held_off_mm is None else {"held_off_mm": sample.held_off_mm}),
+        **({} if sample.held_off_rad is None else {"held_off_rad": sample.held_off_rad}),
     }

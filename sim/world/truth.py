@@ -5,6 +5,7 @@ The guide is pushed, badly seated or bent by faults. Only the verifier reads the
 
 from __future__ import annotations
 
+import math
 from math import radians
 from pathlib import Path
 
@@ -49,6 +50,9 @@ class TipSample(Strict):
     # Displacement of the head from its place in the scene, robot frame: turn about the origin, then shift.
     head_shift_mm: Numbers3 = STILL
     head_turn_rad: Numbers3 = STILL
+    # Of an instrument that an assistant holds: its axis beside that of the bore, at the farther end of it.
+    held_off_mm: float | None = None
+    held_off_rad: float | None = None
 
     @property
     def head_moved(self) -> Matrix:
@@ -118,6 +122,8 @@ def sample_seated_instrument(
         axis=as_point(guide.tip_frame()[:3, 2]),
         head_shift_mm=now.head_mm,
         head_turn_rad=now.head_rad,
+        held_off_mm=off_mm,
+        held_off_rad=math.acos(min(1.0, float(in_guide[2, 2]))),
     )
     return sample, gap_mm
 

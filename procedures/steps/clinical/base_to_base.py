@@ -319,7 +319,7 @@ class _BaseMeasurement:
         ball_mm = second.holder.flange_from_ball_mm
         base = self._base()
         cell.sensors.read_around_tool(self._context.setting.settings.servo_area_px)
-        postures = [
+        planned = [
             plan_poses_about(
                 FLANGE_ONWARDS,
                 base.inverse().apply(self._ball_mm + beside_mm),
@@ -331,6 +331,8 @@ class _BaseMeasurement:
             )[0]
             for number, beside_mm in enumerate(spread_places(MOST_POSTURES))
         ]
+        sets = (planned[first : first + POSTURES] for first in range(0, MOST_POSTURES, POSTURES))
+        postures = [posture for one in sets for posture in order_by_orientation(one)]
         reference = cell.tool_pose(cell.home_rad).rigid.rotation
         near = working_joints(second, [_flange(one.pose) for one in postures])
         heads, places, flanges = [], [], []
