@@ -17,7 +17,7 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Task, Topic
 from procedures.planning.errors import NotReachable
-from procedures.steps.clinical.base_to_base import KnownBases, working_joints
+from procedures.steps.clinical.base_to_base import FLANGE_ONWARDS, KnownBases, working_joints
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
@@ -141,7 +141,7 @@ def _find_axis(
     to_base = second.base.inverse()
     onto_flange = second.flange_from_clamp.inverse()
     near = working_joints(second, [to_base @ one.held @ onto_flange for one in axes])
-    found: list[tuple[float, Insertion, JointVector]] = []
+    found: list[tuple[int, float, Insertion, JointVector]] = []
     for one in axes:
         try:
             at_start = second.clamp_joints(one.start, near)
@@ -150,12 +150,16 @@ def _find_axis(
             start_rad = second.clamp_joints(one.start, near, signs)
         except LimitError:
             continue
+        # Near the postures of the ball: what the arms err there is part of the bases.
+        away_rad = float(
+            (FLANGE_ONWARDS.inv() * (to_base @ one.held @ onto_flange).rigid.rotation).magnitude()
+        )
         way_rad = max(abs(a - b) for a, b in zip(start_rad, second.home_rad, strict=True))
         turned_rad = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True))
         axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
-        found.append((way_rad + turned_rad, axis, start_rad))
+        found.append((round(away_rad / TURN_STEP_RAD), way_rad + turned_rad, axis, start_rad))
     here_rad, in_sight = second.joints_rad(), 0
-    for _, axis, start_rad in sorted(found, key=lambda one: one[0]):
+    for _, _, axis, start_rad in sorted(found, key=lambda one: one[:2]):
         if _hides_head(context, second, axis, start_rad):
             continue
         in_sight += 1
