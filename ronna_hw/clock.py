@@ -115,6 +115,31 @@ WISH_NS = 2_000_000_000
 STREAM_SILENCE_NS = 2_500_000_000
 
 
+class _ClockLock:
+    """Lock of a clock, which excludes other processes and other threads of this process.
+
+    Taken in every cycle: a generator with `contextmanager` would cost as much again.
+    """
+
+    def __init__(self, file: int) -> None:
+        self._file = file
+        self._threads = threading.Lock()
+
+    def __enter__(self) -> None:
+        self._threads.acquire()
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX)
+        except BaseException:
+            self._threads.release()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_UN)
+        finally:
+            self._threads.release()
+
+
 class SharedClock:
     """Clock shared by several processes, at the start of a `shm://` block.
 
@@ -140,7 +165,7 @@ class SharedClock:
         if not CLOCK.is_marked(memory) or VERSION.read(memory) != LAYOUT_VERSION:
             self.close()
             raise ClockUnavailable(f"{path} is not a clock file of this version")
-        self._thread_lock = threading.Lock()
+        self._lock = _ClockLock(self._file)
         found = os.fstat(self._file)
         self._alarm_address = f"\0ronna-clock-{found.st_dev}-{found.st_ino}"
         self._device = device
@@ -186,7 +211,7 @@ class SharedClock:
                 WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
                 or not self.is_streaming()
             ):
-                with self.hold_lock():
+                with self._lock:
                     if self.now_ns() >= moment_ns:
                         return
                     if not self.is_streaming():
@@ -275,7 +300,7 @@ class SharedClock:
         if self._paced:
             return self.now_ns()
         memory, own = self._memory, self._stream
-        with self.hold_lock():
+        with self._lock:
             ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())
@@ -290,7 +315,7 @@ class SharedClock:
         memory = self._memory
         if self._paced or TIME_NS.read(memory) >= self._stream.time_ns.read(memory):
             return False
-        with self.hold_lock():  # it may have ended or fallen silent
+        with self._lock:  # it may have ended or fallen silent
             self._stream.host_ns.write(memory, time.monotonic_ns())
             self._keep_step()
         return TIME_NS.read(memory) < self._stream.time_ns.read(memory)
@@ -321,21 +346,11 @@ class SharedClock:
 
     def end_stream(self) -> None:
         """Mark the cyclic stream as ended, so that it no longer paces theatre time."""
-        with self.hold_lock():
+        with self._lock:
             self._stream.host_ns.write(self._memory, 0)
             if not self._paced:
                 self._keep_step()
         self._wake_devices()
-
-    @contextmanager
-    def hold_lock(self) -> Iterator[None]:
-        """Hold the clock's lock, excluding other processes and other threads of this process."""
-        with self._thread_lock:
-            fcntl.flock(self._file, fcntl.LOCK_EX)
-            try:
-                yield
-            finally:
-                fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def close(self) -> None:
         """Release the shared memory; safe to call twice."""

@@ -126,6 +126,7 @@ NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base,
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
 LARGEST_COARSE_FINE_MM = 5.75
+LARGEST_INSERTION_N = 50.0  # a Universal Robots arm holds 50 N in its reach; no instrument here needs more
 
 
 class BadTheatreFile(ConfigurationError):
@@ -319,6 +320,11 @@ class ProcedureSettings(Strict):
         default=60.0,
         description="How far back along its axis a tool begins its approach and ends its retreat: from where "
         "the guide is held, which the plan states, from a sphere, and from the entry of a measured target.",
+    )
+    insertion_force_N: Annotated[float, Field(gt=0, le=LARGEST_INSERTION_N)] = Field(
+        default=15.0,
+        description="Force on the instrument at which an assistant that senses force stops its insertion. "
+        "The default is unconfirmed: bone under a drill takes 5 to 20 N.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
         default=3.0,

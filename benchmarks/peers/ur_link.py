@@ -1,7 +1,7 @@
 """The Universal Robots driver's real-time process with an open stream.
 
-Arguments: the controller's endpoint; rest, or move to be always in motion; unrehearsed for a link that never
-rehearses its reply.
+Arguments: the controller's endpoint; rest, or move to be always in motion; ur5 for that arm, not a UR5e;
+unrehearsed for a link that never rehearses its reply.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from dataclasses import replace
 
 from drivers.universal_robots.connections import PROCESS
 from drivers.universal_robots.errors import STREAM_ERRORS
-from drivers.universal_robots.options import UrOptions, planning_limits, script_settings
+from drivers.universal_robots.options import UrOptions, link_settings
 from drivers.universal_robots.realtime.loop import Handover
-from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.universal_robots import UniversalRobot, universal_robot
@@ -34,19 +33,13 @@ FIRST_RECIPE, RUN = 1, 4711
 def main() -> None:
     """Serve until terminated. The real-time process exits along with its parent."""
     end_with_parent(lambda: os._exit(0))
-    options = UrOptions.model_validate({})
+    options = UrOptions.model_validate({"model": "ur5" if "ur5" in sys.argv else "ur5e"})
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    settings = LinkSettings(
-        parent_pid=os.getpid(),
+    settings = replace(
+        link_settings(options, theirs.fileno()),
         silence_limit_s=PATIENCE_S,
         heartbeat_limit_s=PATIENCE_S,
-        settle_tolerance_deg=options.settle_tolerance_deg,
-        real_time_priority=options.real_time_priority,
         rehearsal_lead_us=0 if "unrehearsed" in sys.argv else options.rehearsal_lead_us,
-        handover_fd=theirs.fileno(),
-        model=options.model.value,
-        cycle_s=options.cycle_s,
-        starved_cycles=script_settings(options).STARVED_CYCLES,
     )
     link = LinkClient(settings, PROCESS, STREAM_ERRORS, inherited=(theirs.fileno(),))
     try:
@@ -55,7 +48,7 @@ def main() -> None:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             Handover(FIRST_RECIPE, FIRST_RECIPE, RUN).give(ours, connection)
         model = universal_robot(options.model)
-        limits = replace(planning_limits(options), cycle_s=options.cycle_s)
+        limits = options.limits(settings.kinematics(), options.cycle_s)
         number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": sys.argv[1], "pid": link.process.pid}), flush=True)

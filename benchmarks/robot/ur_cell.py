@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
+import struct
 import threading
 import time
 from contextlib import ExitStack
@@ -12,14 +14,34 @@ from typing import Self
 
 from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
 from drivers.universal_robots import UniversalRobotsArm
-from drivers.universal_robots.realtime.packages import INPUT, OUTPUT
+from drivers.universal_robots.realtime.packages import (
+    ACTUAL,
+    ECHO,
+    INPUT,
+    INPUT_FIELDS,
+    OUTPUT,
+    RECIPE_ID,
+    ROBOT_MODE,
+    RUN,
+    RUNTIME_STATE,
+    SAFETY_MODE,
+    SCRIPT_STATE,
+    SPEED_FRACTION,
+    SPEED_SCALING,
+    TARGET,
+    TIMESTAMP,
+)
+from ronna_hw.arm_stream.options import FOREMOST_PRIORITY
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 from ronna_hw.wire.universal_robots import (
     RTDE_PORT,
+    RUN_INPUT,
+    SEQUENCE_INPUT,
+    SET_POINT_INPUTS,
     PackageType,
     RobotMode,
     RuntimeState,
@@ -36,10 +58,17 @@ REPLY_LIMIT_S = 0.2
 CYCLE_S = 0.002
 FIRST_RECIPE = 1
 FULL_SPEED = 1.0
+BEGIN_S = 100.0  # time stamp of the first package
 LONGEST = 65536
 SCENE_SEED = 3
 SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
 TYPE_PLACE = 2  # in a package
+SO_TIMESTAMPNS = 35  # socket(7); stamps are a struct timespec of CLOCK_REALTIME
+TIMESPEC = struct.Struct("qq")
+STAMP_SPACE_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
+_FIRST_INPUT = RECIPE_ID + 1  # in an unpacked set-point
+_SEQUENCE, _RUN = (_FIRST_INPUT + INPUT_FIELDS.index(name) for name in (SEQUENCE_INPUT, RUN_INPUT))
+_SET_POINT = tuple(_FIRST_INPUT + INPUT_FIELDS.index(name) for name in SET_POINT_INPUTS)
 
 
 def own_address(number: int) -> str:
@@ -48,28 +77,45 @@ def own_address(number: int) -> str:
     return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
 
 
+def resting_values() -> list[float]:
+    """Return the values of an output package of an arm at rest whose script awaits the first set-point.
+
+    What the driver asks for beyond that is zero.
+    """
+    values: list[float] = list(OUTPUT.unpack(bytes(OUTPUT.size)))
+    values[:TIMESTAMP] = OUTPUT.size, PackageType.DATA, FIRST_RECIPE
+    values[TIMESTAMP] = BEGIN_S
+    values[TARGET] = values[ACTUAL] = HOME_RAD
+    values[SPEED_SCALING] = values[SPEED_FRACTION] = FULL_SPEED
+    values[ROBOT_MODE], values[SAFETY_MODE] = RobotMode.RUNNING, SafetyMode.NORMAL
+    values[RUNTIME_STATE], values[SCRIPT_STATE] = RuntimeState.PLAYING, ScriptState.WAITING
+    return values
+
+
 class ControllerStandIn:
     """Listens for one client, which gets the packages of a controller and of our script at a given pace."""
 
-    def __init__(self) -> None:
+    def __init__(self, reply_limit_s: float = REPLY_LIMIT_S, cycle_s: float = CYCLE_S) -> None:
+        """Listen; a reply that takes longer than `reply_limit_s` is lost."""
+        self._reply_limit_s = reply_limit_s
+        self._cycle_s = cycle_s
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         self._link: socket.socket | None = None
-        self._timestamp_s = 100.0
         self._goal = HOME_RAD
-        self._used = self._run = 0
+        self._values = resting_values()
         self.turnarounds_s: list[float] = []
         self.unanswered = 0
         self.moved_rad = 0.0  # travel of the base so far: shows that a moving client really moves
 
-    def block(self, count: int, pace_s: float) -> list[float]:
-        """Send `count` packages `pace_s` apart on an absolute schedule. Return the turnarounds in s."""
+    def block(self, count: int) -> list[float]:
+        """Send `count` packages, a cycle apart on an absolute schedule. Return the turnarounds in s."""
         link = self._connected()
         found: list[float] = []
         due_s = time.perf_counter()
         for _ in range(count):
-            due_s = max(due_s + pace_s, time.perf_counter())
-            package = self._next_package()
+            due_s = max(due_s + self._cycle_s, time.perf_counter())
+            package = self.next_package()
             pause_s = due_s - time.perf_counter()
             if pause_s > 0.0:
                 time.sleep(pause_s)
@@ -81,15 +127,15 @@ class ControllerStandIn:
                 self.unanswered += 1
                 continue
             found.append(time.perf_counter() - began_s)
-            self._follow(reply)
+            self.follow(reply)
         self.turnarounds_s += found
         return found
 
     def exchange(self) -> None:
-        """Send a package and wait for the reply."""
+        """Send a package, wait for the reply and take it."""
         link = self._connected()
-        link.send(self._next_package())
-        link.recv(LONGEST)
+        link.send(self.next_package())
+        self.follow(link.recv(LONGEST))
 
     def share(self, share: float) -> float:
         """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
@@ -110,36 +156,36 @@ class ControllerStandIn:
         if self._link is None:
             self._link, _ = self._server.accept()
             self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._link.settimeout(REPLY_LIMIT_S)
+            self._link.settimeout(self._reply_limit_s)
             self._link.setblocking(False)
             with contextlib.suppress(BlockingIOError):  # its request to start, which an echo does not send
                 self._link.recv(LONGEST)
-            self._link.settimeout(REPLY_LIMIT_S)
+            self._link.settimeout(self._reply_limit_s)
         return self._link
 
-    def _next_package(self) -> bytes:
-        self._timestamp_s += CYCLE_S
-        state = ScriptState.STREAMING if self._used else ScriptState.WAITING
-        return OUTPUT.pack(
-            OUTPUT.size, PackageType.DATA, FIRST_RECIPE, self._timestamp_s, *self._goal, *self._goal,
-            FULL_SPEED, FULL_SPEED,
-            RobotMode.RUNNING, SafetyMode.NORMAL, RuntimeState.PLAYING, self._used, state, self._run,
-        )  # fmt: skip
+    def next_package(self) -> bytes:
+        """Return the package of the next cycle."""
+        values = self._values
+        values[TIMESTAMP] += self._cycle_s
+        return OUTPUT.pack(*values)
 
-    def _follow(self, reply: bytes) -> None:
+    def follow(self, reply: bytes) -> None:
+        """Take a set-point, as our script does."""
         if len(reply) != INPUT.size:
             return  # an echo commands nothing
-        _, _, _, sequence, _, self._run, a, b, c, d, e, f = INPUT.unpack(reply)
-        if sequence:
-            self._used = sequence
-            self.moved_rad += abs(a - self._goal[0])
-            self._goal = (a, b, c, d, e, f)
+        inputs, values = INPUT.unpack(reply), self._values
+        values[RUN] = inputs[_RUN]
+        if inputs[_SEQUENCE]:
+            goal = joint_vector(inputs[place] for place in _SET_POINT)
+            self.moved_rad += abs(goal[0] - self._goal[0])
+            self._goal = values[TARGET] = values[ACTUAL] = goal
+            values[ECHO], values[SCRIPT_STATE] = inputs[_SEQUENCE], ScriptState.STREAMING
 
 
 class Relay:
     """Passes on what client and controller send at the fixed ports of an address, and measures RTDE clients.
 
-    The turnaround is from a data package until the client's next one.
+    The turnaround is from a data package until the kernel has received the client's next one.
     """
 
     def __init__(self, address: str, controller: str) -> None:
@@ -166,35 +212,52 @@ class Relay:
                 controller = socket.create_connection((self._controller, port))
                 for end in (client, controller):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                client.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 passage = _Passage(client, controller, self.turnarounds_s if port == RTDE_PORT else [])
-                for pass_on in (passage.to_client, passage.to_controller):
-                    threading.Thread(target=pass_on, daemon=True).start()
+                threading.Thread(target=passage.run, daemon=True).start()
 
 
 class _Passage:
-    """One connection through a relay."""
+    """One connection through a relay, served by one thread: two would wait for each other's interpreter."""
 
     def __init__(self, client: socket.socket, controller: socket.socket, turnarounds_s: list[float]) -> None:
         self._client, self._controller = client, controller
         self._turnarounds_s = turnarounds_s
         self._sent_s = 0.0
 
-    def to_client(self) -> None:
-        with contextlib.suppress(OSError):
-            while data := self._controller.recv(LONGEST):
-                if _is_data(data):
-                    self._sent_s = time.perf_counter()
-                self._client.sendall(data)
-            self._client.shutdown(socket.SHUT_WR)
+    def run(self) -> None:
+        """Pass on what arrives, until either side closes."""
+        client, controller = self._client, self._controller
+        with client, controller, select.epoll() as poll, contextlib.suppress(OSError):
+            for end in (client, controller):
+                poll.register(end, select.EPOLLIN)
+            while True:
+                for number, _ in poll.poll():
+                    passed = self._to_client() if number == controller.fileno() else self._to_controller()
+                    if not passed:
+                        return
 
-    def to_controller(self) -> None:
-        with contextlib.suppress(OSError):
-            while data := self._client.recv(LONGEST):
-                if self._sent_s and _is_data(data):
-                    self._turnarounds_s.append(time.perf_counter() - self._sent_s)
-                    self._sent_s = 0.0
-                self._controller.sendall(data)
-            self._controller.shutdown(socket.SHUT_WR)
+    def _to_client(self) -> bool:
+        data = self._controller.recv(LONGEST)
+        if _is_data(data):
+            self._sent_s = time.clock_gettime(time.CLOCK_REALTIME)
+        self._client.sendall(data)
+        return bool(data)
+
+    def _to_controller(self) -> bool:
+        data, stamps, _, _ = self._client.recvmsg(LONGEST, STAMP_SPACE_BYTES)
+        if self._sent_s and _is_data(data):
+            self._turnarounds_s.append(_arrival_s(stamps) - self._sent_s)
+            self._sent_s = 0.0
+        self._controller.sendall(data)
+        return bool(data)
+
+
+def _arrival_s(stamps: list[tuple[int, int, bytes]]) -> float:
+    """Return when the kernel received a package: how late the relay wakes up is no client's matter."""
+    (_, _, stamp), *_ = stamps
+    seconds, fraction_ns = TIMESPEC.unpack(stamp)
+    return float(seconds + fraction_ns / 1e9)
 
 
 def _is_data(data: bytes) -> bool:
@@ -204,7 +267,7 @@ def _is_data(data: bytes) -> bool:
 class UrCell:
     """`ronna-sim ur` with an active arm driver; in lock-step, or in real time behind a relay."""
 
-    def __init__(self, *, lock_step: bool = True) -> None:
+    def __init__(self, *, lock_step: bool = True, real_time_priority: int = FOREMOST_PRIORITY) -> None:
         self._ending = ExitStack()
         scene = draw_scene("bench", seed=SCENE_SEED, arm=ArmChoice.UR5E)
         self.world = World.create(scene, paced=not lock_step)
@@ -217,7 +280,7 @@ class UrCell:
         if self.relay is not None:
             self._ending.callback(self.relay.close)
             endpoints["rtde"] = f"tcp://{self.relay.address}:{parse_endpoint(ready['rtde']).port}"
-        options = {"silence_limit_s": SILENCE_LIMIT_S}
+        options = {"silence_limit_s": SILENCE_LIMIT_S, "real_time_priority": real_time_priority}
         config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options=options)
         self.arm = UniversalRobotsArm("robot.master", config, open_clock(self.world.clock_endpoint))
         self._ending.callback(self.arm.close)

@@ -2,8 +2,9 @@
 
 Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record, on
 joint moves and on straight lines with the factory calibration. Turnaround: package sent to set-point read, as
-a controller sees it, in cycles of 2 ms, next to an echo. Against ur-rtde a relay in front of the simulator
-measures both: it needs a whole controller.
+a controller sees it, in cycles of 2 ms (UR5e) and 8 ms (UR5), next to an echo and to a bare client of RTDE,
+which unpacks and packs the same and decides nothing. Against ur-rtde the same relay in front of the simulator
+measures each client in turn: ur-rtde needs a whole controller.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
-from benchmarks.figures import Figure, compare_samples, process_cpu_s, run_contest
+from benchmarks.figures import Contestant, Figure, compare_samples, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import peer
 from benchmarks.robot.robot_link import rate_in_motion
 from benchmarks.robot.ur_cell import CYCLE_S, ControllerStandIn, UrCell
@@ -29,15 +30,19 @@ LOCK_STEP_GOAL_HZ = 5_000.0
 MEDIAN_ABOVE_ECHO_GOAL_US = 15.0
 P99_OVER_ECHO_GOAL = 3.0
 RTDE_SHARE_GOAL = 0.5
-ECHO, AT_REST, MOVING, UNREHEARSED = (
+ECHO, BARE_RTDE, AT_REST, MOVING, UNREHEARSED = (
     "bare TCP echo",
+    "bare client of RTDE",
     "driver at rest",
     "driver moving",
     "driver moving, without rehearsal",
 )
 JOINT_MOVE, LINE, BARE = "joint move", "straight line, calibrated", "bare TCP exchange"
-OURS, POLLED, PACED = "driver", "ur-rtde servoJ, on each new state", "ur-rtde servoJ, by its own clock"
+BARE_RTDE_EXCHANGE = "bare RTDE exchange"
+OURS, PLAIN = "driver", "driver, without priority"
+POLLED, PACED = "ur-rtde servoJ, on each new state", "ur-rtde servoJ, by its own clock"
 SETTLING_S = 1.0
+CB3_CYCLE_S = 0.008
 
 
 @dataclass(frozen=True)
@@ -47,20 +52,34 @@ class Size:
     lock_step: int = 10
     turnaround: int = 20
     block: int = 500
-    relayed_s: float = 10.0
+    cb3_turnaround: int = 10
+    cb3_block: int = 125
+    relayed: int = 3
+    relayed_s: float = 4.0
 
 
-SMALLEST = Size(1, 1, 20, 0.5)
+SMALLEST = Size(1, 1, 20, 1, 20, 1, 0.5)
 
 
 def measure(smallest: bool = False) -> list[Figure]:
     size = SMALLEST if smallest else Size()
-    return [*_measure_lock_step(size), *_measure_turnaround(size), *_measure_beside_ur_rtde(size)]
+    fast = (ECHO, BARE_RTDE, AT_REST, MOVING, UNREHEARSED)
+    return [
+        *_measure_lock_step(size),
+        *_measure_turnaround("UR: turnaround at 2 ms", CYCLE_S, fast, size.turnaround, size.block),
+        *_measure_turnaround(
+            "UR: turnaround at 8 ms", CB3_CYCLE_S, fast[:-1], size.cb3_turnaround, size.cb3_block
+        ),
+        *_measure_beside_ur_rtde(size),
+    ]
 
 
 def _measure_lock_step(size: Size) -> list[Figure]:
     name = "UR: lock-step cycles per second"
-    with UrCell() as cell, ControllerStandIn() as stand_in, peer("tcp_echo", stand_in.endpoint):
+    with UrCell() as cell, ExitStack() as stack:
+        echo, bare_rtde = (stack.enter_context(ControllerStandIn()) for _ in range(2))
+        stack.enter_context(peer("tcp_echo", echo.endpoint))
+        stack.enter_context(peer("bare_rtde", bare_rtde.endpoint))
         cell.start()
         arm, link = cell.arm, cell.arm.connections.link
         home = arm.read_state().commanded_rad
@@ -87,13 +106,19 @@ def _measure_lock_step(size: Size) -> list[Figure]:
                 arm.move_linear(end)
             return rate_in_motion(link.recorded_cycles())
 
-        def exchange() -> float:
+        def exchange(stand_in: ControllerStandIn) -> float:
             began = time.perf_counter()
             for _ in range(BARE_EXCHANGES):
                 stand_in.exchange()
             return BARE_EXCHANGES / (time.perf_counter() - began)
 
-        samples = run_contest({JOINT_MOVE: joint_move, LINE: line, BARE: exchange}, size.lock_step)
+        contestants: dict[str, Contestant] = {
+            JOINT_MOVE: joint_move,
+            LINE: line,
+            BARE_RTDE_EXCHANGE: partial(exchange, bare_rtde),
+            BARE: partial(exchange, echo),
+        }
+        samples = run_contest(contestants, size.lock_step)
         figures = compare_samples(name, "1/s", samples, BARE)
         return [
             figures[0].at_least(LOCK_STEP_GOAL_HZ),
@@ -110,24 +135,28 @@ def _beside(flange: Pose, by_mm: float) -> Transform:
     return Pose((x, y + by_mm, z), flange.rotation).to_transform()
 
 
-def _measure_turnaround(size: Size) -> list[Figure]:
-    """Alternate blocks of packages between the driver's process and an echo."""
-    name = "UR: turnaround at 2 ms"
+def _measure_turnaround(
+    name: str, cycle_s: float, contestants: tuple[str, ...], rounds: int, packages: int
+) -> list[Figure]:
+    """Alternate blocks of packages between the driver's process and bare clients."""
+    model = "ur5" if cycle_s == CB3_CYCLE_S else "ur5e"
     arguments = {
         ECHO: ("tcp_echo",),
-        AT_REST: ("ur_link", "rest"),
-        MOVING: ("ur_link", "move"),
-        UNREHEARSED: ("ur_link", "move", "unrehearsed"),
+        BARE_RTDE: ("bare_rtde",),
+        AT_REST: ("ur_link", "rest", model),
+        MOVING: ("ur_link", "move", model),
+        UNREHEARSED: ("ur_link", "move", model, "unrehearsed"),
     }
     with ExitStack() as stack:
-        controllers = {who: stack.enter_context(ControllerStandIn()) for who in arguments}
-        for who, (program, *more) in arguments.items():
+        controllers = {who: stack.enter_context(ControllerStandIn(cycle_s=cycle_s)) for who in contestants}
+        for who in contestants:
+            program, *more = arguments[who]
             stack.enter_context(peer(program, controllers[who].endpoint, *more))
 
         def block(who: str) -> float:
-            return median(controllers[who].block(size.block, CYCLE_S))
+            return median(controllers[who].block(packages))
 
-        samples = run_contest({who: partial(block, who) for who in arguments}, size.turnaround)
+        samples = run_contest({who: partial(block, who) for who in contestants}, rounds)
         figures = [
             replace(figure, more=_tail(controllers[figure.who]))
             for figure in compare_samples(name, "µs", samples, ECHO, scale=1e6)
@@ -158,21 +187,26 @@ def _tail(controller: ControllerStandIn) -> dict[str, float]:
 
 
 def _measure_beside_ur_rtde(size: Size) -> list[Figure]:
-    """Measure one client after the other through a relay in front of a controller in real time."""
-    medians: dict[str, list[float]] = {}
-    for who in (OURS, POLLED, PACED):
-        with UrCell(lock_step=False) as cell, ExitStack() as stack:
+    """Measure one client after the other through the same relay in front of a controller in real time."""
+
+    def relayed(who: str) -> float:
+        priority = {"real_time_priority": 0} if who == PLAIN else {}
+        with UrCell(lock_step=False, **priority) as cell, ExitStack() as stack:
             relay = cell.relay
             assert relay is not None
-            if who == OURS:
+            if who in (OURS, PLAIN):
                 cell.start()
             else:
-                stack.enter_context(
-                    peer("ur_rtde_client", relay.address, "polled" if who == POLLED else "paced")
-                )
+                way = "polled" if who == POLLED else "paced"
+                stack.enter_context(peer("ur_rtde_client", relay.address, way))
             time.sleep(SETTLING_S)
             relay.turnarounds_s.clear()
             time.sleep(size.relayed_s)
-            medians[who] = [median(relay.turnarounds_s)]
+            if not relay.turnarounds_s:
+                raise RuntimeError(f"{who} has stopped sending set-points")
+            return median(relay.turnarounds_s)
+
+    clients = {who: partial(relayed, who) for who in (OURS, PLAIN, POLLED, PACED)}
+    medians = run_contest(clients, size.relayed, warm_up=0)
     figures = compare_samples("UR: turnaround beside ur-rtde", "µs", medians, POLLED, scale=1e6)
     return [figures[0].ratio_at_most(RTDE_SHARE_GOAL), *figures[1:]]

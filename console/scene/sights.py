@@ -10,7 +10,7 @@ from typing import Any
 from console.case_view import CaseView
 from console.scene.bodies import METRES, Call, Point, Rod, axis_ends, placing_calls
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
-from procedures.planning.line_of_sight import SENSORS_MM
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
 from ronna_hw.frames import Transform

@@ -259,6 +259,9 @@ class ControllerStopped(LimitError):
 
 
 STREAM_ERRORS = StreamErrors(
+    not_found=ControllerNotFound,
+    lost=ControllerLost,
+    no_answer=NoAnswer,
     not_started=LinkNotStarted,
     died=LinkProcessDied,
     stalled=LinkProcessStalled,
@@ -274,4 +277,5 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="IPOC",
+    message_name="telegram",
 )

@@ -2,78 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import degrees
 
-from drivers.kuka_rsi.errors import STREAM_ERRORS, ControllerRestarted, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.eki.telegrams import ControllerState
+from drivers.kuka_rsi.errors import ControllerRestarted, NoTelegram, PoseDisagrees
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
-from ronna_hw.wire.kuka_eki import OperationMode
 
 
-def stream_faults(name: str, options: KukaOptions) -> StreamFaults:
-    """Return the errors of this arm's stream."""
-    return StreamFaults(
-        name, kr6_r900(options.variant), STREAM_ERRORS, options.silence_limit_s, options.heartbeat_limit_s
-    )
+@dataclass(frozen=True)
+class RsiFaults(StreamFaults):
+    """Errors of one arm's RSI stream."""
 
+    options: KukaOptions
 
-def fault_error(
-    name: str,
-    state: LinkState,
-    options: KukaOptions,
-    mode: OperationMode,
-    message: int = 0,
-    surroundings: Surroundings = NOTHING_AROUND,
-) -> RonnaError | None:
-    """Build the error for a latched fault, if any; `message` is the controller's number, 0 for none."""
-    faults = stream_faults(name, options)
-    match state.fault:
-        case Fault.SILENCE:
-            return faults.silence_error(state, f"; the controller shows message {message}" if message else "")
-        case Fault.RESTARTED:
-            sender = f" from {state.foreign_host}" if state.foreign else ""
-            return ControllerRestarted(
-                f"{name}: after {state.cycles} cycles received telegrams of another run{sender}",
-                got=f"IPOC {state.device_clock}",
+    def error(
+        self,
+        state: LinkState,
+        mode: str,
+        surroundings: Surroundings = NOTHING_AROUND,
+        reported: ControllerState | None = None,
+    ) -> RonnaError | None:
+        """Build the error for a latched fault, if any; silence may have left a message on the controller."""
+        match state.fault:
+            case Fault.SILENCE if reported is not None and reported.error:
+                return self.silence_error(state, f"; the controller shows message {reported.error}")
+            case Fault.RESTARTED:
+                sender = f" from {state.foreign_host}" if state.foreign else ""
+                return ControllerRestarted(
+                    f"{self.name}: after {state.cycles} cycles received telegrams of another run{sender}",
+                    got=f"IPOC {state.device_clock}",
+                )
+            case Fault.BASE:
+                return PoseDisagrees(
+                    f"{self.name}: the first telegram's axes are outside the joint ranges",
+                    got=self.axes_text(state),
+                )
+        return super().error(state, mode, surroundings)
+
+    def start_error(
+        self, state: LinkState, axes_deg: JointVector, timeout_s: float
+    ) -> NoTelegram | PoseDisagrees:
+        """Build the error for a stream that received no matching telegram, with counts of all others."""
+        last = f", the last from {state.foreign_host}" if state.foreign_host else ""
+        counts = (
+            (state.disagreeing, "reported other axes"),
+            (state.foreign, "came from elsewhere"),
+            (state.rejected, "were malformed or of another Type"),
+        )
+        sender_counts = ", ".join(f"{count} {what}" for count, what in counts if count)
+        others = f"; {sender_counts}{last}" if sender_counts else ""
+        limit = f"{timeout_s:g} s"
+        if not state.disagreeing:
+            return NoTelegram(
+                f"{self.name}: the RSI program runs, but none of its telegrams arrive here{others}",
+                expected=f"telegrams of {host}" if (host := self.options.controller_host) else None,
+                limit=limit,
             )
-        case Fault.BASE:
-            return PoseDisagrees(
-                f"{name}: the first telegram's axes are outside the joint ranges",
-                got=faults.axes_text(state),
-            )
-    return faults.error(state, mode, surroundings)
-
-
-def start_error(
-    name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
-) -> NoTelegram | PoseDisagrees:
-    """Build the error for a stream that received no matching telegram, with counts of all others."""
-    last = f", the last from {state.foreign_host}" if state.foreign_host else ""
-    counts = (
-        (state.disagreeing, "reported other axes"),
-        (state.foreign, "came from elsewhere"),
-        (state.rejected, "were malformed or of another Type"),
-    )
-    sender_counts = ", ".join(f"{count} {what}" for count, what in counts if count)
-    others = f"; {sender_counts}{last}" if sender_counts else ""
-    limit = f"{timeout_s:g} s"
-    if not state.disagreeing:
-        return NoTelegram(
-            f"{name}: the RSI program runs, but none of its telegrams arrive here{others}",
-            expected=f"telegrams of {options.controller_host}" if options.controller_host else None,
+        pairs = [(by_eki, degrees(angle)) for by_eki, angle in zip(axes_deg, state.measured_rad, strict=True)]
+        axis = max(range(len(pairs)), key=lambda k: abs(pairs[k][0] - pairs[k][1]))
+        by_eki, by_rsi = pairs[axis]
+        return PoseDisagrees(
+            f"{self.name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {by_rsi:.3f} by RSI{others}",
+            expected=f"a telegram within {AXES_AGREE_DEG} deg of the axes by EKI",
             limit=limit,
         )
-    pairs = [(by_eki, degrees(angle)) for by_eki, angle in zip(axes_deg, state.measured_rad, strict=True)]
-    axis = max(range(len(pairs)), key=lambda k: abs(pairs[k][0] - pairs[k][1]))
-    by_eki, by_rsi = pairs[axis]
-    return PoseDisagrees(
-        f"{name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {by_rsi:.3f} by RSI{others}",
-        expected=f"a telegram within {AXES_AGREE_DEG} deg of the axes by EKI",
-        limit=limit,
-    )

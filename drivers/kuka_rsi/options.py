@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from ipaddress import IPv4Address
-from math import degrees, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,27 +12,15 @@ from pydantic import AfterValidator, Field
 from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from drivers.theatre_options import parse_options
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.motion.limits import (
-    LEAST_LINE_SPEED_MM_S,
-    RANGE_MARGIN_RAD,
-    REDUCED_SPEED_MM_S,
-    WORKING_SPEED_FRACTION,
-    MotionLimits,
-    working_limits,
-)
-from ronna_hw.calibration import Strict
+from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
+from ronna_hw.arm_stream.options import SETTLE_TOLERANCE, SPEED_FRACTION, StreamOptions
 from ronna_hw.config import Role
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
-SILENCE_LIMIT_S = 0.25
-HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
-FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
-LARGEST_LINE_SPEED_MM_S = REDUCED_SPEED_MM_S  # on straight lines, also with nobody beside the arm
 LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
@@ -46,7 +32,7 @@ ROLES = {
 ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text)) if text else "")]
 
 
-class KukaOptions(Strict):
+class KukaOptions(StreamOptions):
     """Arm options: table `[robot.<name>.options]`, with host times and fractions of full axis speed."""
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
@@ -61,67 +47,15 @@ class KukaOptions(Strict):
     controller_host: ControllerHost = Field(
         "", description="The only address that may open the RSI stream; empty: the first sender."
     )
-    silence_limit_s: float = Field(
-        SILENCE_LIMIT_S,
-        gt=0.02,
-        le=60.0,
-        description="Time without a telegram after which the arm is in fault.",
-    )
-    heartbeat_limit_s: float = Field(
-        HEARTBEAT_LIMIT_S,
-        ge=0.1,
-        le=60.0,
-        description="The arm is stopped when the program stalls for longer.",
-    )
-    settle_tolerance_deg: float = Field(
-        SETTLE_TOLERANCE_DEG,
-        ge=0.0001,
-        le=1.0,
-        description="A motion has ended when all axes are within this distance of the target.",
-    )
+    settle_tolerance_deg: float = Field(SETTLE_TOLERANCE_DEG, ge=0.0001, le=1.0, description=SETTLE_TOLERANCE)
     speed_fraction: float = Field(
-        WORKING_SPEED_FRACTION,
-        gt=0.0,
-        lt=LARGEST_SPEED_FRACTION,
-        description="Working speed of the axes, as a fraction of full speed.",
-    )
-    range_margin_deg: float = Field(
-        degrees(RANGE_MARGIN_RAD),
-        ge=0.0,
-        le=30.0,
-        description="Margin kept from both ends of each axis's range.",
-    )
-    line_speed_mm_s: float | None = Field(
-        None,
-        ge=LEAST_LINE_SPEED_MM_S,
-        le=LARGEST_LINE_SPEED_MM_S,
-        description="Largest speed on straight lines, instead of the default.",
-    )
-    real_time_priority: int = Field(
-        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."
-    )
-    rehearsal_lead_us: int = Field(
-        REHEARSAL_LEAD_US,
-        ge=0,
-        le=2000,
-        description="The reply is rehearsed this long before its telegram is due; 0: never.",
+        WORKING_SPEED_FRACTION, gt=0.0, lt=LARGEST_SPEED_FRACTION, description=SPEED_FRACTION
     )
 
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     """Parse the arm options; raises RSI-013 listing every mistake."""
     return parse_options(KukaOptions, options, f"{device}: options", BadOptions)
-
-
-def planning_limits(options: KukaOptions, cycle_s: float) -> MotionLimits:
-    """Return the limits of automatic operation that these options ask for."""
-    limits = working_limits(kr6_r900(options.variant), options.speed_fraction)
-    return replace(
-        limits,
-        cycle_s=cycle_s,
-        range_margin_rad=radians(options.range_margin_deg),
-        line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
-    )
 
 
 def load_usable_context(device: str, options: KukaOptions) -> RsiContext:

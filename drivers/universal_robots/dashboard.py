@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TypeVar
 
 from drivers.universal_robots.errors import (
@@ -16,10 +16,19 @@ from drivers.universal_robots.errors import (
     ControllerNotFound,
     NoAnswer,
 )
+from ronna_hw.arm_stream.control_channel import BytesPassed, describe, open_connection
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
+from ronna_hw.wire.universal_robots_services import (
+    ACCEPTED,
+    BANNER,
+    ROBOT_MODE_HEAD,
+    RUNNING_HEAD,
+    SAFETY_MODE_HEAD,
+    Order,
+    Query,
+)
 
-BANNER = "Connected: Universal Robots Dashboard Server"
 LONGEST_LINE_BYTES = 1000
 RECEIVE_BYTES = 1024
 T = TypeVar("T")
@@ -29,23 +38,13 @@ TRUTHS = {"true": True, "false": False}
 class DashboardClient:
     """Thread-safe connection to the dashboard server."""
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        timeout_s: float,
-        on_bytes: Callable[[Direction, bytes], None] | None = None,
-    ) -> None:
+    def __init__(self, host: str, port: int, timeout_s: float, on_bytes: BytesPassed | None = None) -> None:
         """Connect; raises URD-002 if no dashboard server answers. `on_bytes` receives all traffic."""
         self.where = f"tcp://{host}:{port}"
         self._on_bytes = on_bytes
         self._asking = threading.Lock()
         self._received = b""
-        try:
-            self._socket = socket.create_connection((host, port), timeout_s)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise ControllerNotFound(f"nothing answers at {self.where} ({reason})") from error
+        self._socket = open_connection(host, port, timeout_s, ControllerNotFound)
         try:
             banner = self._read_line(time.monotonic() + timeout_s)
         except (NoAnswer, ControllerLost, BadBytes) as error:
@@ -69,27 +68,29 @@ class DashboardClient:
                 self.close()  # a late answer would be taken for that to the next command
                 raise
 
-    def require(self, command: str, expected: str, timeout_s: float) -> None:
-        """Give a command; raises URD-017 unless the answer begins as expected."""
-        answer = self.ask(command, timeout_s)
-        if not answer.lower().startswith(expected.lower()):
-            raise CommandRefused(f"the controller refused {command!r}", expected=expected, got=answer)
+    def require(self, order: Order, timeout_s: float) -> None:
+        """Give an order; raises URD-017 unless it is carried out."""
+        answer = self.ask(order, timeout_s)
+        if not is_accepted(order, answer):
+            raise CommandRefused(
+                f"the controller refused {order.value!r}", expected=ACCEPTED[order], got=answer
+            )
 
     def robot_mode(self, timeout_s: float) -> RobotMode:
         """Return the robot mode."""
-        return self._value("robotmode", "Robotmode:", RobotMode.__members__, timeout_s)
+        return self._value(Query.ROBOT_MODE, ROBOT_MODE_HEAD, RobotMode.__members__, timeout_s)
 
     def safety_mode(self, timeout_s: float) -> SafetyMode:
         """Return the safety mode."""
-        return self._value("safetymode", "Safetymode:", SafetyMode.__members__, timeout_s)
+        return self._value(Query.SAFETY_MODE, SAFETY_MODE_HEAD, SafetyMode.__members__, timeout_s)
 
     def is_remote(self, timeout_s: float) -> bool:
         """Return whether the controller is in remote control; e-Series only."""
-        return self._value("is in remote control", "", TRUTHS, timeout_s)
+        return self._value(Query.REMOTE_CONTROL, "", TRUTHS, timeout_s)
 
     def is_program_running(self, timeout_s: float) -> bool:
         """Return whether any program runs."""
-        return self._value("running", "Program running:", TRUTHS, timeout_s)
+        return self._value(Query.RUNNING, RUNNING_HEAD, TRUTHS, timeout_s)
 
     def close(self) -> None:
         """Close the connection; never raises."""
@@ -97,14 +98,14 @@ class DashboardClient:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def _value(self, command: str, head: str, known: Mapping[str, T], timeout_s: float) -> T:
+    def _value(self, command: Query, head: str, known: Mapping[str, T], timeout_s: float) -> T:
         answer = self.ask(command, timeout_s)
         if answer.lower().startswith(head.lower()):
             word = answer[len(head) :].strip().lower()
             for name, value in known.items():
                 if name.lower() == word:
                     return value
-        raise BadBytes(f"{self.where} answers {command!r} unexpectedly", got=answer)
+        raise BadBytes(f"{self.where} answers {command.value!r} unexpectedly", got=answer)
 
     def _send(self, data: bytes) -> None:
         try:
@@ -135,4 +136,9 @@ class DashboardClient:
         return line.decode(errors="replace").strip()
 
     def _lost_error(self, error: OSError) -> ControllerLost:
-        return ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}")
+        return ControllerLost(f"{self.where}: {describe(error)}")
+
+
+def is_accepted(order: Order, answer: str) -> bool:
+    """Return whether an answer says that an order is carried out."""
+    return answer.lower().startswith(ACCEPTED[order].lower())

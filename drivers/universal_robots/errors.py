@@ -328,6 +328,9 @@ class ControllerExchanged(ConnectError):
 
 
 STREAM_ERRORS = StreamErrors(
+    not_found=ControllerNotFound,
+    lost=ControllerLost,
+    no_answer=NoAnswer,
     not_started=LinkNotStarted,
     died=LinkProcessDied,
     stalled=LinkProcessStalled,
@@ -343,6 +346,7 @@ STREAM_ERRORS = StreamErrors(
     not_finished=MotionNotFinished,
     refused=MotionRefused,
     clock_name="timestamp",
+    message_name="package",
     speed_name="the speed slider",
     speed_action=SpeedAtZero.action,
 )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 from drivers.universal_robots.errors import (
-    STREAM_ERRORS,
     ControllerRestarted,
     ControllerStopped,
     LinkBroken,
@@ -15,40 +17,78 @@ from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.safety import NORMAL_MODES, safety_text
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptState
 
 
-def stream_faults(name: str, arm: Kinematics, options: UrOptions) -> StreamFaults:
-    """Return the errors of this arm's stream."""
-    return StreamFaults(name, arm, STREAM_ERRORS, options.silence_limit_s, options.heartbeat_limit_s)
+@dataclass(frozen=True)
+class UrFaults(StreamFaults):
+    """Errors of one arm's RTDE stream."""
 
+    options: UrOptions
 
-def fault_error(
-    faults: StreamFaults,
-    options: UrOptions,
-    state: LinkState,
-    mode: str,
-    surroundings: Surroundings = NOTHING_AROUND,
-) -> RonnaError | None:
-    """Build the error for a latched fault, if any."""
-    prefix = f"{faults.name}: after {state.cycles} cycles"
-    match state.fault:
-        case Fault.CONTROLLER:
-            return _controller_error(prefix, options, state)
-        case Fault.BROKEN:
-            return LinkBroken(f"{prefix} the RTDE connection broke", got=f"timestamp {state.device_clock} us")
-        case Fault.RESTARTED:
-            return ControllerRestarted(f"{prefix} the controller's time jumped to {state.device_clock} us")
-        case Fault.BASE:
-            return PoseImplausible(
-                f"{faults.name}: at the start the joints are out of range, or off their commanded angles",
-                got=faults.axes_text(state),
-            )
-    return faults.error(state, mode, surroundings)
+    def error(
+        self, state: LinkState, mode: str, surroundings: Surroundings = NOTHING_AROUND, reported: Any = None
+    ) -> RonnaError | None:
+        """Build the error for a latched fault, if any."""
+        prefix = f"{self.name}: after {state.cycles} cycles"
+        match state.fault:
+            case Fault.CONTROLLER:
+                return self._controller_error(prefix, state)
+            case Fault.BROKEN:
+                return LinkBroken(
+                    f"{prefix} the RTDE connection broke", got=f"timestamp {state.device_clock} us"
+                )
+            case Fault.RESTARTED:
+                return ControllerRestarted(
+                    f"{prefix} the controller's time jumped to {state.device_clock} us"
+                )
+            case Fault.BASE:
+                return PoseImplausible(
+                    f"{self.name}: at the start the joints are out of range, or off their commanded angles",
+                    got=self.axes_text(state),
+                )
+        return super().error(state, mode, surroundings)
+
+    def _controller_error(self, prefix: str, state: LinkState) -> RonnaError:
+        """Build the error for a stop that the controller reports in its packages."""
+        word = ControllerWord.from_number(state.controller_word)
+        cause = word.cause
+        if cause == Cause.PROGRAM and word.robot_mode != RobotMode.RUNNING:
+            cause = Cause.ROBOT_MODE  # it came later: power going off stops the program first
+        elif cause == Cause.PROGRAM and word.safety_mode not in NORMAL_MODES:
+            cause = Cause.SAFETY
+        match cause:
+            case Cause.SAFETY if word.safety_mode in NORMAL_MODES:
+                return ControllerStopped(
+                    f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
+                    expected="the mode for whose speed limits the stream was started",
+                )
+            case Cause.SAFETY:
+                return ControllerStopped(
+                    f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"
+                )
+            case Cause.ROBOT_MODE:
+                return ControllerStopped(
+                    f"{prefix} the arm was switched off", expected=RobotMode.RUNNING.name, got=word.text
+                )
+            case Cause.OTHER_SCRIPT:
+                return ProgramStopped(f"{prefix} another program took the place of ours", got=word.text)
+            case Cause.SCRIPT if word.script_state == ScriptState.TOO_FAR:
+                limit_rad = script_settings(self.options).LARGEST_STEP_RAD
+                return ScriptStopped(
+                    f"{prefix} our script refused a step between two set-points", limit=f"{limit_rad:.4f} rad"
+                )
+            case Cause.SCRIPT if word.script_state == ScriptState.STARVED:
+                starved_s = script_settings(self.options).STARVED_CYCLES * self.options.cycle_s
+                return ScriptStopped(
+                    f"{prefix} no set-point reached our script in time, and it stopped the arm",
+                    limit=f"{starved_s * 1e3:g} ms",
+                )
+            case _:
+                return ProgramStopped(f"{prefix} our program was stopped or paused", got=word.text)
 
 
 def may_be_power(state: LinkState) -> bool:
@@ -61,42 +101,3 @@ def may_be_power(state: LinkState) -> bool:
         and word.robot_mode == RobotMode.RUNNING
         and word.safety_mode in NORMAL_MODES
     )
-
-
-def _controller_error(prefix: str, options: UrOptions, state: LinkState) -> RonnaError:
-    """Build the error for a stop that the controller reports in its packages."""
-    word = ControllerWord.from_number(state.controller_word)
-    cause = word.cause
-    if cause == Cause.PROGRAM and word.robot_mode != RobotMode.RUNNING:
-        cause = Cause.ROBOT_MODE  # it came later: power going off stops the program first
-    elif cause == Cause.PROGRAM and word.safety_mode not in NORMAL_MODES:
-        cause = Cause.SAFETY
-    match cause:
-        case Cause.SAFETY if word.safety_mode in NORMAL_MODES:
-            return ControllerStopped(
-                f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
-                expected="the mode for whose speed limits the stream was started",
-            )
-        case Cause.SAFETY:
-            return ControllerStopped(
-                f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"
-            )
-        case Cause.ROBOT_MODE:
-            return ControllerStopped(
-                f"{prefix} the arm was switched off", expected=RobotMode.RUNNING.name, got=word.text
-            )
-        case Cause.OTHER_SCRIPT:
-            return ProgramStopped(f"{prefix} another program took the place of ours", got=word.text)
-        case Cause.SCRIPT if word.script_state == ScriptState.TOO_FAR:
-            limit_rad = script_settings(options).LARGEST_STEP_RAD
-            return ScriptStopped(
-                f"{prefix} our script refused a step between two set-points", limit=f"{limit_rad:.4f} rad"
-            )
-        case Cause.SCRIPT if word.script_state == ScriptState.STARVED:
-            starved_s = script_settings(options).STARVED_CYCLES * options.cycle_s
-            return ScriptStopped(
-                f"{prefix} no set-point reached our script in time, and it stopped the arm",
-                limit=f"{starved_s * 1e3:g} ms",
-            )
-        case _:
-            return ProgramStopped(f"{prefix} our program was stopped or paused", got=word.text)

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import degrees, radians
 from typing import Annotated, Any
 
 from pydantic import Field
 
 from drivers.theatre_options import parse_options
 from drivers.universal_robots.errors import BadOptions
-from ronna_hw.arm.motion.limits import (
-    LEAST_LINE_SPEED_MM_S,
-    RANGE_MARGIN_RAD,
-    REDUCED_SPEED_MM_S,
-    WORKING_SPEED_FRACTION,
-    MotionLimits,
-    working_limits,
-)
+from drivers.universal_robots.realtime.settings import LinkSettings
+from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
-from ronna_hw.calibration import Strict
+from ronna_hw.arm_stream.options import (
+    REHEARSAL_LEAD,
+    REHEARSAL_LEAD_US,
+    SETTLE_TOLERANCE,
+    SPEED_FRACTION,
+    StreamOptions,
+)
 from ronna_hw.config import Role
 from ronna_hw.wire import universal_robots as wire
 from ronna_hw.wire.universal_robots import ScriptSettings
 
 CYCLE_S = {UrModel.UR5: 0.008, UrModel.UR5E: 0.002}  # of the controller: CB3, e-Series
 SETTLE_TOLERANCE_DEG = 0.0008  # of servoj at rest (U); a tenth of what 0.1 mm of repeatability means
-SILENCE_LIMIT_S = 0.25
-HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
-FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
 LARGEST_SPEED_FRACTION = 0.25  # a late set-point makes one step of twice that, half of what the script takes
 STARVE_LIMIT_S = 0.02  # without a new set-point, until the script stops the arm
 LEAST_STARVED_CYCLES = 3  # one late set-point is no loss of the link
@@ -59,7 +53,7 @@ ROLES = {  # the controller has fixed these ports
 DigitalInput = Annotated[int, Field(ge=0, le=LAST_DIGITAL_INPUT)]
 
 
-class UrOptions(Strict):
+class UrOptions(StreamOptions):
     """Arm options: table `[robot.<name>.options]`, with host times and fractions of full joint speed."""
 
     model: Annotated[UrModel, Field(strict=False)] = Field(
@@ -74,44 +68,13 @@ class UrOptions(Strict):
     factory_calibration: bool = Field(
         True, description="Compute with the factory calibration of this arm, not with its nominal dimensions."
     )
-    silence_limit_s: float = Field(
-        SILENCE_LIMIT_S,
-        gt=0.02,
-        le=60.0,
-        description="Time without a package after which the arm is in fault.",
-    )
-    heartbeat_limit_s: float = Field(
-        HEARTBEAT_LIMIT_S,
-        ge=0.1,
-        le=60.0,
-        description="The arm is stopped when the program stalls for longer.",
-    )
-    settle_tolerance_deg: float = Field(
-        SETTLE_TOLERANCE_DEG,
-        ge=0.0001,
-        le=1.0,
-        description="A motion has ended when all joints are within this distance of the target.",
-    )
+    settle_tolerance_deg: float = Field(SETTLE_TOLERANCE_DEG, ge=0.0001, le=1.0, description=SETTLE_TOLERANCE)
     speed_fraction: float = Field(
-        WORKING_SPEED_FRACTION,
-        gt=0.0,
-        le=LARGEST_SPEED_FRACTION,
-        description="Working speed of the joints, as a fraction of full speed.",
-    )
-    range_margin_deg: float = Field(
-        degrees(RANGE_MARGIN_RAD),
-        ge=0.0,
-        le=30.0,
-        description="Margin kept from both ends of each joint's range.",
-    )
-    line_speed_mm_s: float | None = Field(
-        None,
-        ge=LEAST_LINE_SPEED_MM_S,
-        le=REDUCED_SPEED_MM_S,
-        description="Largest speed on straight lines, instead of the default.",
+        WORKING_SPEED_FRACTION, gt=0.0, le=LARGEST_SPEED_FRACTION, description=SPEED_FRACTION
     )
     tool_inputs: tuple[DigitalInput, ...] = Field(
         TOOL_INPUTS,
+        min_length=1,
         max_length=8,
         description="Digital inputs that carry the number of the mounted tool, least significant bit first: "
         "0 to 7 standard, 8 to 15 configurable, 16 and 17 on the tool flange.",
@@ -150,15 +113,7 @@ class UrOptions(Strict):
         le=40.0,
         description="Deceleration with which the script stops the arm when no set-point comes.",
     )
-    real_time_priority: int = Field(
-        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."
-    )
-    rehearsal_lead_us: int = Field(
-        REHEARSAL_LEAD_US,
-        ge=0,
-        le=1500,
-        description="The reply is rehearsed this long before its package is due; 0: never.",
-    )
+    rehearsal_lead_us: int = Field(REHEARSAL_LEAD_US, ge=0, le=1500, description=REHEARSAL_LEAD)
 
     @property
     def cycle_s(self) -> float:
@@ -171,17 +126,6 @@ def read_options(device: str, options: dict[str, Any]) -> UrOptions:
     return parse_options(UrOptions, options, f"{device}: options", BadOptions)
 
 
-def planning_limits(options: UrOptions) -> MotionLimits:
-    """Return the limits of automatic operation that these options ask for."""
-    limits = working_limits(universal_robot(options.model), options.speed_fraction)
-    return replace(
-        limits,
-        cycle_s=options.cycle_s,
-        range_margin_rad=radians(options.range_margin_deg),
-        line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
-    )
-
-
 def script_settings(options: UrOptions) -> ScriptSettings:
     """Return the settings of our script."""
     full_speed_rad_s = min(universal_robot(options.model).full_speed_rad_s)
@@ -192,4 +136,16 @@ def script_settings(options: UrOptions) -> ScriptSettings:
         STOP_DECELERATION_RAD_S2=options.stop_deceleration_rad_s2,
         LOOKAHEAD_S=options.lookahead_s,
         GAIN=options.gain,
+    )
+
+
+def link_settings(options: UrOptions, handover_fd: int, calibration: tuple[float, ...] = ()) -> LinkSettings:
+    """Return the settings of a real-time process that this one starts."""
+    return LinkSettings(
+        handover_fd=handover_fd,
+        model=options.model.value,
+        cycle_s=options.cycle_s,
+        starved_cycles=script_settings(options).STARVED_CYCLES,
+        calibration=calibration,
+        **options.process_settings(),
     )

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.connections import MAJOR_VERSION
 from drivers.universal_robots.errors import ControllerNotFound
+from drivers.universal_robots.identification import MAJOR_VERSION
 from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
 from drivers.universal_robots.services import SERVICES, identify_service

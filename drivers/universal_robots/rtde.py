@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ from drivers.universal_robots.errors import (
     WrongVersion,
 )
 from drivers.universal_robots.realtime.packages import HEADER, INPUT_FIELDS, OUTPUT_FIELDS
+from ronna_hw.arm_stream.control_channel import describe, open_connection
 from ronna_hw.wire.universal_robots import (
     IN_USE,
     INPUTS,
@@ -56,12 +56,7 @@ class RtdeSetup:
         self.where = f"tcp://{host}:{port}"
         self._deadline = time.monotonic() + timeout_s
         self._received = b""
-        try:
-            self.socket = socket.create_connection((host, port), timeout_s)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise ControllerNotFound(f"nothing answers at {self.where} ({reason})") from error
-        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket = open_connection(host, port, timeout_s, ControllerNotFound)
         try:
             accepted = self._ask(PackageType.PROTOCOL_VERSION, struct.pack(">H", PROTOCOL_VERSION))
         except (NoAnswer, ControllerLost, BadBytes) as error:
@@ -148,7 +143,7 @@ class RtdeSetup:
         try:
             self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
         except OSError as error:
-            raise ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}") from error
+            raise ControllerLost(f"{self.where}: {describe(error)}") from error
         return self._await_package(kind, kind.name)
 
     def _await_package(self, kind: PackageType, request: str) -> bytes:
@@ -163,7 +158,7 @@ class RtdeSetup:
         except TimeoutError as error:
             raise NoAnswer(f"{self.where} does not answer the request {request}") from error
         except OSError as error:
-            raise ControllerLost(f"{self.where}: {(error.strerror or str(error)).lower()}") from error
+            raise ControllerLost(f"{self.where}: {describe(error)}") from error
         raise BadBytes(f"{self.where} does not answer the request {request}, but sends other packages")
 
     def _receive(self, count: int) -> bytes:

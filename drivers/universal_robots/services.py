@@ -22,6 +22,7 @@ from ronna_hw.wire.universal_robots import (
     RTDE_PORT,
     SECONDARY_PORT,
 )
+from ronna_hw.wire.universal_robots_services import Query
 
 SECTION = "controllers"
 SIZE_BYTES = 4  # with which every package of the client interfaces begins
@@ -38,7 +39,7 @@ class Service(NamedTuple):
 def _ask_dashboard(endpoint: Endpoint) -> str:
     client = DashboardClient(endpoint.host, endpoint.port, CONNECT_LIMIT_S)
     with contextlib.closing(client):
-        model = client.ask("get robot model", CONNECT_LIMIT_S)
+        model = client.ask(Query.ROBOT_MODEL, CONNECT_LIMIT_S)
         return f"arm {model}, {client.robot_mode(CONNECT_LIMIT_S).name}"
 
 

@@ -10,77 +10,36 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Protocol
 
-from drivers.universal_robots.dashboard import DashboardClient
-from drivers.universal_robots.errors import ControllerStopped, NoAnswer
-from drivers.universal_robots.faults import fault_error, may_be_power
-from drivers.universal_robots.options import UrOptions
-from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
-from ronna_hw.arm_stream.faults import StreamFaults
-from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState, Phase
-from ronna_hw.arm_stream.watch import HasLink, StreamWatch
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, LifecycleGuard
+from drivers.universal_robots.connections import Connections
+from drivers.universal_robots.errors import ControllerStopped
+from drivers.universal_robots.faults import may_be_power
+from drivers.universal_robots.primary.client import ControllerState
+from ronna_hw.arm_stream.records import Fault, Phase
+from ronna_hw.arm_stream.watch import StreamWatch
+from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.universal_robots_services import Order
 
-PRIMARY_SILENCE_S = 2.0  # twenty periods of the state
 DASHBOARD_LIMIT_S = 1.0
 POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
 LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
 
 
-class UrConnections(HasLink, Protocol):
-    """Connections of an arm: its stream, dashboard and primary interface."""
-
-    open_dashboard: DashboardClient | None
-    open_primary: PrimaryClient | None
-
-    def is_remote(self, timeout_s: float) -> bool | None:
-        """Return whether the controller is in remote control; None for one without that mode."""
-        ...
-
-
-class UrWatch(StreamWatch):
+class UrWatch(StreamWatch[ControllerState]):
     """Fault monitor for one arm, and listener on its primary interface."""
 
-    def __init__(
-        self, guard: LifecycleGuard, connections: UrConnections, faults: StreamFaults, options: UrOptions
-    ) -> None:
-        # The same patience as that process has with this program and with the controller.
-        super().__init__(guard, connections, faults, max(options.heartbeat_limit_s, options.silence_limit_s))
-        self._connections = connections
-        self._options = options
-        self._primary_limit_s = max(PRIMARY_SILENCE_S, options.silence_limit_s)
+    mode: OperatingMode
+    _connections: Connections
+
+    def __init__(self, guard: LifecycleGuard, connections: Connections) -> None:
+        super().__init__(guard, connections, OperatingMode.AUTOMATIC)
         self._program_ended = False  # since the last fault
-        self._certain_s: float | None = None  # host time at which a stopped program has no further reason
-        self.mode = OperatingMode.AUTOMATIC  # in which the stream was started
-
-    def use(self, faults: StreamFaults) -> None:
-        """Take over the words for an arm whose kinematics have become known."""
-        self._faults = faults
-
-    def check(self) -> None:
-        """Latch any fault of the real-time process or the primary interface."""
-        if self._awaits_reason():
-            return
-        super().check()
-        primary = self._connections.open_primary
-        if primary is None or self._guard.state not in RUNNING:
-            return
-        if primary.failure is not None:
-            self._stop_for(primary.failure)
-        elif primary.silent_s > self._primary_limit_s:
-            self._stop_for(
-                NoAnswer(
-                    f"{self._faults.name}: {primary.where} is silent",
-                    expected="a state every 0.1 s",
-                    limit=f"{self._primary_limit_s:g} s",
-                )
-            )
+        self._certain_s: float | None = None  # host time at which a stopped program has no further cause
 
     def check_until_certain(self) -> None:
-        """Latch any fault as `check` does, but wait for the reason why our program has stopped."""
+        """Latch any fault as `check` does, but wait for the cause why our program has stopped."""
         self.check()
         link, certain_s = self._connections.open_link, self._certain_s
         if link is None or certain_s is None or self._guard.state not in RUNNING:
@@ -90,7 +49,7 @@ class UrWatch(StreamWatch):
         self._certain_s = 0.0
         self.check()
 
-    def _awaits_reason(self) -> bool:
+    def _awaits_cause(self) -> bool:
         """Return whether our program has stopped just now: when power goes off, the robot mode tells later.
 
         The arm is at rest, or being stopped by the controller; nothing is sent any more.
@@ -107,12 +66,12 @@ class UrWatch(StreamWatch):
     def on_state(self, state: ControllerState) -> None:
         """Check a state of the primary interface; called on its reader thread."""
         self._end_program()  # first: another one may be driving the arm
-        self.check()
+        super().on_state(state)
 
     def on_silence(self) -> None:
         """Check whether the controller has been silent for too long; called on the reader thread."""
         self._end_program()
-        self.check()
+        super().on_silence()
 
     def on_loss(self, failure: RonnaError) -> None:
         """Stop the arm after losing the primary interface, and find out whether the control was switched."""
@@ -122,17 +81,10 @@ class UrWatch(StreamWatch):
         with contextlib.suppress(RonnaError):
             if self._connections.is_remote(DASHBOARD_LIMIT_S) is False:
                 error = ControllerStopped(
-                    f"{self._faults.name}: the pendant was switched to local control",
+                    f"{self._connections.faults.name}: the pendant was switched to local control",
                     expected="remote control",
                 )
-        self._stop_for(error)
-
-    def _check_idle(self) -> None:
-        primary = self._connections.open_primary
-        if primary is not None and primary.failure is not None and self._guard.state in READABLE:
-            self._guard.latch(primary.failure)
-        else:
-            super()._check_idle()
+        super().on_loss(error)
 
     def _end_program(self) -> None:
         """End whatever program runs, once after a fault for which nothing is sent any more."""
@@ -144,9 +96,4 @@ class UrWatch(StreamWatch):
         was_ended, self._program_ended = self._program_ended, must_end
         if must_end and not was_ended:
             with contextlib.suppress(RonnaError):
-                dashboard.ask("stop", DASHBOARD_LIMIT_S)
-
-    def _state_error(self, state: LinkState) -> RonnaError | None:
-        link = self._connections.open_link
-        surroundings = NOTHING_AROUND if link is None else link.surroundings
-        return fault_error(self._faults, self._options, state, self.mode, surroundings)
+                dashboard.ask(Order.STOP, DASHBOARD_LIMIT_S)

@@ -66,6 +66,7 @@ class HandEye:
 def solve(
     pairs: PosePairs,
     *,
+    least_looks: int = LEAST_LOOKS,
     largest_scatter_mm: float = LARGEST_SCATTER_MM,
     largest_scatter_rad: float = LARGEST_SCATTER_RAD,
 ) -> HandEye:
@@ -73,7 +74,7 @@ def solve(
 
     The largest scatters, per axis, are what errors of the arm explain. Raises CAL-002 to CAL-004, CAL-015.
     """
-    _require_solvable(pairs)
+    _require_solvable(pairs, least_looks)
     x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
     used = np.ones(pairs.count, dtype=bool)
@@ -114,9 +115,9 @@ def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
     return slopes
 
 
-def _require_solvable(pairs: PosePairs) -> None:
+def _require_solvable(pairs: PosePairs, least_looks: int) -> None:
     action = "Clear the line of sight between tracker and frame, then calibrate again."
-    require_count(pairs.count, LEAST_LOOKS, "too few poses show the reference frame", action)
+    require_count(pairs.count, least_looks, "too few poses show the reference frame", action)
     flange, marker = pairs.robot_from_flange[:, :3, :3], pairs.tracker_from_marker[:, :3, :3]
     apart = np.abs(_successive_angles_rad(flange) - _successive_angles_rad(marker))
     if np.median(apart) > TURNS_AGREE_RAD:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
-from procedures.planning.line_of_sight import SENSORS_MM
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import as_patient
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker

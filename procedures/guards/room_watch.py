@@ -27,7 +27,7 @@ from procedures.guards.errors import BaseShifted, PatientUnseen, RoomMoved, Room
 from procedures.guards.room_motion import RoomMotion, describe_way
 from procedures.guards.room_reading import FRAMES, RoomReading, room_reading
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.planning.line_of_sight import SENSORS_MM, TrackerSight
+from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
 from procedures.registration.movement import PointShift
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after

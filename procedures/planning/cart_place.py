@@ -9,10 +9,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.line_of_sight import StereoSight, TrackerSight, explain_hidden_frame
+from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import check_fixed_places
 from procedures.planning.paths import check_branch
 from procedures.planning.scene import PlanningScene
+from procedures.planning.tracker_sight import TrackerSight, explain_hidden_frame
 from procedures.planning.visits import (
     ArmSetting,
     Axes,

@@ -1,7 +1,8 @@
 """Choice of free angles about the trajectory axes that make all spheres visible and all poses reachable.
 
 Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used, or
-else the clearest. If none serves, smaller steps are tried next to turns that lack only a little clearance.
+else the clearest; where a tracker is to watch the head during the work, it must also see it past the guide.
+If none serves, smaller steps are tried next to turns that lack only a little clearance.
 The choice is a result, not a change of the plan: entry, target and axis stay as they are. If no turn serves,
 other strategies may.
 
@@ -26,6 +27,7 @@ from procedures.planning.motions import check_fixed_places
 from procedures.planning.paths import check_axes, check_branch, order_branches
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, list_localizations
+from procedures.registration.movement import LEAST_POINTS
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
 from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
@@ -139,7 +141,7 @@ class _Search:
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
-        others: list[tuple[float, float]] = []
+        others: list[tuple[bool, float, float]] = []
         near_misses: list[float] = []
         for turn in turns:
             check = check_branch(self.setting, _turn(axis, turn), self.fiducials_mm, branch, first_only=True)
@@ -147,14 +149,29 @@ class _Search:
                 if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
                     near_misses.append(turn)
                 continue
-            wrist = WristState.of(self.setting.kinematics, check)
-            if wrist.is_good:
+            wrist, in_view = WristState.of(self.setting.kinematics, check), self._leaves_head_in_view(check)
+            if wrist.is_good and in_view:
                 yield turn
             else:
-                others.append((wrist.least_bend_rad, turn))
-        for _, turn in sorted(others, key=lambda one: -one[0]):
+                others.append((in_view, wrist.least_bend_rad, turn))
+        for _, _, turn in sorted(others, key=lambda one: one[:2], reverse=True):
             yield turn
         return near_misses
+
+    def _leaves_head_in_view(self, check: PathCheck) -> bool:
+        """Return whether a tracker, if one counts, sees enough of the head past the guide at all targets."""
+        setting = self.setting
+        if not setting.sights or setting.scene is None:
+            return True
+        around = setting.scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
+        return all(
+            any(
+                int(sight.seen(setting.kinematics, around, one.at_rad).sum()) >= LEAST_POINTS
+                for sight in setting.sights
+            )
+            for one in check.reached
+            if one.visit.name.kind is PoseKind.TARGET
+        )
 
     def find_visible_turns(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
         """Find the turns at which every sphere is visible, by axis and in the strategy's order.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,9 @@ from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
+
+if TYPE_CHECKING:
+    from procedures.planning.tracker_sight import TrackerSight
 
 APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
 
@@ -122,7 +125,8 @@ class ArmSetting:
     head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
     states for its operating mode. With a `scene`, every motion must
     also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
-    the guide is checked after mounting; None leaves that out.
+    the guide is checked after mounting; None leaves that out. With `sights` of a tracker on
+    the head, targets that leave one of them open past the guide are preferred.
     """
 
     kinematics: Kinematics
@@ -136,6 +140,7 @@ class ArmSetting:
     scene: PlanningScene | None = None
     sizes: ErrorSizes = UNCALIBRATED
     gauge_rad: JointVector | None = None
+    sights: Sequence[TrackerSight] = ()
 
     def __post_init__(self) -> None:
         """Raise FRM-001 if a transform has the wrong frames."""

@@ -19,16 +19,18 @@ from ronna_hw.arm.clearance.arm_pair import (
     APART_MM,
     PLANNED_APART_MM,
     ArmPairWorld,
-    Course,
     PlacedArm,
+    SampledPath,
     require_apart,
 )
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
+from ronna_hw.arm.errors import ForceLimitExceeded
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
+from ronna_hw.devices.contact import Insertion as ContactInsertion
 from ronna_hw.devices.lifecycle import RUNNING, require_person
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import StopKind
@@ -44,6 +46,7 @@ STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a me
 STOP_LIMIT_S = 5.0  # host time
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
 ROLES = (MASTER, ASSISTANT)
+Driven = Motion | ContactInsertion
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ class ArmPair:
                 raise BothArmsHalted(f"the {role} is not ready", got=f"it is {arm.state}")
         self.halted = None
 
-    def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
+    def move(self, role: str, motion: Driven, *, with_instrument: bool = False) -> ArmReading:
         """Move one arm while the other rests, and return the settled reading.
 
         `with_instrument` allows an instrument in the guide, which this motion moves along its axis.
@@ -131,9 +134,9 @@ class ArmPair:
         """
         with self._under_way():
             self._at_rest_rad = {}
-            courses = {role: self._course(role, motions[role]) for role in ROLES}
-            world = ArmPairWorld(courses[MASTER].arm, courses[ASSISTANT].arm)
-            require_apart(world, courses[MASTER], courses[ASSISTANT], LARGEST_LAG_S)
+            paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
+            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm)
+            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S)
             for role, arm in self._arms.items():
                 arm.surround(self._around[role])
             return self._drive(motions)
@@ -197,7 +200,7 @@ class ArmPair:
             self._live, self._expected, self._at_rest_rad = None, {}, {}
             self._moving.release()
 
-    def _drive(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
+    def _drive(self, motions: Mapping[str, Driven]) -> Mapping[str, ArmReading]:
         """Drive the motions, watched, and return the settled readings once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
@@ -209,7 +212,7 @@ class ArmPair:
         readings: dict[str, ArmReading] = {}
         errors: dict[str, Exception] = {}
 
-        def drive(role: str, motion: Motion) -> None:
+        def drive(role: str, motion: Driven) -> None:
             try:
                 readings[role] = motion.drive(self._arms[role])
             except Exception as error:
@@ -233,6 +236,10 @@ class ArmPair:
                 thread.join()
         if errors and self.halted is None:  # refused before it began, or stopped since the last look
             self.watch()
+        for error in errors.values():
+            if isinstance(error, ForceLimitExceeded):  # both arms are held, as asked for: nothing is latched
+                self.halted = None
+                raise error
         if self.halted is not None:
             self._refuse(next(iter(errors.values()), None))
         for error in errors.values():
@@ -264,10 +271,10 @@ class ArmPair:
             )
         return reading.joints_rad
 
-    def _course(self, role: str, motion: Motion) -> Course:
+    def _sampled_path(self, role: str, motion: Motion) -> SampledPath:
         arm, limits = self._arms[role], self._arms[role].limits()
         plan = plan_motion(arm.kinematics, self._joints(role), motion, limits)
-        return Course.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
+        return SampledPath.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:
         around, touching = self._around[role], self._touching[role]

@@ -25,6 +25,8 @@ from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, InsertsInstruments
+from ronna_hw.devices.contact import Insertion as ContactInsertion
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
@@ -34,7 +36,7 @@ from ronna_hw.vectors import JointVector, Vector3
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
-INSERTION_MM_S = 5.0  # fastest motion with the instrument in or at the guide
+WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
 
 
 class Assistant:
@@ -124,7 +126,7 @@ class Assistant:
         """Return surroundings given in the robot frame for the assistant, with the tool that it carries."""
         assert self.base is not None
         to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
-        return replace(around.moved(to_base), tool=self._tool())
+        return replace(around.moved(to_base), tool=self.tool)
 
     @property
     def flange_from_clamp(self) -> Transform:
@@ -167,7 +169,9 @@ class Assistant:
         """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
         self._tip_mm = tip_mm
 
-    def _tool(self) -> tuple[Part, ...]:
+    @property
+    def tool(self) -> tuple[Part, ...]:
+        """Bodies of the holder, and of the instrument while one is held, flange frame."""
         clamp = self.flange_from_clamp
         middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, self._tip_mm))
         post = Capsule((0.0, 0.0, 0.0), self.holder.flange_from_ball_mm, POST_MM)
@@ -219,14 +223,27 @@ class Assistant:
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.withdraw()
 
+    def watch_force(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Motion | ContactInsertion:
+        """Return a leg as the arm is to drive it: an insertion is stopped by its force limit, if sensed."""
+        inserts = motion.what is MotionKind.INSERT and self.senses_force
+        if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
+            return leg
+        return ContactInsertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
+
+    @property
+    def senses_force(self) -> bool:
+        """Whether the arm senses the force on the instrument."""
+        arm = self._arm()
+        return isinstance(arm, InsertsInstruments) and arm.senses_force
+
     def _along(
         self, what: MotionKind, clamp: Transform, axis: Insertion, near_rad: JointVector | None = None
     ) -> PlannedMotion:
-        # The one place for a guard of the axial force: the motion that leads the instrument in the guide.
         flange_from_clamp = self.flange_from_clamp
         carried = CarriedTool(self.calibrated, flange_from_clamp)
         commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
-        share = min(1.0, INSERTION_MM_S / self._arm().limits().line_speed_mm_s)
+        speed_mm_s = INSERTION_SPEED_MM_S if what is MotionKind.INSERT else WITHDRAWAL_SPEED_MM_S
+        share = min(1.0, speed_mm_s / self._arm().limits().line_speed_mm_s)
         line = LineMove(commanded, flange_from_clamp, share)
         return PlannedMotion(what, "the instrument", _vector(clamp.translation_mm), (line,), axis=axis)
 

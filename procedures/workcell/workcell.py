@@ -332,8 +332,11 @@ class Workcell:
             raise OtherArmUnknown(
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
             )
-        with_instrument = role == ASSISTANT and motion.axis is not None
-        return self._pair.move(role, leg, with_instrument=with_instrument)
+        if role == ASSISTANT and motion.axis is not None:
+            limit_N = self._theatre.file.procedure.insertion_force_N
+            driven = self._require_second().watch_force(leg, motion, limit_N)
+            return self._pair.move(role, driven, with_instrument=True)
+        return self._pair.move(role, leg)
 
     def _release_held(self, by: str) -> bool:
         """Release a halt in which both arms are only held, as after a stop by the operator."""

@@ -1,34 +1,49 @@
-"""Arm that moves by a stream of set-points: the calls of `RobotArm` that do not depend on the vendor."""
+"""Arm that moves by a stream of set-points: the calls of `RobotArm`, whoever made the arm."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from contextlib import AbstractContextManager
-from typing import Protocol, Self
+from typing import Any, Generic, Self
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import ForceLimitExceeded, ForceNotSensed
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
+from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
 from ronna_hw.arm_stream.insertion import plan_insertion, travel_along_axis_mm
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
 from ronna_hw.arm_stream.records import NO_STATE, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm_stream.statistics import link_statistics
-from ronna_hw.arm_stream.watch import HasLink, StreamWatch
+from ronna_hw.arm_stream.watch import StreamWatch
+from ronna_hw.devices.capabilities import ByteSink, Fact
 from ronna_hw.devices.contact import Inserted, Insertion
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard, hold_active
-from ronna_hw.devices.readings import ArmReading, LinkStatistics
+from ronna_hw.devices.lifecycle import (
+    READABLE,
+    RUNNING,
+    Identity,
+    LastKnown,
+    Lifecycle,
+    LifecycleGuard,
+    hold_active,
+    require_person,
+)
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 TARE_LIMIT_S = 10.0  # host time; the motion is refused if it does not suffice
+REPLY_LIMIT_S = 0.5  # host time: connections silent for longer are reopened in a recovery
+LIVE_HEARTBEAT_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
 
 _STOP_ORDERS = {
@@ -39,66 +54,82 @@ _STOP_ORDERS = {
 }
 
 
-class StreamConnections(HasLink, Protocol):
-    """Connections of an arm that is driven by a stream."""
-
-    def end_stream(self, deadline: float) -> None:
-        """End the controller's program and close the stream."""
-        ...
-
-    def close_link(self) -> None:
-        """Stop the real-time process, if running."""
-        ...
-
-    def close_control(self) -> None:
-        """Close the other channels to the controller, if open."""
-        ...
-
-
-class StreamedArm(ABC):
-    """Part of an arm that its stream defines; a driver adds how it connects, starts and recovers."""
+class StreamedArm(ABC, Generic[S]):
+    """Arm that its stream defines; a driver adds its connections, its start and its controller's words."""
 
     notices: tuple[str, ...] = ()
     senses_force: bool = False
-    _name: str
-    _guard: LifecycleGuard
-    _kinematics: Kinematics
-    _planner: MotionPlanner
-    _follower: MotionFollower
-    _readings: StreamReadings
-    _streams: StreamConnections
-    _watching: StreamWatch
 
-    @property
+    def __init__(
+        self,
+        guard: LifecycleGuard,
+        connections: StreamConnections[S, Any],
+        watch: StreamWatch[S],
+        limits: MotionLimits,
+    ) -> None:
+        self._name = connections.faults.name
+        self._guard = guard
+        self.connections = connections
+        self._watch = watch
+        self._planner = MotionPlanner(self._name, connections.faults.arm, limits)
+        self._follower = MotionFollower(connections, watch, limits.cycle_s)
+        self._readings = StreamReadings(connections, senses_force=self.senses_force)
+
+    # What a driver adds:
+
     @abstractmethod
-    def operating_mode(self) -> OperatingMode:
-        """Operating mode of the running stream, or the last reported mode."""
+    def _start_stream(self, timeout_s: float) -> None:
+        """Start the controller's program and its stream, and note the operating mode in the watch."""
 
     @abstractmethod
     def _stream_mode(self) -> OperatingMode:
         """Return the operating mode in which the stream was started."""
 
     @abstractmethod
-    def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Read the measured joint angles."""
+    def _reported_mode(self, state: S) -> OperatingMode:
+        """Return the operating mode in a state of the controller."""
+
+    @abstractmethod
+    def _tool_number(self, state: S) -> int:
+        """Return the tool number in a state of the controller; 0 means no tool."""
+
+    @abstractmethod
+    def _controller_facts(self, state: S) -> Iterable[Fact]:
+        """Return what a state of the controller says about its readiness."""
+
+    @abstractmethod
+    def _is_to_acknowledge(self, timeout_s: float) -> bool:
+        """Return whether the controller shows something of an earlier run that a person acknowledges."""
 
     @abstractmethod
     def _switch_drives_off(self, timeout_s: float) -> None:
         """Ask the controller to switch its drives off."""
+
+    # The same for all:
 
     @property
     def name(self) -> str:
         return self._name
 
     @property
+    def kinematics(self) -> Kinematics:
+        """Kinematics of this individual arm once connected, nominal before."""
+        return self.connections.faults.arm
+
+    @property
+    def operating_mode(self) -> OperatingMode:
+        reported = None if self._guard.state in RUNNING else self.connections.reported
+        return self._stream_mode() if reported is None else self._reported_mode(reported)
+
+    @property
     def state(self) -> Lifecycle:
-        self._watching.check_until_certain()
+        self._watch.check_until_certain()
         return self._guard.state
 
     @property
     def fault(self) -> RonnaError | None:
         """Error that latched FAULT, if any."""
-        self._watching.check_until_certain()
+        self._watch.check_until_certain()
         return self._guard.fault
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
@@ -110,24 +141,99 @@ class StreamedArm(ABC):
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Most recent stream cycles, oldest first; frozen once a fault is latched."""
-        return link.recorded_cycles() if (link := self._streams.open_link) is not None else ()
+        return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
+
+    def observe(self) -> LastKnown[ArmReading]:
+        streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
+        reported = self.connections.reported
+        facts = () if reported is None else tuple(self._controller_facts(reported))
+        return self._guard.last_known(self._readings.newest(streaming=streaming), facts)
+
+    def record_bytes(self, sink: ByteSink | None) -> None:
+        self.connections.recorder = sink
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Open the control channel, and identify arm and controller."""
+        self._guard.require("connect", (Lifecycle.DISCONNECTED,))
+        identity = self._find_controller(timeout_s)
+        self._guard.enter(Lifecycle.CONNECTED, identity=identity)
+        return identity
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Start the real-time process."""
+        self._guard.require("configure", (Lifecycle.CONNECTED,))
+        self.connections.start_link(timeout_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start the controller's program, and return once it follows the stream.
+
+        Errors after the start are latched; `recover` clears them. A stop during the start leaves the arm in
+        HOLD.
+        """
+        self._guard.require("activate", (Lifecycle.CONFIGURED,))
+        stop_count = self.connections.link.stop_number
+        self._start(timeout_s)
+        self._enter_active(stop_count, mode=self._watch.mode)
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """Return from FAULT to CONFIGURED: end the stream, acknowledge its cause, check the controller.
+
+        Moves nothing. The person named has found the cause at the arm. Broken or silent connections are
+        reopened, with retries until the time limit. While CONNECTED what is left of an earlier run is
+        acknowledged, and the state stays CONNECTED. Raises what prevents it; a fault then stays latched.
+        """
+        self._watch.check()
+        person = require_person(acknowledged_by)
+        deadline = time.monotonic() + timeout_s
+        connections = self.connections
+        if self._guard.state is Lifecycle.CONNECTED and self._is_to_acknowledge(timeout_s):
+            connections.acknowledge(person, deadline)
+            return
+        self._guard.require("recover", (Lifecycle.FAULT,))
+        if not connections.is_answering(REPLY_LIMIT_S):
+            self._find_controller(remaining_s(deadline), retry=True)
+        link = connections.open_link
+        if link is not None:
+            if link.alive and link.stalled_s < LIVE_HEARTBEAT_S:
+                with contextlib.suppress(RonnaError):
+                    connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
+            connections.close_link()
+        connections.acknowledge(person, deadline)
+        connections.start_link(max(remaining_s(deadline), REPLY_LIMIT_S))
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def read_state(self, timeout_s: float = 1.0) -> ArmReading:
+        """Read the measured joint angles, from a running stream or otherwise by the control channel."""
+        self._watch.raise_new()
+        self._guard.require("read_state", READABLE)
+        if self._guard.state in RUNNING:
+            return self._readings.from_stream(self.connections.link.state)
+        return self._readings.from_controller(self._request_state(timeout_s))
+
+    def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
+        """Read the tool number from the controller's inputs; 0 means no tool."""
+        self._watch.raise_new()
+        self._guard.require("read_tool_identity", READABLE)
+        number = self._tool_number(self._request_state(timeout_s))
+        return ToolIdentity(self._readings.stamp(), number)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop the arm and end the controller's program; raises any fault that occurs meanwhile."""
-        self._watching.check_until_certain()
+        self._watch.check_until_certain()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
-        if self._streams.link.state.moving:
+        if self.connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
             self._follower.await_end(max(deadline - time.monotonic(), 0.0))
         try:
-            self._streams.end_stream(deadline)
+            self.connections.end_stream(deadline)
         except RonnaError as error:
-            self._watching.latch(error)
+            self._watch.latch(error)
             raise
-        final_state = self._streams.link.state
+        final_state = self.connections.link.state
         if self._guard.state is Lifecycle.FAULT:  # it must be acknowledged, although the program has ended
-            self._watching.raise_any()
+            self._watch.raise_any()
         self._guard.enter(
             Lifecycle.CONFIGURED,
             cycles=final_state.cycles,
@@ -141,22 +247,22 @@ class StreamedArm(ABC):
         """Stop the arm, end the controller's program and disconnect, in bounded time; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        streams = self._streams
+        connections = self.connections
         with contextlib.suppress(Exception):
-            link = streams.open_link
+            link = connections.open_link
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
-                streams.end_stream(time.monotonic() + CLOSING_STOP_S)
-        streams.close_control()  # first: its reader uses the link's memory
-        streams.close_link()
+                connections.end_stream(time.monotonic() + CLOSING_STOP_S)
+        connections.close_control()  # first: its reader uses the link's memory
+        connections.close_link()
         self._guard.enter(Lifecycle.CLOSED)
 
     def link_statistics(self) -> LinkStatistics:
         """Return the link statistics since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self._streams.open_link
+        link = self.connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
         return link_statistics(
@@ -184,16 +290,16 @@ class StreamedArm(ABC):
             raise ForceNotSensed(
                 f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
             )
-        self._watching.raise_new()
+        self._watch.raise_new()
         self._guard.require("insert", (Lifecycle.ACTIVE,))
         if limit_N is not None:
             self._await_tare()
-        start_rad = self._streams.link.state.commanded_rad
-        line = plan_insertion(self._kinematics, start_rad, insertion, self.limits(self._stream_mode()))
+        start_rad = self.connections.link.state.commanded_rad
+        line = plan_insertion(self.kinematics, start_rad, insertion, self.limits(self._stream_mode()))
         before = self.read_state().joints_rad
         reading = self._move("insert", line, timeout_s, limit_N or 0.0)
-        travel_mm = travel_along_axis_mm(self._kinematics, before, reading.joints_rad, insertion)
-        peak_N = self._streams.link.state.peak_force_N if limit_N is not None else None
+        travel_mm = travel_along_axis_mm(self.kinematics, before, reading.joints_rad, insertion)
+        peak_N = self.connections.link.state.peak_force_N if limit_N is not None else None
         return Inserted(reading, travel_mm, peak_N)
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
@@ -206,9 +312,9 @@ class StreamedArm(ABC):
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Stop the arm; `timeout_s` is host time. All kinds except HOLD latch a fault."""
-        self._watching.check()
+        self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
-        link = self._streams.open_link
+        link = self.connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
@@ -226,10 +332,10 @@ class StreamedArm(ABC):
             if was_held:  # HOLD means an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise self._follower.not_at_rest_error(timeout_s)
-        self._watching.check_until_certain()
+        self._watch.check_until_certain()
 
     def resume(self) -> None:
-        self._watching.raise_new()
+        self._watch.raise_new()
         self._guard.require("resume", RUNNING)
         self._guard.enter(Lifecycle.ACTIVE)
 
@@ -237,13 +343,13 @@ class StreamedArm(ABC):
         self._planner.surroundings = surroundings
 
     def _move(self, call: str, motion: Motion, timeout_s: float, force_limit_N: float = 0.0) -> ArmReading:
-        self._watching.raise_new()
-        open_link = self._streams.open_link
+        self._watch.raise_new()
+        open_link = self.connections.open_link
         stop_count = (
             0 if open_link is None else open_link.stop_number
         )  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        link, mode = self._streams.link, self._stream_mode()
+        link, mode = self.connections.link, self._stream_mode()
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         link.surround(self._planner.surroundings)
         clear_plan = self._planner.clear_plan(planned, mode)
@@ -254,9 +360,28 @@ class StreamedArm(ABC):
             raise
         return self._readings.from_stream(state)
 
+    def _find_controller(self, timeout_s: float, *, retry: bool = False) -> Identity:
+        identity = self.connections.find_controller(timeout_s, self._watch, retry=retry)
+        self._planner.kinematics = self.kinematics
+        return identity
+
+    def _request_state(self, timeout_s: float) -> S:
+        try:
+            return self.connections.request_state(timeout_s)
+        except RonnaError:
+            self._watch.check()
+            raise
+
+    def _start(self, timeout_s: float) -> None:
+        try:
+            self._start_stream(timeout_s)
+        except RonnaError as error:
+            self._watch.latch(error)
+            raise
+
     def _await_tare(self) -> None:
         """Wait until the force on the resting tool is known."""
-        link = self._streams.link
+        link = self.connections.link
         begin, cycle_s = link.state.cycles, self.limits(self._stream_mode()).cycle_s
         needed = 1 + round(LEAST_REST_S / cycle_s)
         self._follower.wait(lambda s: bool(s.fault) or s.cycles - begin > needed, TARE_LIMIT_S)
@@ -264,5 +389,5 @@ class StreamedArm(ABC):
     def _enter_active(self, stop_count: int, **facts: object) -> None:
         """Enter ACTIVE, or HOLD if more than `stop_count` stops have been ordered."""
         self._guard.enter(Lifecycle.ACTIVE, **facts)
-        if self._streams.link.stop_number != stop_count:
+        if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)

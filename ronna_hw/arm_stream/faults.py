@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import degrees
-from typing import NamedTuple
+from typing import Any
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
@@ -11,6 +12,7 @@ from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
+from ronna_hw.arm_stream.options import StreamOptions
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     NOTHING_AROUND,
@@ -28,19 +30,19 @@ _REFUSALS = {
 }
 
 
-class StreamFaults(NamedTuple):
+@dataclass(frozen=True)
+class StreamFaults:
     """Errors of one arm's stream, in the words and with the limits of its driver."""
 
     name: str
     arm: Kinematics
     errors: StreamErrors
-    silence_limit_s: float
-    heartbeat_limit_s: float
+    options: StreamOptions
 
     def error(
-        self, state: LinkState, mode: str, surroundings: Surroundings = NOTHING_AROUND
+        self, state: LinkState, mode: str, surroundings: Surroundings = NOTHING_AROUND, reported: Any = None
     ) -> RonnaError | None:
-        """Build the error for a latched fault, if any."""
+        """Build the error for a latched fault, if any; `reported` is the controller's last state."""
         name, errors = self.name, self.errors
         prefix = f"{name}: after {state.cycles} cycles"
         match state.fault:
@@ -52,7 +54,8 @@ class StreamFaults(NamedTuple):
                 return self.silence_error(state)
             case Fault.HEARTBEAT:
                 return errors.heartbeat_late(
-                    f"{prefix} this program's heartbeat was late", limit=f"{self.heartbeat_limit_s:g} s"
+                    f"{prefix} this program's heartbeat was late",
+                    limit=f"{self.options.heartbeat_limit_s:g} s",
                 )
             case Fault.PROTECTIVE:
                 return errors.protective_stop(f"{name}: a protective stop was requested")
@@ -72,9 +75,9 @@ class StreamFaults(NamedTuple):
     def silence_error(self, state: LinkState, note: str = "") -> RonnaError:
         """Build the error for a controller that has fallen silent."""
         return self.errors.silent(
-            f"{self.name}: after {state.cycles} cycles telegrams stopped{note}",
-            expected="a telegram in every cycle",
-            limit=f"{self.silence_limit_s:g} s",
+            f"{self.name}: after {state.cycles} cycles {self.errors.message_name}s stopped{note}",
+            expected=f"a {self.errors.message_name} in every cycle",
+            limit=f"{self.options.silence_limit_s:g} s",
             got=f"{self.errors.clock_name} {state.device_clock}",
         )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ronna_hw.arm.errors import ForceLimitExceeded, InsertionInvalid
 from ronna_hw.arm_stream.arm import StreamedArm
+from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.devices.contact import GUIDED_SPEED_MM_S, Guided, HandGuidance
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -16,18 +17,18 @@ LEAST_DAMPING_N_S_MM = 0.1  # less is felt as an arm that runs away
 LONGEST_S = 600.0
 
 
-class HandGuidedArm(StreamedArm):
+class HandGuidedArm(StreamedArm[S]):
     """Streamed arm whose controller estimates the force on the tool."""
 
     senses_force = True
 
     def guide_by_hand(self, guidance: HandGuidance, is_held: Callable[[], bool]) -> Guided:
         guide = guide_limits(guidance, self.limits(self._stream_mode()).cycle_s)
-        self._watching.raise_new()
-        stop_count = self._streams.link.stop_number  # before the state is checked: see `stop`
+        self._watch.raise_new()
+        stop_count = self.connections.link.stop_number  # before the state is checked: see `stop`
         self._guard.require("guide_by_hand", (Lifecycle.ACTIVE,))
         self._await_tare()
-        self._streams.link.surround(self._planner.surroundings)
+        self.connections.link.surround(self._planner.surroundings)
         try:
             state, end = self._follower.follow_hand(guide, guidance.force_limit_N, stop_count, is_held)
         except ForceLimitExceeded:

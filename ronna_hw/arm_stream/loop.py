@@ -31,7 +31,10 @@ YIELD_S = 50e-6  # of processor time after a reply; a cycle has 2,000 or more
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
 LOOK_EACH_CYCLES = 32  # of lock-step, for the processor of the sender and for foreign senders
-PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
+# More than this share of a cycle, and this time, between two telegrams is a controller's pace: it leaves time
+# to rest. Lock-step takes less, on a busy computer too; taken for a pace, it would stay that slow.
+PACED_SHARE, LEAST_PACE_S = 0.2, 0.8e-3
+LOCK_STEP_GAPS = 2  # shorter ones in a row; a single one follows a telegram that was late
 
 
 class StreamLoop(ABC):
@@ -63,7 +66,8 @@ class StreamLoop(ABC):
         self._sent_ns = 0
         self._late_ns = round(LATE_CYCLES * cycle_s * 1e9)
         self._answered_ns = 0  # arrival of the last telegram answered
-        self._paced_ns = round(PACED_SHARE * cycle_s * 1e9)
+        self._paced_ns = round(max(PACED_SHARE * cycle_s, LEAST_PACE_S) * 1e9)
+        self._short_gaps = 0  # between two telegrams answered, in a row
         self._turnaround_us = 0.0  # until its reply was sent
         self._command_number = 0
         self._published: tuple[object, ...] = ()
@@ -101,7 +105,9 @@ class StreamLoop(ABC):
         """Record a reply that has just been sent, and yield the processor at a controller's pace."""
         self._sent_ns = sent_ns = time.monotonic_ns()
         self._last_reply = reply
-        if self._received_ns - self._answered_ns > self._paced_ns:
+        is_short = self._received_ns - self._answered_ns <= self._paced_ns
+        self._short_gaps = self._short_gaps + 1 if is_short else 0
+        if self._short_gaps < LOCK_STEP_GAPS:
             self._lock_step_cycles = 0
             if self._receiver.note_paced():
                 time.sleep(YIELD_S)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Any, Generic
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
@@ -12,10 +13,12 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm_stream.client import Condition
+from ronna_hw.arm_stream.connections import StreamConnections
+from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.records import CommandKind, LinkState, Result, StopOrder
-from ronna_hw.arm_stream.watch import HasLink, StreamWatch
+from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
 from ronna_hw.errors import LinkTimeout
@@ -59,23 +62,19 @@ class MotionPlanner:
         return preview_motion(self.kinematics, start_rad, motion, self.surroundings, self.limits(mode))
 
 
-class MotionFollower:
+class MotionFollower(Generic[S]):
     """Executor that supervises one motion at a time until the arm has settled."""
 
-    def __init__(
-        self, faults: StreamFaults, connections: HasLink, watch: StreamWatch, cycle_s: float
-    ) -> None:
-        self.use(faults)
+    def __init__(self, connections: StreamConnections[S, Any], watch: StreamWatch[S], cycle_s: float) -> None:
         self._connections = connections
         self._watch = watch
         self._cycle_s = cycle_s
         self._motion_lock = threading.Lock()  # held while a motion is followed
 
-    def use(self, faults: StreamFaults) -> None:
-        """Take over the errors and words of an arm."""
-        self._name = faults.name
-        self._faults = faults
-        self._errors = faults.errors
+    @property
+    def _faults(self) -> StreamFaults:
+        """Errors and words of the arm, as it is known by now."""
+        return self._connections.faults
 
     def follow(
         self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float = 0.0
@@ -87,7 +86,7 @@ class MotionFollower:
         Raises ARM-014 and ARM-015 for a force limit.
         """
         if not self._motion_lock.acquire(blocking=False):
-            raise self._errors.refused(f"{self._name}: another motion is running")
+            raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         try:
             return self._execute(plan, stop_count, timeout_s, force_limit_N)
         finally:
@@ -98,7 +97,7 @@ class MotionFollower:
     ) -> tuple[LinkState, GuidanceEnd]:
         """Follow a hand while `is_held`; raises like `follow`. Any exception of `is_held` stops the arm."""
         if not self._motion_lock.acquire(blocking=False):
-            raise self._errors.refused(f"{self._name}: another motion is running")
+            raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         link = self._connections.link
         try:
             number = link.command(
@@ -119,8 +118,9 @@ class MotionFollower:
             if state.result is not Result.STOPPED:
                 raise self._faults.refusal_error(state)
             if link.stop_number != stop_count:
-                raise self._errors.stopped(
-                    f"{self._name}: stopped while it followed a hand", got=self._faults.axes_text(state)
+                raise self._faults.errors.stopped(
+                    f"{self._faults.name}: stopped while it followed a hand",
+                    got=self._faults.axes_text(state),
                 )
             if is_released:
                 return state, GuidanceEnd.RELEASED
@@ -139,15 +139,15 @@ class MotionFollower:
 
     def not_at_rest_error(self, timeout_s: float) -> LinkTimeout:
         """Build the error for an arm that a stop does not bring to rest in time."""
-        return self._errors.not_finished(
-            f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s"
+        return self._faults.errors.not_finished(
+            f"{self._faults.name}: the arm does not come to rest", limit=f"{timeout_s:g} s"
         )
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """Wait as `LinkClient.wait` does, and latch a fault if the real-time process ends."""
         try:
             return self._connections.link.wait(condition, timeout_s)
-        except self._errors.died as error:
+        except self._faults.errors.died as error:
             self._watch.latch(error)
             raise
 
@@ -177,8 +177,8 @@ class MotionFollower:
             elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
                 self._watch.raise_any()
                 losses = self._faults.losses_text(start, state)
-                raise self._errors.not_finished(
-                    f"{self._name}: the arm did not settle at the end of its path{losses}",
+                raise self._faults.errors.not_finished(
+                    f"{self._faults.name}: the arm did not settle at the end of its path{losses}",
                     limit=f"{SETTLE_LIMIT_S:g} s",
                     got=self._faults.furthest_text(state),
                 )
@@ -192,8 +192,8 @@ class MotionFollower:
         if state.result is Result.FORCE:
             raise self._faults.force_error(state, force_limit_N)
         if state.result is Result.STOPPED:
-            raise self._errors.stopped(
-                f"{self._name}: stopped before its end", got=self._faults.axes_text(state)
+            raise self._faults.errors.stopped(
+                f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)
             )
         if state.result is not Result.DONE:
             raise self._faults.refusal_error(state)

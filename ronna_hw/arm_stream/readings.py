@@ -1,29 +1,29 @@
-"""Numbered readings of an arm, from its stream or from whatever else its controller reports."""
+"""Numbered readings of an arm, from its stream or its control channel."""
 
 from __future__ import annotations
 
 import contextlib
 import time
+from typing import Any, Generic
 
+from ronna_hw.arm_stream.connections import StreamConnections
+from ronna_hw.arm_stream.control_channel import ReportedState, S
 from ronna_hw.arm_stream.mailbox import MailboxTorn
 from ronna_hw.arm_stream.records import LinkState
-from ronna_hw.arm_stream.watch import HasLink
-from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError
 
 STALE_S = 0.5  # host time: age at which a measured pose is called stale
 
 
-class StreamReadings:
+class StreamReadings(Generic[S]):
     """Numbered readings from one arm, with the latest kept for observers."""
 
-    senses_force = False
-
-    def __init__(self, connections: HasLink, clock: Clock, silence_limit_s: float) -> None:
-        self._link_of = connections
-        self._clock = clock
-        self._stale_s = max(STALE_S, silence_limit_s)
+    def __init__(self, connections: StreamConnections[S, Any], *, senses_force: bool) -> None:
+        self._connections = connections
+        self._clock = connections.clock
+        self._senses_force = senses_force
+        self._stale_s = max(STALE_S, connections.faults.options.silence_limit_s)
         self._sequence = 0
         self._newest: ArmReading | None = None
 
@@ -37,9 +37,14 @@ class StreamReadings:
         self._newest = self._make_stream_reading(state, self.stamp(state.device_clock))
         return self._newest
 
+    def from_controller(self, state: S) -> ArmReading:
+        """Build a reading from a state that the controller reported."""
+        self._newest = _controller_reading(state, self.stamp(state.device_clock))
+        return self._newest
+
     def newest(self, *, streaming: bool) -> ArmReading | None:
         """Return the latest reading, requested or unsolicited; never raises, in any thread."""
-        link = self._link_of.open_link
+        link = self._connections.open_link
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
             now_s, host_s = self._clock.now_s(), time.monotonic()
@@ -49,12 +54,12 @@ class StreamReadings:
                 stamp = Stamp(self._sequence, state.device_clock, now_s - age_s)
                 self._newest = self._make_stream_reading(state, stamp)
             else:
-                self._newest = self._reported_reading(now_s, host_s) or self._newest
+                reported = self._connections.reported
+                if reported is not None:
+                    age_s = host_s - reported.received_s
+                    stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
+                    self._newest = _controller_reading(reported, stamp)
         return self._newest
-
-    def _reported_reading(self, now_s: float, host_s: float) -> ArmReading | None:
-        """Build a reading from the controller's last report without a stream, if there is one."""
-        return None
 
     def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:
         age_s = (time.monotonic_ns() - state.received_ns) / 1e9
@@ -64,5 +69,9 @@ class StreamReadings:
             state.measured_rad,
             state.commanded_rad,
             state.moving or not state.settled,
-            state.force_N if self.senses_force else None,
+            state.force_N if self._senses_force else None,
         )
+
+
+def _controller_reading(state: ReportedState, stamp: Stamp) -> ArmReading:
+    return ArmReading(stamp, Validity.OK, state.joints_rad, commanded_rad=None, moving=state.moving)

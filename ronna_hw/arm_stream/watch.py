@@ -1,53 +1,59 @@
-"""Faults of a stream, latched as a driver learns of them, and raised to each caller once."""
+"""Faults of a stream, latched as a driver learns of them, and raised to each caller once.
+
+The real-time process stops the arm for what it detects itself. What only the control channel tells, and its
+loss, stops the arm from here as soon as it arrives: the channel's reader calls, so that no polling is needed.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Protocol
+from typing import Any, Generic
 
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.faults import StreamFaults
+from ronna_hw.arm_stream.connections import StreamConnections
+from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.flight_record import attach_flight_record
 from ronna_hw.arm_stream.records import LinkState, StopOrder
-from ronna_hw.devices.lifecycle import RUNNING, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 
-
-class HasLink(Protocol):
-    """Connections of an arm, among them its stream."""
-
-    @property
-    def open_link(self) -> LinkClient | None:
-        """Client of the real-time process, if running."""
-        ...
-
-    @property
-    def link(self) -> LinkClient:
-        """Client of the real-time process; raises if it has not been started."""
-        ...
+CONTROL_SILENCE_S = 2.0  # twenty periods of the state; the control channel is not for real-time control
 
 
-class StreamWatch(ABC):
-    """Fault monitor of one arm's stream. A driver adds what its other channels report."""
+class StreamWatch(Generic[S]):
+    """Fault monitor of one arm, and listener on its control channel; a driver adds causes of its own."""
 
-    def __init__(
-        self, guard: LifecycleGuard, connections: HasLink, faults: StreamFaults, stall_limit_s: float
-    ) -> None:
-        self._faults = faults
+    def __init__(self, guard: LifecycleGuard, connections: StreamConnections[S, Any], mode: str) -> None:
+        """Watch a stream; `mode` is the operating mode until the first start."""
+        options = connections.faults.options
         self._guard = guard
-        self._link_of = connections
-        self._stall_limit_s = stall_limit_s
+        self._connections = connections
+        self._stall_limit_s = options.patience_s
+        self._control_limit_s = max(CONTROL_SILENCE_S, options.silence_limit_s)
         self._raised_fault: RonnaError | None = None  # the fault that was already raised to a caller
+        self.mode = mode  # in which the stream was started
 
     def check(self) -> None:
-        """Latch any fault of the real-time process."""
+        """Latch any fault of the real-time process or the control channel."""
+        if self._awaits_cause():
+            return
         if self._guard.state not in RUNNING:
             self._check_idle()
             return
-        link = self._link_of.link
+        link, control = self._connections.link, self._connections.open_control
         error = self._stream_error(link, link.state)
         if error is not None:
             self._latch_with_record(error, link)
+        elif control is not None and control.failure is not None:
+            self._stop_for(control.failure)
+        elif control is not None and control.silent_s > self._control_limit_s:
+            faults = self._connections.faults  # an emergency stop would no longer be reported
+            self._stop_for(
+                faults.errors.no_answer(
+                    f"{faults.name}: {control.where} is silent",
+                    expected="a state every 0.1 s",
+                    limit=f"{self._control_limit_s:g} s",
+                )
+            )
 
     def check_until_certain(self) -> None:
         """Latch any fault as `check` does, but wait for a cause that the driver is inquiring into."""
@@ -55,7 +61,7 @@ class StreamWatch(ABC):
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that the caller is about to raise."""
-        link = self._link_of.open_link
+        link = self._connections.open_link
         if link is not None and self._guard.state in RUNNING:
             self._latch_with_record(error, link)
         self._guard.latch(error)
@@ -77,29 +83,45 @@ class StreamWatch(ABC):
             self._raised_fault = fault
             raise fault
 
+    def on_state(self, state: S) -> None:
+        """Check a requested or unsolicited state; called on the channel's reader thread."""
+        self.check()
+
+    def on_silence(self) -> None:
+        """Check whether the controller has been silent for too long; called on the reader thread."""
+        self.check()
+
+    def on_loss(self, failure: RonnaError) -> None:
+        """Stop the arm after losing the control channel, since an emergency stop would go unreported."""
+        self._stop_for(failure)
+
+    def _awaits_cause(self) -> bool:
+        """Return whether the stream has stopped just now for a cause that the controller is yet to tell."""
+        return False
+
     def _check_idle(self) -> None:
-        idle_link = self._link_of.open_link if self._guard.state is Lifecycle.CONFIGURED else None
-        if idle_link is not None and not idle_link.alive:
-            self._guard.latch(idle_link.death_error())
+        state = self._guard.state
+        link, control = self._connections.open_link, self._connections.open_control
+        if control is not None and control.failure is not None and state in READABLE:
+            self._guard.latch(control.failure)
+        elif link is not None and state is Lifecycle.CONFIGURED and not link.alive:
+            self._guard.latch(link.death_error())
 
     def _stream_error(self, link: LinkClient, state: LinkState) -> RonnaError | None:
         """Return why the stream has ended, if it has."""
-        error = self._state_error(state)
+        faults = self._connections.faults
+        error = faults.error(state, self.mode, link.surroundings, self._connections.reported)
         if error is None and not link.alive:
             error = link.death_error()
         if error is None and link.stalled_s > self._stall_limit_s:
-            error = self._faults.errors.stalled(
-                f"{self._faults.name}: the real-time process has not run for {link.stalled_s:.1f} s",
+            error = faults.errors.stalled(
+                f"{faults.name}: the real-time process has not run for {link.stalled_s:.1f} s",
                 limit=f"{self._stall_limit_s:g} s",
             )
         return error
 
-    @abstractmethod
-    def _state_error(self, state: LinkState) -> RonnaError | None:
-        """Build the error for a fault of the real-time process, if any."""
-
     def _stop_for(self, error: RonnaError) -> None:
-        link = self._link_of.open_link
+        link = self._connections.open_link
         if link is None or self._guard.state not in RUNNING:
             return
         self._latch_with_record(error, link)
@@ -107,7 +129,7 @@ class StreamWatch(ABC):
 
     def _latch_with_record(self, error: RonnaError, link: LinkClient) -> None:
         if self._guard.state is not Lifecycle.FAULT:
-            faults = self._faults
+            faults = self._connections.faults
             attach_flight_record(
                 error, faults.name, faults.arm, faults.errors.clock_name, link.recorded_cycles()
             )

@@ -20,6 +20,7 @@ from pydantic_core import to_jsonable_python
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.bounded_input import inflate
+from ronna_hw.devices.contact import Inserted
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
 from ronna_hw.devices.robot import OperatingMode
@@ -33,6 +34,7 @@ ANSWERS: dict[str, Any] = {
     "read_tool_identity": ToolIdentity,
     "move_joints": ArmReading,
     "move_linear": ArmReading,
+    "insert": Inserted,
     "preview": PathPreview,
     "limits": MotionLimits,
     "link_statistics": LinkStatistics,

@@ -12,6 +12,7 @@ watch could not follow faster ones.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 
@@ -34,6 +35,7 @@ READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; b
 UNCHANGED_CYCLES = 10  # without a new set-point, after which lock-step rests
 LATE_CYCLES = 5  # after which the schedule begins anew instead of catching up
 IDLE_WAIT_S = 0.02
+AWAKE_S = 60e-6  # busy-wait for a set-point: longer than a client needs that has its reply prepared
 
 
 class CycleLoop:
@@ -73,6 +75,8 @@ class CycleLoop:
         self._silent = False  # the client that sends set-points did not answer in time
         self._streams = False  # the cycles advance theatre time
         self._unchanged = 0
+        # On a single processor the client works only while this one sleeps.
+        self._has_own_processor = len(os.sched_getaffinity(0)) > 1
         self._last_target: object = None
 
     @property
@@ -120,14 +124,15 @@ class CycleLoop:
         controller, program = self._controller, self._controller.program
         watchdog = None if program is None else program.watchdog
         self.rtde.watched = -1 if watchdog is None else watchdog.place
-        controller.shows_poses = bool(self.clients.realtime.connections) or self.rtde.wants_poses
-        controller.loads.shows_forces = bool(self.clients.realtime.connections) or self.rtde.wants_forces
-        controller.loads.shows_torques = bool(self.clients.realtime.connections) or self.rtde.wants_torques
+        shows_all = bool(self.clients.realtime.connections)
+        controller.shows_poses = shows_all or self.rtde.wants_poses
+        controller.loads.shows_forces = shows_all or self.rtde.wants_forces
+        controller.loads.shows_torques = shows_all or self.rtde.wants_torques
         self.rtde.store_late()
         controller.robot.set_mounted_tool(self._mounted_tool())
         controller.step()
-        self._arm.follow()
         self.rtde.send_outputs()
+        self._arm.follow()  # once the package is out: its client computes at the same time
         self.clients.send_state()
         streamer = self._streamer()
         if streamer is None or self._faults.is_cut:
@@ -166,13 +171,18 @@ class CycleLoop:
         began_s = time.monotonic()
         limit_s = began_s + (self._cycle_s if self._silent else REPLY_WAIT_S)
         packages = streamer.packages
-        wait_s = limit_s - began_s
+        is_awake = self._has_own_processor and self._unchanged < UNCHANGED_CYCLES and not self._silent
+        # Awake at first: two processes that alternate this fast spend most of their time waking each other.
+        awake_s = began_s + AWAKE_S if is_awake else 0.0
+        wait_s = 0.0 if is_awake else limit_s - began_s
         while True:
             self._poll.serve(wait_s)
             if streamer.packages != packages:
                 self._silent = False
                 break
             now_s = time.monotonic()
+            if now_s < awake_s:
+                continue
             if self._ending or self._streamer() is not streamer:
                 break
             wait_s = limit_s - now_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cached_property
 
 
 class InstrumentKind(StrEnum):
@@ -41,7 +42,7 @@ class ArmRole(StrEnum):
     MASTER = "master"  # carries stereo head and guide; its base is the robot frame
     ASSISTANT = "assistant"  # carries the instrument
 
-    @property
+    @cached_property  # asked for in each control cycle
     def number(self) -> int:
         """Number from 0, also that of its cycles in the clock."""
         return tuple(ArmRole).index(self)

@@ -25,7 +25,7 @@ from sim.world.options import ArmChoice, ArmRole, Carrier
 from sim.world.running import register
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, Scene, read_scene
-from sim.world.scene.named_scenes import SCENES, draw_scene
+from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
 from sim.world.world import World
 
 PARENT_GONE = "stopping: the parent process has ended\n"
@@ -165,7 +165,8 @@ def load_scene(
         head = drawn.head.model_copy(update={"target_balls": True})
         drawn = drawn.model_copy(update={"head": head})
     if dual:
-        drawn = add_assistant(drawn, assistant_arm)
+        # Two arms often hide a sphere of three; the frame on the clamp is then watched in their place.
+        drawn = add_assistant(add_patient_frame(drawn), assistant_arm)
     error = drawn.calibration_error
     if (calibrated or dual) and error.arm is None:
         error = error.model_copy(update={"arm": ArmResidual()})

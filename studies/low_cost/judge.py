@@ -18,6 +18,7 @@ from sim.world.scene.model import Scene
 from sim.world.world import World
 from studies.campaign.study import Sums
 from studies.low_cost.arms import PositionedArm
+from studies.low_cost.figures import Dimensions, Place, Quantity
 from studies.low_cost.positioning import TipModel
 from studies.low_cost.targets import Target
 
@@ -33,9 +34,12 @@ class TrueError:
     distance_mm: float
     angle_rad: float
 
-    def sums(self, key: str) -> Sums:
+    def sums(self, place: Place) -> Sums:
         """Return both as named figures."""
-        return {f"{key}|mm": self.distance_mm, f"{key}|deg": float(np.degrees(self.angle_rad))}
+        return {
+            place.key(Quantity.ERROR_MM): self.distance_mm,
+            place.key(Quantity.ANGLE_DEG): float(np.degrees(self.angle_rad)),
+        }
 
 
 class Judge:
@@ -77,8 +81,8 @@ def measure_accuracy_mm(
     judge: Judge,
     model: TipModel,
     poses: list[Transform],
-    models: Mapping[str, Kinematics],
-) -> dict[str, Array]:
+    models: Mapping[Dimensions, Kinematics],
+) -> dict[Dimensions, Array]:
     """Return the errors (n,) of the tip's place by each kinematics, over poses that the model moves to.
 
     Each is fitted to the true places by a rigid transform first, as an independent instrument's frame has to

@@ -25,6 +25,18 @@ from studies.campaign.study import Sums, Unit
 from studies.low_cost.arms import InstantArm, PositionedArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import FrameCalibration, calibrate, take_looks
 from studies.low_cost.devices import open_room
+from studies.low_cost.figures import (
+    NOMINAL_ERROR_KEY,
+    REPEATABILITY_KEY,
+    Dimensions,
+    Extent,
+    Fit,
+    Method,
+    Place,
+    Quantity,
+    absolute_key,
+    fit_key,
+)
 from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation
@@ -34,8 +46,6 @@ from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, Target, draw_t
 
 Array = NDArray[np.float64]
 
-NOMINAL, FACTORY = "nominal", "factory"  # Denavit-Hartenberg parameters
-OPEN, CLOSED = "open", "closed"  # methods 1 and 2
 # Workspace that arm and tracker share, about a point above the phantom: the five poses of ISO 9283's cube,
 # which the looks of the calibration are taken about too, and more for the absolute error.
 CUBE_MM = ((0, 0, 0), (120, 120, 80), (120, -120, -40), (-120, -120, 80), (-120, 120, -40))
@@ -77,14 +87,17 @@ class LowCostStudy:
         return [Unit(f"arm {number}", 0, 1) for number in range(self.arms)]
 
     def run(self, unit: Unit) -> Sums:
-        """Return an arm's figures, those at targets keyed `method|model|orientation|target|quantity`."""
+        """Return an arm's figures, named as in `figures`."""
         number = int(unit.condition.split()[1])
         truth = draw_ur5(self.seed, number, self.arms)
         scene = draw_room(self.seed).model_copy(update={"arm": truth})
-        sums: Sums = {"nominal error|mm": nominal_error_mm(truth)}
+        sums: Sums = {NOMINAL_ERROR_KEY: nominal_error_mm(truth)}
         with open_room(scene) as (world, tracker), self._open_arm(world, truth, number) as (arm, factory):
-            models, judge = {NOMINAL: universal_robot(MODEL), FACTORY: factory}, Judge(scene, world)
-            drawn = TipModel(models[NOMINAL], _drawn_tip())
+            models, judge = (
+                {Dimensions.NOMINAL: universal_robot(MODEL), Dimensions.FACTORY: factory},
+                Judge(scene, world),
+            )
+            drawn = TipModel(models[Dimensions.NOMINAL], _drawn_tip())
             sums |= _measure_alone(arm, judge, drawn, models, self.seed)
             points = [np.add(PHANTOM_MM, ABOVE_MM) + place for place in CUBE_MM]
             looks = take_looks(arm, tracker, drawn, points, self.frames)
@@ -97,15 +110,16 @@ class LowCostStudy:
             for target in plan_targets(scene, self.seed, self.targets):
                 wanted = self.preparation.registration @ target.ct_from_tool
                 phantom = require_look(tracker, self.frames).phantom
-                place = f"{target.orientation}|{target.number}"
                 # Method 2 continues from where the nominal arm took itself, so that comes last.
-                for name in (FACTORY, NOMINAL):
+                for name in (Dimensions.FACTORY, Dimensions.NOMINAL):
                     commanded = positioner.aim(known[name], phantom, wanted)
-                    sums |= judge.error(target).sums(f"{OPEN}|{name}|{place}")
-                reached = positioner.iterate(known[NOMINAL], commanded, wanted)
-                sums |= judge.error(target).sums(f"{CLOSED}|{NOMINAL}|{place}")
-                sums[f"{CLOSED}|{NOMINAL}|{place}|rounds"] = float(reached.rounds)
-                sums[f"{CLOSED}|{NOMINAL}|{place}|settled"] = float(reached.residual.is_settled)
+                    opened = Place(Method.OPEN, name, target.orientation, target.number)
+                    sums |= judge.error(target).sums(opened)
+                reached = positioner.iterate(known[Dimensions.NOMINAL], commanded, wanted)
+                closed = opened._replace(method=Method.CLOSED)
+                sums |= judge.error(target).sums(closed)
+                sums[closed.key(Quantity.ROUNDS)] = float(reached.rounds)
+                sums[closed.key(Quantity.SETTLED)] = float(reached.residual.is_settled)
         return sums
 
     @contextmanager
@@ -140,12 +154,12 @@ def _drawn_tip() -> Transform:
 
 
 def _measure_alone(
-    arm: PositionedArm, judge: Judge, drawn: TipModel, models: Mapping[str, Kinematics], seed: int
+    arm: PositionedArm, judge: Judge, drawn: TipModel, models: Mapping[Dimensions, Kinematics], seed: int
 ) -> Sums:
     """Measure repeatability and absolute error of the arm, over the same poses for every arm."""
     centre = np.add(PHANTOM_MM, ABOVE_MM)
     cube = [named_pose(centre + place, REFERENCE) for place in CUBE_MM]
-    sums: Sums = {"repeatability|mm": measure_repeatability_mm(arm, judge, drawn, cube)}
+    sums: Sums = {REPEATABILITY_KEY: measure_repeatability_mm(arm, judge, drawn, cube)}
     random = np.random.default_rng([seed, ACCURACY_KEY])
     poses = [
         named_pose(
@@ -155,17 +169,18 @@ def _measure_alone(
     ]
     for name, errors in measure_accuracy_mm(arm, judge, drawn, poses, models).items():
         sums |= {
-            f"absolute|{name}|mean": float(errors.mean()),
-            f"absolute|{name}|max": float(errors.max()),
+            absolute_key(name, Extent.MEAN): float(errors.mean()),
+            absolute_key(name, Extent.LARGEST): float(errors.max()),
         }
     return sums
 
 
-def _collect_calibration(name: str, found: FrameCalibration) -> Sums:
-    return {
-        f"calibration|{name}|scatter mm": found.fit.scatter_mm,
-        f"calibration|{name}|scatter deg": float(np.degrees(found.fit.scatter_rad)),
-        f"calibration|{name}|looks": float(len(found.fit.used)),
-        f"calibration|{name}|held out mm": found.held_out_mm,
-        f"calibration|{name}|held out deg": float(np.degrees(found.held_out_rad)),
+def _collect_calibration(dimensions: Dimensions, found: FrameCalibration) -> Sums:
+    figures = {
+        Fit.SCATTER_MM: found.fit.scatter_mm,
+        Fit.SCATTER_DEG: float(np.degrees(found.fit.scatter_rad)),
+        Fit.LOOKS: float(len(found.fit.used)),
+        Fit.HELD_OUT_MM: found.held_out_mm,
+        Fit.HELD_OUT_DEG: float(np.degrees(found.held_out_rad)),
     }
+    return {fit_key(dimensions, fit): figure for fit, figure in figures.items()}

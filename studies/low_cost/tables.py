@@ -14,11 +14,23 @@ from numpy.typing import NDArray
 
 from studies.campaign.plots import bars, boxes, curves
 from studies.campaign.study import Cell, Sums, Table, yes_or_no
+from studies.low_cost.figures import (
+    NOMINAL_ERROR_KEY,
+    REPEATABILITY_KEY,
+    Dimensions,
+    Extent,
+    Fit,
+    Method,
+    Place,
+    Quantity,
+    absolute_key,
+    fit_key,
+    read_key,
+)
 from studies.low_cost.judge import distance_errors_mm
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM
 from studies.low_cost.preparation import Preparation
 from studies.low_cost.room import REPEATABILITY_MM, draw_room
-from studies.low_cost.study import CLOSED, FACTORY, NOMINAL, OPEN
 from studies.low_cost.targets import ORIENTATIONS_RAD
 
 Array = NDArray[np.float64]
@@ -29,9 +41,9 @@ MOST_DEPENDENT = 0.1  # of it: how far an arm's mean may be from that of all
 PEER = "Tovar-Arriaga et al., Sensors 12 (2012), another arm and tracker"
 PEER_CALIBRATION_MM, PEER_OPEN_MM, PEER_CLOSED_RMS_MM = (0.81, 0.41), (1.2, 0.4), 0.35
 METHODS = {
-    f"1, {NOMINAL} DH": (OPEN, NOMINAL),
-    f"1, {FACTORY} DH": (OPEN, FACTORY),
-    f"2, {NOMINAL} DH": (CLOSED, NOMINAL),
+    f"1, {Dimensions.NOMINAL} DH": (Method.OPEN, Dimensions.NOMINAL),
+    f"1, {Dimensions.FACTORY} DH": (Method.OPEN, Dimensions.FACTORY),
+    f"2, {Dimensions.NOMINAL} DH": (Method.CLOSED, Dimensions.NOMINAL),
 }
 NOT_FOUND = (
     "F. Šuligoj's thesis (Zagreb 2018) prints no figure of PAPER 2 (IROS 2015, pp. 3785-3790), and the "
@@ -46,13 +58,17 @@ class Arm:
     number: int
     sums: Sums
 
-    def at_targets(self, method: str, model: str, quantity: str) -> Array:
+    def at_targets(self, method: Method, model: Dimensions, quantity: Quantity) -> Array:
         """Return a quantity at all targets, (orientations, targets)."""
         found: dict[int, list[float]] = {}
         for key, value in self.sums.items():
-            parts = key.split("|")
-            if len(parts) == 5 and (parts[0], parts[1], parts[4]) == (method, model, quantity):
-                found.setdefault(int(parts[2]), []).append(value)
+            match read_key(key):
+                case Place(at_method, dimensions, orientation, _), at_quantity if (
+                    at_method,
+                    dimensions,
+                    at_quantity,
+                ) == (method, model, quantity):
+                    found.setdefault(orientation, []).append(value)
         return np.array([found[orientation] for orientation in sorted(found)])
 
     def __getitem__(self, name: str) -> float:
@@ -79,12 +95,12 @@ def tables(preparation: Preparation, sums: Mapping[str, Sums]) -> list[Table]:
 
 def tabulate_relations(arms: list[Arm]) -> Table:
     """Judge the relations that have to hold whatever the figures are."""
-    opened, closed = (_errors_mm(arms, method, NOMINAL) for method in (OPEN, CLOSED))
+    opened, closed = (_errors_mm(arms, method, Dimensions.NOMINAL) for method in Method)
     better = closed.mean(axis=(1, 2)) < opened.mean(axis=(1, 2))
     better_sets = closed.mean(axis=2) < opened.mean(axis=2)
     means = closed.mean(axis=(1, 2))
     mean_mm, apart = float(means.mean()), float(np.abs(means / means.mean() - 1.0).max())
-    rise = _fit_rise_mm(np.array([arm["nominal error|mm"] for arm in arms]), means) / mean_mm
+    rise = _fit_rise_mm(np.array([arm[NOMINAL_ERROR_KEY] for arm in arms]), means) / mean_mm
     rms_mm = float(np.sqrt(np.mean(closed**2)))
     several = len(arms) > 1  # else there is nothing to compare an arm with
     rows: list[tuple[str, Cell, Cell, Cell]] = [
@@ -151,7 +167,7 @@ def _tabulate_positioning(arms: list[Arm]) -> Table:
     for title, chosen in [*((f"{arm.number}", [arm]) for arm in arms), ("all", arms)]:
         for name, (method, model) in METHODS.items():
             errors = _errors_mm(chosen, method, model)
-            angles = np.array([arm.at_targets(method, model, "deg") for arm in chosen])
+            angles = np.array([arm.at_targets(method, model, Quantity.ANGLE_DEG) for arm in chosen])
             row: dict[str, Cell] = {
                 "arm": title,
                 "method": name,
@@ -164,10 +180,10 @@ def _tabulate_positioning(arms: list[Arm]) -> Table:
                 "rounds": None,
                 "settled %": None,
             }
-            if method == CLOSED:
+            if method is Method.CLOSED:
                 rounds, settled = (
                     np.array([arm.at_targets(method, model, what) for arm in chosen])
-                    for what in ("rounds", "settled")
+                    for what in (Quantity.ROUNDS, Quantity.SETTLED)
                 )
                 row |= {"rounds": float(rounds.mean()), "settled %": 100.0 * float(settled.mean())}
             rows.append(row)
@@ -186,12 +202,12 @@ def _tabulate_arms(arms: list[Arm]) -> Table:
         [
             {
                 "arm": arm.number,
-                "over the workspace, nominal DH, rms mm": arm["nominal error|mm"],
-                "repeatability mm": arm["repeatability|mm"],
+                "over the workspace, nominal DH, rms mm": arm[NOMINAL_ERROR_KEY],
+                "repeatability mm": arm[REPEATABILITY_KEY],
                 **{
-                    f"{model} DH, {what} mm": arm[f"absolute|{model}|{what}"]
-                    for model in (NOMINAL, FACTORY)
-                    for what in ("mean", "max")
+                    f"{model} DH, {what} mm": arm[absolute_key(model, what)]
+                    for model in Dimensions
+                    for what in Extent
                 },
             }
             for arm in arms
@@ -209,14 +225,14 @@ def _tabulate_calibrations(arms: list[Arm], preparation: Preparation) -> Table:
             {
                 "arm": arm.number,
                 "DH": model,
-                "looks": arm[f"calibration|{model}|looks"],
-                "residual mm per axis": arm[f"calibration|{model}|scatter mm"],
-                "residual deg per axis": arm[f"calibration|{model}|scatter deg"],
-                "held out mm": arm[f"calibration|{model}|held out mm"],
-                "held out deg": arm[f"calibration|{model}|held out deg"],
+                "looks": arm[fit_key(model, Fit.LOOKS)],
+                "residual mm per axis": arm[fit_key(model, Fit.SCATTER_MM)],
+                "residual deg per axis": arm[fit_key(model, Fit.SCATTER_DEG)],
+                "held out mm": arm[fit_key(model, Fit.HELD_OUT_MM)],
+                "held out deg": arm[fit_key(model, Fit.HELD_OUT_DEG)],
             }
             for arm in arms
-            for model in (NOMINAL, FACTORY)
+            for model in Dimensions
         ],
         "Joint solution of base to tracker and flange to tool frame (A X = Z B). Held out: 3-D rms at looks "
         f"that were not fitted. Tip by pivoting: {preparation.pivot_rms_mm:.3f} mm rms. Registration of the "
@@ -248,8 +264,8 @@ def _tabulate_scans(preparation: Preparation) -> Table:
 
 
 def _tabulate_peer(arms: list[Arm]) -> Table:
-    held_out = np.array([arm[f"calibration|{NOMINAL}|held out mm"] for arm in arms])
-    opened, closed = (_errors_mm(arms, method, NOMINAL) for method in (OPEN, CLOSED))
+    held_out = np.array([arm[fit_key(Dimensions.NOMINAL, Fit.HELD_OUT_MM)] for arm in arms])
+    opened, closed = (_errors_mm(arms, method, Dimensions.NOMINAL) for method in Method)
     return Table(
         "Beside a peer",
         ("what", "peer mm", "here mm"),
@@ -264,15 +280,21 @@ def _tabulate_peer(arms: list[Arm]) -> Table:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Plot the errors of both methods, their dependence on the arm's own, and the rounds."""
-    arms = sorted(collect_arms(sums), key=lambda arm: arm[f"absolute|{NOMINAL}|mean"])
+    own_error = absolute_key(Dimensions.NOMINAL, Extent.MEAN)
+    arms = sorted(collect_arms(sums), key=lambda arm: arm[own_error])
     lines = {
         f"method {name}": [
-            (arm[f"absolute|{NOMINAL}|mean"], float(arm.at_targets(method, model, "mm").mean()))
+            (
+                arm[absolute_key(Dimensions.NOMINAL, Extent.MEAN)],
+                float(arm.at_targets(method, model, Quantity.ERROR_MM).mean()),
+            )
             for arm in arms
         ]
         for name, (method, model) in METHODS.items()
     }
-    rounds = np.array([arm.at_targets(CLOSED, NOMINAL, "rounds") for arm in arms]).ravel()
+    rounds = np.array(
+        [arm.at_targets(Method.CLOSED, Dimensions.NOMINAL, Quantity.ROUNDS) for arm in arms]
+    ).ravel()
     return {
         "errors.png": boxes(
             "Error of the tip at the target",
@@ -287,7 +309,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         ),
         "dependence-on-the-arm.png": curves(
             "Error at the target against that of the arm",
-            f"absolute error of the arm, {NOMINAL} DH, mean, mm",
+            f"absolute error of the arm, {Dimensions.NOMINAL} DH, mean, mm",
             "mean error at the target, mm",
             lines,
         ),
@@ -300,6 +322,6 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     }
 
 
-def _errors_mm(arms: list[Arm], method: str, model: str) -> Array:
+def _errors_mm(arms: list[Arm], method: Method, model: Dimensions) -> Array:
     """Return the errors (arms, orientations, targets) in mm."""
-    return np.array([arm.at_targets(method, model, "mm") for arm in arms])
+    return np.array([arm.at_targets(method, model, Quantity.ERROR_MM) for arm in arms])

@@ -29,10 +29,10 @@ from waiting import eventually
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.kuka_rsi import KukaRsiArm
-from drivers.kuka_rsi.eki.client import CLOSE_TIMEOUT_S
 from drivers.ndi_polaris import PolarisTracker
 from ronna_hw.arm_stream.arm import CLOSING_STOP_S
 from ronna_hw.arm_stream.client import END_TIMEOUT_S
+from ronna_hw.arm_stream.control_channel import CLOSE_TIMEOUT_S
 from ronna_hw.arm_stream.motion import STOP_S
 from ronna_hw.clock import HostClock, open_clock
 from ronna_hw.config import DeviceConfig

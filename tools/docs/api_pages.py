@@ -35,6 +35,7 @@ from ronna_hw.devices import (
     stray_tracks,
 )
 from ronna_hw.devices.capabilities import RecordsBytes
+from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments
 from studies.plugins import contracts
 
 
@@ -51,8 +52,8 @@ def _all_of(module: Any, *names: str) -> Part:
     return Part(module.__name__, [getattr(module, name) for name in names or module.__all__])
 
 
-def _driver_part(kind: type, interface: type) -> Part:
-    return Part(kind.__module__.rpartition(".")[0], [kind], (interface, ConfirmedStart, RecordsBytes))
+def _driver_part(kind: type, *interfaces: type) -> Part:
+    return Part(kind.__module__.rpartition(".")[0], [kind], (*interfaces, ConfirmedStart, RecordsBytes))
 
 
 def numerics() -> str:
@@ -114,8 +115,8 @@ def devices() -> str:
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),
-            _driver_part(KukaRsiArm, RobotArm),
-            _driver_part(UniversalRobotsArm, RobotArm),
+            _driver_part(KukaRsiArm, RobotArm, InsertsInstruments),
+            _driver_part(UniversalRobotsArm, RobotArm, InsertsInstruments, FollowsHand, CarriesLoad),
             _driver_part(BaslerStereoPair, StereoPair),
         ]
     )
@@ -162,7 +163,8 @@ def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
 
 def _list_members(one: type) -> dict[str, Any]:
     """Return the members of a class, including those of a driver's base classes."""
-    bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
+    rooms = ("drivers.", "ronna_hw.arm_stream.")
+    bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith(rooms)]
     return {name: member for base in bases for name, member in vars(base).items()}
 
 

@@ -53,7 +53,29 @@ def _format_type(value: dict[str, Any], definitions: dict[str, Any]) -> str:
         return f"table of {_format_type(value['additionalProperties'], definitions)}"
     if value.get("type") == "array":
         each = value.get("items") or (value.get("prefixItems") or [{}])[0]
-        return f"{value.get('maxItems', 'list of')} {_format_type(each, definitions)}"
+        return f"{_format_length(value)} {_format_type(each, definitions)}"
     if "enum" in value:
         return " or ".join(f"`{choice}`" for choice in value["enum"])
-    return str(value.get("const") or value.get("format") or value.get("type") or "any")
+    return str(value.get("const") or value.get("format") or value.get("type") or "any") + _format_bounds(
+        value
+    )
+
+
+def _format_length(value: dict[str, Any]) -> str:
+    least, most = value.get("minItems"), value.get("maxItems")
+    if most is None:
+        return "list of"
+    return str(most) if least == most else f"{least or 0} to {most}"
+
+
+def _format_bounds(value: dict[str, Any]) -> str:
+    """Say which numbers are accepted, if not all are."""
+    if "minimum" in value and "maximum" in value:
+        return f", {value['minimum']:.10g} to {value['maximum']:.10g}"
+    words = {
+        "minimum": "at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
+    return "".join(f", {word} {value[bound]:.10g}" for bound, word in words.items() if bound in value)

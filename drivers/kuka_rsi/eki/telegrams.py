@@ -10,11 +10,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
 from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.pose import radians6
 from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.vectors import JointVector
@@ -144,6 +145,12 @@ class ControllerState:
     variant: str | None = None
     serial: str | None = None
     open_brakes: int | None = None  # one bit for each axis
+    device_clock: ClassVar[int] = 0  # EKI has none
+
+    @property
+    def joints_rad(self) -> JointVector:
+        """Measured joint angles."""
+        return radians6(*self.axes_deg)
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:

@@ -1,7 +1,6 @@
 """Packages of the primary client interface, as far as this driver needs them.
 
-A robot state is a package of parts, each with its size and kind. Controllers of different ages send parts of
-different lengths; what follows the fields known here is skipped.
+What follows the fields known here is skipped: newer controllers send longer parts.
 """
 
 from __future__ import annotations
@@ -9,51 +8,26 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
 from hashlib import sha256
 from typing import NamedTuple
 
 from drivers.universal_robots.errors import BadBytes
 from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.wire import universal_robots_services as wire
+from ronna_hw.wire.universal_robots_services import PartKind
 
-HEADER = struct.Struct(">iB")
+HEADER = struct.Struct(wire.PACKAGE_HEADER)
 LONGEST_PACKAGE_BYTES = 1 << 16
-PART_HEADER = struct.Struct(">IB")
+PART_HEADER = struct.Struct(wire.PART_HEADER)
 JOINTS = 6
 MM_PER_M = 1000.0
 
-MODE = struct.Struct(">Q7?BBdd")  # until the speed slider's fraction and the speed scaling
-JOINT = struct.Struct(">3d4fB")
-MASTERBOARD = struct.Struct(">iibbddbbddffffB")  # until the safety mode
-KINEMATICS = struct.Struct(">6I24dI")
-MESSAGE = struct.Struct(">QbB")  # time, source, kind
+MODE = struct.Struct(wire.MODE_PART)
+JOINT = struct.Struct(wire.JOINT_PART)
+MASTERBOARD = struct.Struct(wire.MASTERBOARD_PART)
+KINEMATICS = struct.Struct(wire.KINEMATICS_PART)
+MESSAGE = struct.Struct(wire.MESSAGE_HEADER)
 MOVING_RAD_S = 1e-3
-
-
-class PackageKind(IntEnum):
-    """Kind of a package."""
-
-    ROBOT_STATE = 16
-    MESSAGE = 20
-
-
-class PartKind(IntEnum):
-    """Kind of a part of a robot state."""
-
-    MODE = 0
-    JOINTS = 1
-    MASTERBOARD = 3
-    KINEMATICS = 5
-
-
-class MessageKind(IntEnum):
-    """Kind of a message."""
-
-    VERSION = 3
-    SAFETY_MODE = 5
-    ERROR = 6
-    KEY = 7
-    RUNTIME_EXCEPTION = 10
 
 
 class RobotModeData(NamedTuple):

@@ -8,14 +8,14 @@ import struct
 import time
 from typing import NamedTuple
 
-from drivers.universal_robots.realtime.line import RtdeLine, is_output
-from drivers.universal_robots.realtime.packages import OUTPUT, START_REQUEST, Output
+from drivers.universal_robots.realtime.line import Rehearsal, RtdeLine, is_output
+from drivers.universal_robots.realtime.packages import HEAD, OUTPUT, START_REQUEST
 from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.records import Command, CommandKind, Phase
-from ronna_hw.wire.universal_robots import SafetyMode
+from ronna_hw.wire.universal_robots import PackageType, SafetyMode
 
 BUNCH_S = 200e-6  # in which packages that were delayed together arrive
 _HANDOVER = struct.Struct("<BBiB")
@@ -74,13 +74,16 @@ class LinkLoop(StreamLoop):
         )
         self._channel = channel
         channel.setblocking(False)
+        self._rehearsal = Rehearsal()
         self._recipe = 0
+        self._head = b""  # of the packages of our recipe
         self._last_data = b""  # the last package answered
         self._broken_off = False
 
     def close(self) -> None:
         """Close connection and channel."""
         self._rtde.detach()
+        self._rehearsal.close()
         self._channel.close()
 
     def _step(self) -> None:
@@ -121,20 +124,19 @@ class LinkLoop(StreamLoop):
 
     def _serve(self, data: bytes) -> None:
         session = self._stream
-        values: Output | None = OUTPUT.unpack_from(data) if is_output(data, self._recipe) else None
-        if values is None:  # a message, or the reply to our start
-            self._leave_unanswered(data)
-            return
-        ready = session.match(values, self._mailbox.stop_word())
+        ready = session.match(data, self._mailbox.stop_word()) if data.startswith(self._head) else None
         if ready is not None:
             self._send(ready.package)
             self._last_data = data
             orders = self._mailbox.orders()
-            session.note_answered(values, orders, self._received_ns)
+            session.note_answered(OUTPUT.unpack_from(data), orders, self._received_ns)
             self._finish_cycle(data, session.device_clock, orders)
             return
+        if not is_output(data, self._recipe):  # a message, or the reply to our start
+            self._leave_unanswered(data)
+            return
         orders = self._mailbox.orders()
-        reply = session.answer(values, orders, self._received_ns)
+        reply = session.answer(OUTPUT.unpack_from(data), orders, self._received_ns)
         if reply is None:
             self._leave_unanswered(data)
             return
@@ -146,8 +148,10 @@ class LinkLoop(StreamLoop):
 
     def _rehearse(self) -> None:
         """Run the code path from package to reply without effect, to keep the caches warm."""
-        if is_output(self._last_data, self._recipe):
-            self._stream.match(OUTPUT.unpack_from(self._last_data), self._mailbox.stop_word())
+        data = self._last_data
+        if data:
+            self._rehearsal.exchange(data)
+            self._stream.match(data, self._mailbox.stop_word())
 
     def _send(self, package: bytes) -> None:
         try:
@@ -173,6 +177,7 @@ class LinkLoop(StreamLoop):
         self._mailbox.clear_histograms()
         self._rtde.attach(connection)
         self._recipe = handover.output_recipe
+        self._head = HEAD.pack(OUTPUT.size, PackageType.DATA, self._recipe)
         self._stream.adopt(handover.input_recipe, handover.run, handover.safety_mode)
         with contextlib.suppress(OSError):
             self._rtde.send(START_REQUEST)

@@ -46,6 +46,7 @@ HEADER: Final = struct.Struct(RTDE_HEADER)
 RECIPE: Final = "B"
 OUTPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS))
 INPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(INPUTS[name].codes for name in INPUT_FIELDS))
+HEAD: Final = struct.Struct(RTDE_HEADER + RECIPE)  # what each data package begins with
 START_REQUEST: Final = HEADER.pack(RTDE_HEADER_BYTES, PackageType.START)
 
 # Places of the values in an unpacked output package.
@@ -55,6 +56,17 @@ SPEED_SCALING, SPEED_FRACTION, ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE = range(16
 ECHO, SCRIPT_STATE, RUN = range(21, 24)
 FORCE = slice(24, 27)  # on the tool centre point, in the base; torques follow
 STATUS = slice(SPEED_SCALING, RUN + 1)  # everything that must be as expected to send a prepared reply
+
+# The same in the bytes, to be compared before anything else is decoded.
+_STATUS_FIELDS = slice(OUTPUT_FIELDS.index("speed_scaling"), OUTPUT_FIELDS.index(RUN_OUTPUT) + 1)
+STATUS_OFFSET: Final = HEAD.size + struct.calcsize(
+    ">" + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS[: _STATUS_FIELDS.start])
+)
+STATUS_BYTES: Final = struct.Struct(
+    ">" + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS[_STATUS_FIELDS])
+)
+TIMESTAMP_OFFSET: Final = HEAD.size
+TIMESTAMP_BYTES: Final = struct.Struct(">" + OUTPUTS[OUTPUT_FIELDS[0]].codes)
 
 Output = tuple[float, ...]  # an unpacked output package
 

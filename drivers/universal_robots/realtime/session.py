@@ -24,8 +24,12 @@ from drivers.universal_robots.realtime.packages import (
     SPEED_FRACTION,
     SPEED_SCALING,
     STATUS,
+    STATUS_BYTES,
+    STATUS_OFFSET,
     TARGET,
     TIMESTAMP,
+    TIMESTAMP_BYTES,
+    TIMESTAMP_OFFSET,
     Cause,
     ControllerWord,
     Output,
@@ -53,7 +57,7 @@ REPORT_CYCLES = 5  # from a word of the script to its package, with room (U)
 class PreparedReply(NamedTuple):
     """Complete reply to the next package, valid if that contains nothing unexpected."""
 
-    status: tuple[float, ...]
+    status: bytes  # as the package must state it
     earliest_s: float  # time stamp
     latest_s: float
     stop_word: int
@@ -129,17 +133,16 @@ class RtdeSession(StreamSession):
         self.choice = choice
         return self._encode(points.at(choice))
 
-    def match(self, values: Output, stop_word: int) -> PreparedReply | None:
-        """Return the prepared reply unless the package has something new, or a stop is ordered."""
+    def match(self, data: bytes, stop_word: int) -> PreparedReply | None:
+        """Return the prepared reply unless the package has something new, or a stop is ordered.
+
+        The package is one of our recipe, of exactly its size.
+        """
         ready = self.ready
-        if (
-            ready is None
-            or values[STATUS] != ready.status
-            or not ready.earliest_s < values[TIMESTAMP] < ready.latest_s
-            or stop_word != ready.stop_word
-        ):
+        if ready is None or stop_word != ready.stop_word or not data.startswith(ready.status, STATUS_OFFSET):
             return None
-        return ready
+        timestamp_s: float = TIMESTAMP_BYTES.unpack_from(data, TIMESTAMP_OFFSET)[0]
+        return ready if ready.earliest_s < timestamp_s < ready.latest_s else None
 
     def note_answered(self, values: Output, orders: Orders, now_ns: int) -> None:
         """Update the state as `answer` does, after the prepared reply has been sent."""
@@ -300,14 +303,17 @@ class RtdeSession(StreamSession):
             or self._doubt is not None
             or self._losses.is_unusable
             or timestamp_s is None
+            or self._echo >= LARGEST_SEQUENCE
         )
         if is_unsettled or timestamp_s is None or self.phase not in (Phase.RUNNING, Phase.FAULT):
             return
         choice = Choice.STOP if self._stopping else Choice.GO
         expected = list(self._values[STATUS])
         expected[ECHO - SPEED_SCALING] = self._echo + 1
+        if not isfinite(expected[0] + expected[1]):  # speeds; what is no number is new each time
+            return
         self.ready = PreparedReply(
-            tuple(expected),
+            STATUS_BYTES.pack(*expected),
             timestamp_s + HALF_CYCLE * self._cycle_s,
             timestamp_s + (1.0 + HALF_CYCLE) * self._cycle_s,
             self._stop_word,

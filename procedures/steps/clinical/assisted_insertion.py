@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.context import StepContext
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Task, Topic
 from procedures.planning.errors import NotReachable
@@ -20,11 +21,14 @@ from procedures.steps.clinical.base_to_base import KnownBases, working_joints
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.assistant import AT_GUIDE, INSERTION_MM_S, Assistant
+from procedures.workcell.assistant import AT_GUIDE, Assistant
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.config import ASSISTANT, MASTER
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
@@ -32,6 +36,9 @@ from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
+# Between the frames of both arms, by the tracker and by the joints: three standard errors of the bases by the
+# tracker alone (0.3 mm) and of its angles. Coarse, but of another kind than the joints.
+SEEN_APART_MM, SEEN_APART_RAD = 1.0, math.radians(0.5)
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
@@ -61,13 +68,15 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
     second.supervised.confirm(
         Topic.APPROACH,
         f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
-        f"{axis.travel_mm:.0f} mm along the bore at {INSERTION_MM_S:g} mm/s, until its stop rests there",
+        f"{axis.travel_mm:.0f} mm along the bore at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests "
+        "there",
         [second.settle_motion(start_rad, axis.arriving)],
         trajectory,
     )
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     second.settle(start_rad, axis.arriving)
     _require_coaxial(context, second, axis, known.head_shift_mm)
+    _require_seen_coaxial(context, second, known)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     second.insert(second.axis_in_base(axis))
@@ -145,17 +154,31 @@ def _find_axis(
         turned_rad = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True))
         axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
         found.append((way_rad + turned_rad, axis, start_rad))
-    here_rad = second.joints_rad()
+    here_rad, in_sight = second.joints_rad(), 0
     for _, axis, start_rad in sorted(found, key=lambda one: one[0]):
+        if _hides_head(context, second, axis, start_rad):
+            continue
+        in_sight += 1
         onto = second.settle_motion(start_rad, axis.arriving)
         along = second.insert_motion(second.axis_in_base(axis), start_rad)
         if second.is_clear([onto, along], here_rad):
             return axis, start_rad
     raise NotReachable(
         f"the assistant cannot bring the instrument into the guide at {context.trajectory}: "
-        f"of {len(axes)} turns about its axis {len(found)} are in reach, none is clear",
+        f"of {len(axes)} turns about its axis {len(found)} are in reach, {in_sight} of them leave the head "
+        "in view of the tracker, and none of those is clear",
         action="Place the assistant's cart elsewhere and localize again, or start a run without --dual.",
     )
+
+
+def _hides_head(context: StepContext, second: Assistant, axis: Insertion, start_rad: JointVector) -> bool:
+    """Return whether both arms, with the assistant on this axis, hide the head from the tracker."""
+    workcell = context.workcell
+    assert workcell.surroundings is not None
+    expected = ExpectedSight(context, room_watch(context), workcell.surroundings)
+    here_rad = workcell.joints_rad()
+    held_rad = second.clamp_joints(axis.held, start_rad)
+    return any(expected.hidden_at(here_rad, at_rad) for at_rad in (start_rad, held_rad))
 
 
 def _require_coaxial(
@@ -178,6 +201,39 @@ def _require_coaxial(
     context.find(
         f"at {context.trajectory} the instrument is {off_mm:.2f} mm and "
         f"{math.degrees(turned_rad):.2f} deg from the axis of the guide"
+    )
+
+
+def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownBases) -> None:
+    """Raise PRO-007 if the tracker sees the frames of both arms elsewhere than the joints have them."""
+    workcell, room = context.workcell, room_watch(context)
+    read, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
+    frames = [room.as_localized(one) for one in read]
+    names = workcell.calibrations.tracker_frame.tool, second.holder.frame
+    master, assistant = (mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names)
+    if master is None or assistant is None:
+        hidden = names[0] if master is None else names[1]
+        context.find(f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count")
+        return
+    assert second.base is not None
+    flange = second.base @ second.flange_pose(second.joints_rad())
+    by_joints = (flange @ known.flange_from_frame.transform).rigid
+    turn = known.robot_from_tracker.transform.rigid.rotation
+    # From the master's frame: the tracker's smooth error is much the same for both.
+    seen_mm = turn.apply(assistant.translation_mm - master.translation_mm)
+    held_mm = by_joints.translation - robot_from_marker(workcell, workcell.joints_rad()).translation_mm
+    apart_mm = float(np.linalg.norm(seen_mm - held_mm))
+    turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
+    if apart_mm > SEEN_APART_MM or turned_rad > SEEN_APART_RAD:
+        raise GateFailed(
+            f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
+            limit=f"{SEEN_APART_MM:g} mm, {math.degrees(SEEN_APART_RAD):g} deg",
+            got=f"{format_against_limit(apart_mm, SEEN_APART_MM, 2)} mm, {math.degrees(turned_rad):.2f} deg",
+            action="Look for a cart that has moved or a frame that is loose; then localize again.",
+        )
+    context.find(
+        f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
+        f"and {math.degrees(turned_rad):.2f} deg"
     )
 
 

@@ -12,11 +12,13 @@ from contextlib import suppress
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.base_to_base import (
+    LEAST_BALL_LOOKS,
+    LEAST_FRAME_LOOKS,
     BallFit,
     BallLooks,
     BaseToBase,
@@ -25,8 +27,8 @@ from procedures.calibration.base_to_base import (
 )
 from procedures.calibration.base_validity import MOVED_MM, platform_shift
 from procedures.calibration.errors import DegeneratePoses, PlatformMoved, PosesOutOfReach
-from procedures.calibration.hand_eye import LEAST_LOOKS, PosePairs
-from procedures.calibration.pose_set import plan_poses_about
+from procedures.calibration.hand_eye import PosePairs
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_poses_about
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
@@ -34,6 +36,7 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
 from procedures.planning.guide import depth_stop_mm
+from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -59,8 +62,8 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
-FRAMES = 24  # of the tracker, averaged per look at a frame
-FRAME_LOOKS, SPARE = 20, 3  # planned poses for each wanted one
+FRAMES = 12  # of the tracker, averaged per look at a frame
+FRAME_LOOKS, SPARE = 12, 4  # planned poses for each wanted one
 FRAME_TILT_RAD, FRAME_TURN_RAD = math.radians(30.0), math.radians(60.0)
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
@@ -84,6 +87,8 @@ class KnownBases(StepResult, kind="base_to_base"):
     """Pose of the assistant's base relative to the master's, with its uncertainty."""
 
     robot_from_base: FramedPose = Field(description="Pose robot <- base of the assistant.")
+    robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker, by the master's turned frame.")
+    flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
     error_mm: float = Field(description="The same after the looks at the ball.")
     apart_mm: float = Field(description="How far tracker and stereo head disagree there.")
@@ -122,7 +127,8 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     assert records.arm is not None
     assert records.assistant_arm is not None
     errors_mm = (records.arm.stated_error_mm, records.assistant_arm.stated_error_mm)
-    coarse = bases_by_frames(master, assistant, errors_mm)
+    by_frames = bases_by_frames(master, assistant, errors_mm)
+    coarse = by_frames.bases
     workcell.place_assistant(_robot_from_base(coarse))
     workcell.surround_assistant(measuring.around())
     fit = measuring.look_at_ball(coarse, ErrorSizes.stated(context.setting.settings, records.arm).tool_mm)
@@ -136,6 +142,8 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     return Outcome(
         KnownBases(
             robot_from_base=FramedPose.of(_robot_from_base(fit.bases)),
+            robot_from_tracker=FramedPose.of(_of_tracker(by_frames.robot_from_tracker)),
+            flange_from_frame=FramedPose.of(_on_flange(by_frames.flange_from_frame)),
             by_frames_mm=by_frames_mm,
             error_mm=error_mm,
             apart_mm=apart_mm,
@@ -243,34 +251,30 @@ class _BaseMeasurement:
         frame = cell.calibrations.tracker_frame
         marker_mm = frame.tool_from_marker.translation_mm
         reference = cell.tool_pose(cell.home_rad).rigid.rotation
-        poses = plan_poses_about(
-            reference,
-            self._frames_mm,
-            SPARE * FRAME_LOOKS,
-            tilt_rad=FRAME_TILT_RAD,
-            turn_rad=FRAME_TURN_RAD,
-            offset_mm=marker_mm,
-        )
+        tracker = self._context.result(GlobalLocalization).robot_from_tracker.transform
         found = self._turn(
-            (partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE) for one in poses),
+            (
+                partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE)
+                for one in _plan_turns(reference, self._frames_mm, marker_mm)
+            ),
+            lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
             lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
             lambda: cell.flange_pose(cell.joints_rad()),
             frame.tool,
         )
         cell.return_home()
         base = self._base()
-        drawn_mm = second.holder.flange_from_frame.translation_mm
+        drawn = second.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
         home = second.flange_pose(second.home_rad).rigid.rotation
-        turns = plan_poses_about(
-            home,
-            base.inverse().apply(self._frames_mm),
-            SPARE * FRAME_LOOKS,
-            tilt_rad=FRAME_TILT_RAD,
-            turn_rad=FRAME_TURN_RAD,
-            offset_mm=drawn_mm,
-        )
+        frames_mm, from_base = base.inverse().apply(self._frames_mm), base.inverse() @ tracker
         other = self._turn(
-            (partial(second.flange_joints, _flange(one.pose), second.home_rad, ONE_SIDE) for one in turns),
+            (
+                partial(second.flange_joints, _flange(one.pose), second.home_rad, ONE_SIDE)
+                for one in _plan_turns(home, frames_mm, drawn.translation_mm)
+            ),
+            lambda at: explain_hidden_frame(
+                from_base, second.flange_pose(at) @ drawn, second.arm.kinematics, at
+            ),
             second.settle,
             lambda: second.flange_pose(second.joints_rad(), ONE_SIDE),
             second.holder.frame,
@@ -281,6 +285,7 @@ class _BaseMeasurement:
     def _turn(
         self,
         plan: Iterator[Callable[[], JointVector]],
+        explain_hidden: Callable[[JointVector], str],
         settle: Callable[[JointVector], object],
         flange: Callable[[], Transform],
         frame: str,
@@ -291,7 +296,7 @@ class _BaseMeasurement:
         for wanted in plan:
             if len(seen) == FRAME_LOOKS:
                 break
-            if not self._reach(wanted, settle, reasons):
+            if not self._reach(wanted, settle, reasons, explain_hidden):
                 continue
             pose = mean_pose(self._read(FRAMES), frame, FRAMES // 2)
             if pose is None:
@@ -300,10 +305,10 @@ class _BaseMeasurement:
             flanges.append(flange().as_matrix())
             seen.append(pose.as_matrix())
             self._context.progress(len(seen) / FRAME_LOOKS / 4.0, f"turning the frame {frame}")
-        if len(seen) < LEAST_LOOKS:
+        if len(seen) < LEAST_FRAME_LOOKS:
             raise PosesOutOfReach(
                 f"too few poses show the frame {frame}",
-                expected=f"{LEAST_LOOKS}",
+                expected=f"{LEAST_FRAME_LOOKS}",
                 got=f"{len(seen)}; {', '.join(sorted(set(reasons)))}",
             )
         return PosePairs(np.array(flanges), np.array(seen))
@@ -373,7 +378,7 @@ class _BaseMeasurement:
                 if fit is not None and fit.error_mm <= ENOUGH_MM:
                     break
         if fit is None:
-            if len(heads) < LEAST_LOOKS:
+            if len(heads) < LEAST_BALL_LOOKS:
                 raise PosesOutOfReach(
                     "too few looks at the ball of the assistant",
                     expected=f"{POSTURES * LOOKS_PER_POSTURE}",
@@ -390,10 +395,15 @@ class _BaseMeasurement:
         wanted: Callable[[], JointVector],
         settle: Callable[[JointVector], object],
         reasons: list[str],
+        explain_hidden: Callable[[JointVector], str] = lambda _joints: "",
     ) -> bool:
-        """Move there; return whether it was possible. Raises what trips an arm."""
+        """Move there unless it is of no use; return whether it was possible. Raises what trips an arm."""
         try:
-            settle(wanted())
+            joints_rad = wanted()
+            if explain_hidden(joints_rad):
+                reasons.append("hidden from the tracker")
+                return False
+            settle(joints_rad)
         except (LimitError, NotClear) as error:
             if Lifecycle.FAULT in (self._cell.arm.state, self._second.arm.state):
                 raise
@@ -407,6 +417,23 @@ class _BaseMeasurement:
     def _base(self) -> Transform:
         assert self._second.base is not None
         return self._second.base
+
+
+def _plan_turns(reference: Rotation, place_mm: ArrayLike, frame_mm: ArrayLike) -> list[PlannedLook]:
+    """Plan turns of a frame at a place; each set of `FRAME_LOOKS` is spread evenly and ordered by itself."""
+    sets = (
+        plan_poses_about(
+            reference,
+            place_mm,
+            FRAME_LOOKS,
+            number * FRAME_LOOKS,
+            tilt_rad=FRAME_TILT_RAD,
+            turn_rad=FRAME_TURN_RAD,
+            offset_mm=frame_mm,
+        )
+        for number in range(SPARE)
+    )
+    return [look for one in sets for look in order_by_orientation(one)]
 
 
 def spread_places(count: int) -> Array:
@@ -465,6 +492,14 @@ def _robot_from_base(bases: BaseToBase) -> Transform:
 def _between_bases(matrix: Array) -> Transform:
     """Return ROBOT <- base of the assistant; both are bases of arms, so both have that frame."""
     return Transform(Frame.ROBOT, Frame.ROBOT, RigidTransform.from_matrix(np.asarray(matrix, dtype=float)))
+
+
+def _on_flange(matrix: Array) -> Transform:
+    return Transform(Frame.FLANGE, Frame.MARKER, RigidTransform.from_matrix(matrix))
+
+
+def _of_tracker(matrix: Array) -> Transform:
+    return Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.from_matrix(matrix))
 
 
 def _inverse(matrix: Array) -> Array:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.methods import CaseMethods, Matcher
-from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.planning.plan_model import FiducialKind
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior

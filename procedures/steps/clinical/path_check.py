@@ -35,6 +35,7 @@ from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, strategy_ans
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.room import ROOM_READS, room_watch
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -215,6 +216,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
+        sights=() if workcell.second is None else room_watch(context).sights,  # to watch its insertion
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(
@@ -383,6 +385,6 @@ STEP = StepSpec(
     "Check every path",
     Phase.PREPARATION,
     run,
-    reads=(Correspondence, CheckedSetUp, *READS),
+    reads=(*ROOM_READS, CheckedSetUp, *READS),
     preconditions=needs_guide_unmounted,
 )

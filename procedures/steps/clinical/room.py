@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -77,16 +77,26 @@ class ExpectedSight:
     watch: RoomWatch
     surroundings: Surroundings
 
-    def hidden_at(self, joints_rad: JointVector) -> bool:
-        """Whether too few spheres, and markers on the clamp, are visible with the arm at these joints."""
-        arm = self.context.workcell.arm.kinematics
-        return all(
-            int(sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
-            for sight in self.watch.sights
-        )
+    def hidden_at(self, joints_rad: JointVector, assistant_rad: JointVector | None = None) -> bool:
+        """Whether too few spheres, and markers on the clamp, are visible with the arm at these joints.
+
+        An assistant is where it is, or at `assistant_rad`.
+        """
+        arm, second = self.context.workcell.arm.kinematics, self.context.workcell.second
+        for sight in self.watch.sights:
+            seen = sight.seen(arm, self.surroundings, joints_rad)
+            if second is not None and second.base is not None:
+                from_base = replace(
+                    sight, robot_from_tracker=second.base.inverse() @ sight.robot_from_tracker
+                )
+                there_rad = assistant_rad or second.joints_rad()
+                seen &= from_base.seen(second.arm.kinematics, Surroundings(tool=second.tool), there_rad)
+            if int(seen.sum()) >= LEAST_POINTS:
+                return False
+        return True
 
     def hidden_now(self) -> bool:
-        """Whether too few spheres are visible with the arm in its current pose."""
+        """Whether too few spheres are visible with every arm in its current pose."""
         return self.hidden_at(self.context.workcell.joints_rad())
 
 

@@ -137,7 +137,7 @@ class ArmPairWorld:
 
 
 @dataclass(frozen=True)
-class Course:
+class SampledPath:
     """Postures of an arm along its path, one per cycle (n, axes); a resting arm has one."""
 
     arm: PlacedArm
@@ -145,13 +145,13 @@ class Course:
     cycle_s: float
 
     @classmethod
-    def resting(cls, arm: PlacedArm, joints_rad: JointVector, cycle_s: float) -> Course:
-        """Return the course of an arm that does not move."""
+    def resting(cls, arm: PlacedArm, joints_rad: JointVector, cycle_s: float) -> SampledPath:
+        """Return the path of an arm that does not move."""
         return cls(arm, np.array([joints_rad]), cycle_s)
 
     @classmethod
-    def driven(cls, arm: PlacedArm, kinematics: Kinematics, plan: MotionPlan, cycle_s: float) -> Course:
-        """Return the course of a planned motion as the arm drives it. Raises ARM-001 to ARM-003."""
+    def driven(cls, arm: PlacedArm, kinematics: Kinematics, plan: MotionPlan, cycle_s: float) -> SampledPath:
+        """Return the path of a planned motion as the arm drives it. Raises ARM-001 to ARM-003."""
         joints = [plan.start_rad]
         if not plan.is_standstill:
             path = plan.path(kinematics)
@@ -181,14 +181,18 @@ class Course:
 
 
 class _Block(NamedTuple):
-    """Ranges of postures of both courses, ends included."""
+    """Ranges of postures of both paths, ends included."""
 
     first: tuple[int, int]
     second: tuple[int, int]
 
 
 def find_approach(
-    world: ArmPairWorld, first: Course, second: Course, apart_s: float, margin_mm: float = PLANNED_APART_MM
+    world: ArmPairWorld,
+    first: SampledPath,
+    second: SampledPath,
+    apart_s: float,
+    margin_mm: float = PLANNED_APART_MM,
 ) -> ArmDistance | None:
     """Find a pair of postures that is not certainly farther apart than the margin, or None if all are.
 
@@ -203,11 +207,11 @@ def find_approach(
         reach_mm = [
             float(
                 max(
-                    course.travel_mm[high] - course.travel_mm[at],
-                    course.travel_mm[at] - course.travel_mm[low],
+                    path.travel_mm[high] - path.travel_mm[at],
+                    path.travel_mm[at] - path.travel_mm[low],
                 )
             )
-            for course, at, (low, high) in zip((first, second), middle, block, strict=True)
+            for path, at, (low, high) in zip((first, second), middle, block, strict=True)
         ]
         at_least_mm = found.distance_mm - sum(reach_mm)
         if at_least_mm >= margin_mm:
@@ -220,9 +224,13 @@ def find_approach(
 
 
 def require_apart(
-    world: ArmPairWorld, first: Course, second: Course, apart_s: float, margin_mm: float = PLANNED_APART_MM
+    world: ArmPairWorld,
+    first: SampledPath,
+    second: SampledPath,
+    apart_s: float,
+    margin_mm: float = PLANNED_APART_MM,
 ) -> None:
-    """Raise ARM-011 unless all pairs of postures of two courses are farther apart than the margin."""
+    """Raise ARM-011 unless all pairs of postures of two paths are farther apart than the margin."""
     found = find_approach(world, first, second, apart_s, margin_mm)
     if found is not None:
         raise ArmsTooClose(
@@ -233,7 +241,7 @@ def require_apart(
         )
 
 
-def _blocks(first: Course, second: Course, apart_s: float) -> Sequence[_Block]:
+def _blocks(first: SampledPath, second: SampledPath, apart_s: float) -> Sequence[_Block]:
     """Cover all pairs of postures that can occur together with blocks."""
     edges = range(0, first.count, max(1, round(apart_s / first.cycle_s)))
     ends = [*edges, first.count - 1]

@@ -6,6 +6,16 @@ from collections.abc import Callable
 from typing import Final
 
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
+from ronna_hw.wire.universal_robots_services import (
+    ACCEPTED,
+    ARM_TYPE,
+    BANNER,
+    ROBOT_MODE_HEAD,
+    RUNNING_HEAD,
+    SAFETY_MODE_HEAD,
+    Order,
+    Query,
+)
 from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
@@ -13,7 +23,6 @@ from sim.universal_robots.programs.program import Program
 from sim.universal_robots.programs.program_request import requested_program
 from sim.universal_robots.programs.recognition import endless
 
-BANNER: Final = "Connected: Universal Robots Dashboard Server"
 LONGEST_LINE = 1000
 PROGRAM_FOLDER = "/programs/"
 EXTERNAL_CONTROL: Final = "external_control"  # begins the names of programs that request their script
@@ -39,32 +48,32 @@ class Dashboard:
         self._controller = controller
         self.silent = False  # fault: nothing is answered
         self._commands: dict[str, Callable[[str], str]] = {
-            "robotmode": lambda _: f"Robotmode: {controller.modes.robot_mode.name}",
-            "safetymode": lambda _: f"Safetymode: {controller.modes.safety_mode.name}",
+            Query.ROBOT_MODE: lambda _: f"{ROBOT_MODE_HEAD} {controller.modes.robot_mode.name}",
+            Query.SAFETY_MODE: lambda _: f"{SAFETY_MODE_HEAD} {controller.modes.safety_mode.name}",
             "safetystatus": lambda _: f"Safetystatus: {controller.modes.safety_mode.name}",
             "polyscopeversion": lambda _: f"URSoftware {controller.model.version_text} ({BUILD_DATE[:11]})",
             "version": lambda _: controller.model.version_text,
-            "get serial number": lambda _: str(controller.parameters.serial_number),
-            "get robot model": lambda _: "UR5",
-            "is in remote control": lambda _: str(not controller.modes.local).lower(),
-            "running": lambda _: f"Program running: {str(self._is_playing).lower()}",
+            Query.SERIAL_NUMBER: lambda _: str(controller.parameters.serial_number),
+            Query.ROBOT_MODEL: lambda _: ARM_TYPE,
+            Query.REMOTE_CONTROL: lambda _: str(not controller.modes.local).lower(),
+            Query.RUNNING: lambda _: f"{RUNNING_HEAD} {str(self._is_playing).lower()}",
             "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
             "get loaded program": self._get_loaded,
-            "power on": self._power_on,
-            "power off": self._power_off,
-            "brake release": self._release_brakes,
-            "unlock protective stop": self._unlock,
-            "close safety popup": lambda _: "closing safety popup",
+            Order.POWER_ON: self._power_on,
+            Order.POWER_OFF: self._power_off,
+            Order.BRAKE_RELEASE: self._release_brakes,
+            Order.UNLOCK_PROTECTIVE_STOP: self._unlock,
+            Order.CLOSE_SAFETY_POPUP: lambda _: ACCEPTED[Order.CLOSE_SAFETY_POPUP],
             "close popup": lambda _: "closing popup",
             "popup": self._popup,
-            "restart safety": self._restart_safety,
+            Order.RESTART_SAFETY: self._restart_safety,
             "play": self._play,
             "pause": self._pause,
-            "stop": self._stop,
+            Order.STOP: self._stop,
             "load": self._load,
             "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
             "get operational mode": lambda _: "NONE",
-            "addtolog": self._add_to_log,
+            Query.ADD_TO_LOG.lower(): self._add_to_log,
             "savelog": lambda _: "Log saved to disk",
         }
         self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
@@ -99,22 +108,23 @@ class Dashboard:
 
     def _power_on(self, _: str) -> str:
         self._controller.modes.power_on()
-        return "Powering on"
+        return ACCEPTED[Order.POWER_ON]
 
     def _power_off(self, _: str) -> str:
         self._controller.power_off()
-        return "Powering off"
+        return ACCEPTED[Order.POWER_OFF]
 
     def _release_brakes(self, _: str) -> str:
         self._controller.modes.release_brakes()
-        return "Brake releasing"
+        return ACCEPTED[Order.BRAKE_RELEASE]
 
     def _unlock(self, _: str) -> str:
-        return "Protective stop releasing" if self._controller.unlock_protective_stop() else TOO_EARLY
+        is_released = self._controller.unlock_protective_stop()
+        return ACCEPTED[Order.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
 
     def _restart_safety(self, _: str) -> str:
         self._controller.modes.restart_safety()
-        return "Restarting safety"
+        return ACCEPTED[Order.RESTART_SAFETY]
 
     # -- programs
 
@@ -150,7 +160,7 @@ class Dashboard:
 
     def _stop(self, _: str) -> str:
         self._controller.stop()
-        return "Stopped"
+        return ACCEPTED[Order.STOP]
 
     def _popup(self, text: str) -> str:
         self._controller.popup = text
@@ -162,20 +172,14 @@ class Dashboard:
 
 QUERIES: Final = frozenset(
     {
-        "robotmode",
-        "safetymode",
+        *(query.lower() for query in Query),
         "safetystatus",
         "polyscopeversion",
         "version",
-        "get serial number",
-        "get robot model",
-        "is in remote control",
-        "running",
         "programstate",
         "get loaded program",
         "isprogramsaved",
         "get operational mode",
-        "addtolog",
     }
 )
 

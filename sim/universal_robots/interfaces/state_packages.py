@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from struct import Struct, pack
 from typing import Final
 from zlib import crc32
 
+from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots import RuntimeState, SafetyMode
+from ronna_hw.wire.universal_robots_services import MessageKind, PackageKind, PartKind
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.kinematics import pose_of_frame
 from sim.universal_robots.model import (
@@ -25,16 +28,6 @@ from sim.universal_robots.variables import (
     TARGET_SPEED_FRACTION,
 )
 
-STATE, MESSAGE = 16, 20  # types of package
-MODE_PART, JOINT_PART, MASTERBOARD_PART, CARTESIAN_PART, KINEMATICS_PART, CONFIGURATION_PART = (
-    0,
-    1,
-    3,
-    4,
-    5,
-    6,
-)
-VERSION_KIND, SAFETY_KIND, ERROR_KIND, KEY_KIND, EXCEPTION_KIND = 3, 5, 6, 7, 10  # of message
 CONTROLLER_SOURCE = -2
 NO_DATA, UNSIGNED_DATA = 0, 1  # types of report data
 ERROR_LEVEL, WARNING_LEVEL = 3, 2
@@ -46,17 +39,17 @@ DEFAULT_SPEEDS = (1.05, 1.4, 0.25, 1.2, 0.01)  # joint v, a; tool v, a; radius t
 PROJECT_NAME = "URControl"
 BUILD_DATE = "Jan 01 2026, 00:00:00"
 _REALTIME_LEAD: Final = Struct(">i")
-_JOINT: Final = Struct(">3d4fB")
+_JOINT: Final = Struct(wire.JOINT_PART)
 _UNUSED: Final = (0.0,) * JOINTS
 
 
 def _part(kind: int, payload: bytes) -> bytes:
-    return pack(">IB", len(payload) + 5, kind) + payload
+    return pack(wire.PART_HEADER, len(payload) + 5, kind) + payload
 
 
 def _message(kind: int, cycles_us: int, payload: bytes) -> bytes:
-    body = pack(">QbB", cycles_us, CONTROLLER_SOURCE, kind) + payload
-    return pack(">iB", len(body) + 5, MESSAGE) + body
+    body = pack(wire.MESSAGE_HEADER, cycles_us, CONTROLLER_SOURCE, kind) + payload
+    return pack(wire.PACKAGE_HEADER, len(body) + 5, PackageKind.MESSAGE) + body
 
 
 class StatePackages:
@@ -80,40 +73,42 @@ class StatePackages:
         major, minor, bugfix, build = self._controller.model.version
         name = PROJECT_NAME.encode()
         payload = bytes([len(name)]) + name + pack(">BBii", major, minor, bugfix, build) + BUILD_DATE.encode()
-        return _message(VERSION_KIND, self._now_us, payload)
+        return _message(MessageKind.VERSION, self._now_us, payload)
 
     def key(self, title: str, text: str) -> bytes:
         """Return a key message, such as that a program has started."""
         name = title.encode()
         payload = pack(">ii", 0, 0) + bytes([len(name)]) + name + text.encode()
-        return _message(KEY_KIND, self._now_us, payload)
+        return _message(MessageKind.KEY, self._now_us, payload)
 
     def safety_mode(self, mode: SafetyMode) -> bytes:
         """Return the message of a changed safety mode."""
-        return _message(SAFETY_KIND, self._now_us, pack(">iiBII", 0, 0, mode.value, UNSIGNED_DATA, 0))
+        return _message(
+            MessageKind.SAFETY_MODE, self._now_us, pack(">iiBII", 0, 0, mode.value, UNSIGNED_DATA, 0)
+        )
 
     def error(self, code: int, text: str) -> bytes:
         """Return an error message, C and a number."""
         payload = pack(">iiiII", code, 0, ERROR_LEVEL, NO_DATA, 0) + text.encode()
-        return _message(ERROR_KIND, self._now_us, payload)
+        return _message(MessageKind.ERROR, self._now_us, payload)
 
     def runtime_exception(self, text: str) -> bytes:
         """Return the message of a program that failed, at its first line."""
-        return _message(EXCEPTION_KIND, self._now_us, pack(">ii", 1, 1) + text.encode())
+        return _message(MessageKind.RUNTIME_EXCEPTION, self._now_us, pack(">ii", 1, 1) + text.encode())
 
     # -- robot state
 
     def state(self) -> bytes:
         """Return the robot state."""
         parts = self._mode() + self._joints() + self._masterboard() + self._cartesian() + self._fixed
-        return pack(">iB", len(parts) + 5, STATE) + parts
+        return pack(wire.PACKAGE_HEADER, len(parts) + 5, PackageKind.ROBOT_STATE) + parts
 
     def _mode(self) -> bytes:
         controller = self._controller
         modes, values = controller.modes, controller.robot.values
         has_limit, padding = MODE_BYTES[controller.parameters.robot_mode_bytes]
         payload = pack(
-            ">Q7?BBdd",
+            wire.MODE_PART,
             self._now_us,
             True,
             True,
@@ -129,7 +124,7 @@ class StatePackages:
         )
         if has_limit:
             payload += pack(">d", 1.0)
-        return _part(MODE_PART, payload + padding)
+        return _part(PartKind.MODE, payload + padding)
 
     def _joints(self) -> bytes:
         drives, values = self._controller.robot.drives, self._controller.robot.values
@@ -137,7 +132,7 @@ class StatePackages:
         mode = values[PLACES["joint_mode"]]
         joints = zip(drives.actual, drives.target, drives.actual_speed, current, warmth, mode, strict=True)
         return _part(
-            JOINT_PART,
+            PartKind.JOINTS,
             b"".join(
                 _JOINT.pack(actual, target, speed, amps, MAIN_VOLTAGE, celsius, 0.0, state)
                 for actual, target, speed, amps, celsius, state in joints
@@ -147,7 +142,7 @@ class StatePackages:
     def _masterboard(self) -> bytes:
         values = self._controller.robot.values
         payload = pack(
-            ">IIBBddbbddffffBBB",
+            wire.MASTERBOARD_PART,
             values[DIGITAL_INPUTS] & 0xFFFFFFFF,
             values[DIGITAL_OUTPUTS] & 0xFFFFFFFF,
             0,
@@ -163,23 +158,23 @@ class StatePackages:
             0.0,
             0.0,
             self._controller.modes.safety_mode.value,
-            self._controller.modes.safety_mode is SafetyMode.REDUCED,
-            0,
         )
+        is_reduced = self._controller.modes.safety_mode is SafetyMode.REDUCED
         remote = not self._controller.modes.local
-        return _part(MASTERBOARD_PART, payload + pack(">IBBB", 0, int(remote), 0, 0))
+        return _part(PartKind.MASTERBOARD, payload + pack(">BBIBBB", is_reduced, 0, 0, remote, 0, 0))
 
     def _cartesian(self) -> bytes:
         robot = self._controller.robot
         pose = robot.tool_pose(robot.drives.actual)
-        return _part(CARTESIAN_PART, pack(">12d", *pose, *pose_of_frame(robot.tcp)))
+        return _part(PartKind.CARTESIAN, pack(">12d", *pose, *pose_of_frame(robot.tcp)))
 
     def _kinematics(self) -> bytes:
         kinematics = self._controller.robot.kinematics
         columns = (kinematics.theta_rad, kinematics.a_m, kinematics.d_m, kinematics.alpha_rad)
         checksums = [hash_joint(*(column[joint] for column in columns)) for joint in range(JOINTS)]
-        payload = pack(">6I", *checksums) + b"".join(pack(">6d", *column) for column in columns)
-        return _part(KINEMATICS_PART, payload + pack(">I", CALIBRATION_LINEARISED))
+        numbers = chain.from_iterable(columns)
+        payload = pack(wire.KINEMATICS_PART, *checksums, *numbers, CALIBRATION_LINEARISED)
+        return _part(PartKind.KINEMATICS, payload)
 
     def _configuration(self) -> bytes:
         model = self._controller.model
@@ -188,7 +183,9 @@ class StatePackages:
         payload += pack(">5d", *DEFAULT_SPEEDS)
         for column in (model.a_m, model.d_m, ALPHA_RAD, _UNUSED):
             payload += pack(">6d", *column)
-        return _part(CONFIGURATION_PART, payload + pack(">4i", 0, model.controller_box, model.robot_type, 0))
+        return _part(
+            PartKind.CONFIGURATION, payload + pack(">4i", 0, model.controller_box, model.robot_type, 0)
+        )
 
     # -- real-time interface
 

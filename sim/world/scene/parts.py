@@ -142,5 +142,6 @@ GUIDE_FRAME_IN_TIP = PoseRecord(translation_mm=(-90.0, 0.0, -215.0), quaternion_
 
 ASSISTANT_FRAME_NAME = "assistant_frame"
 ASSISTANT_FRAME_PART_NUMBER = "RONNA-A"
-# The six distances differ by more than 4 mm from each other and by 1.8 mm from those of other frames.
-ASSISTANT_FRAME_MARKERS_MM = ((13.0, -3.0, 0.0), (61.0, -76.0, 0.0), (-59.0, 38.0, 0.0), (-15.0, 42.0, 0.0))
+# The six distances differ by 5 mm from each other and by 2 mm from those of other frames. No three markers
+# are near a line: any three that are seen show the orientation.
+ASSISTANT_FRAME_MARKERS_MM = ((-39.0, -84.0, 0.0), (56.0, 15.0, 0.0), (-46.0, 3.0, 0.0), (28.0, 66.0, 0.0))

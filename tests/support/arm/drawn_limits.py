@@ -6,7 +6,7 @@ import random
 
 import numpy as np
 
-from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions, planning_limits
+from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
 from procedures.planning.motions import Motion
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.sweep import moving_ends
@@ -38,7 +38,7 @@ class LimitedDriver:
         self.arm = arm
         self.mode = mode
         cycle_s = (options.cycle_ms or 4) / 1000.0
-        self.planner = MotionPlanner("robot.master", arm, planning_limits(options, cycle_s))
+        self.planner = MotionPlanner("robot.master", arm, options.limits(arm, cycle_s))
         self.limits = self.planner.limits(mode)
 
     def planned(self, motion: Motion) -> MotionPlan:

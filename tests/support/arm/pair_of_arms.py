@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ronna_hw.arm.catalogue import find_kinematics
-from ronna_hw.arm.clearance.arm_pair import ArmPairWorld, Course, PlacedArm
+from ronna_hw.arm.clearance.arm_pair import ArmPairWorld, PlacedArm, SampledPath
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import working_limits
@@ -133,7 +133,7 @@ class PairOfArms:
         self.true_assistant = TrueBodies(self.assistant, truth, base)
         self.world = ArmPairWorld(self.master, self.assistant)
 
-    def course(self, arm: PlacedArm) -> Course:
+    def sampled_path(self, arm: PlacedArm) -> SampledPath:
         """A random joint move of an arm."""
         kinematics = find_kinematics(arm.bodies.arm.name)  # type: ignore[attr-defined]
         while True:
@@ -142,14 +142,14 @@ class PairOfArms:
                 plan = plan_joint_move(kinematics, start, goal, working_limits(kinematics))
             except LimitError:
                 continue
-            return Course.driven(arm, kinematics, plan, CYCLE_S)
+            return SampledPath.driven(arm, kinematics, plan, CYCLE_S)
 
     def posture(self, kinematics: Kinematics) -> JointVector:
         """A random posture about home."""
         spread = np.radians(REACHING_DEG) + np.radians(SPREAD_DEG) * self.draws.uniform(-1.0, 1.0, 6)
         return joint_vector((np.array(kinematics.home_rad) + spread).tolist())
 
-    def least_true_gap_mm(self, first: Course, second: Course, lag_s: float) -> float:
+    def least_true_gap_mm(self, first: SampledPath, second: SampledPath, lag_s: float) -> float:
         """Smallest distance by truth, when the second arm lags the first by `lag_s`."""
         count = max(first.count, second.count)
         lag = round(lag_s / CYCLE_S)

@@ -7,7 +7,7 @@ from typing import Any
 
 from recording_cell import RecordingArm
 
-from drivers.kuka_rsi.options import KukaOptions, planning_limits
+from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
@@ -31,7 +31,9 @@ class PlannedArm(RecordingArm):
     plans: list[MotionPlan] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.planner = MotionPlanner(self.name, self.kinematics, planning_limits(KukaOptions(), CYCLE_S))
+        self.planner = MotionPlanner(
+            self.name, self.kinematics, KukaOptions().limits(self.kinematics, CYCLE_S)
+        )
 
     @property
     def surroundings(self) -> Surroundings:

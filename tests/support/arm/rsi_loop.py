@@ -12,10 +12,10 @@ from typing import Any
 from mutations import mutations
 from responder_stand import LIMITS, SETTINGS, START_DEG
 
-from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 from ronna_hw.arm_stream.mailbox import Mailbox
+from ronna_hw.arm_stream.options import REHEARSAL_LEAD_US
 from ronna_hw.arm_stream.records import Command, CommandKind, Phase, StopOrder
 
 CONTROLLER = ("127.0.0.1", 40000)

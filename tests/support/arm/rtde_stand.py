@@ -107,8 +107,9 @@ class RtdeStand:
         self.beat += self.beats
         orders = Orders(self.beat, self.stop_word, self.commands)
         session = self.session
-        values = OUTPUT.unpack(self.package())
-        ready = session.match(values, self.stop_word)
+        package = self.package()
+        values = OUTPUT.unpack(package)
+        ready = session.match(package, self.stop_word)
         if ready is not None:
             reply: bytes | None = ready.package
             session.note_answered(values, orders, self.now_ns)

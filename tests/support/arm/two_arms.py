@@ -113,7 +113,7 @@ class TwoArms:
             self._frame_pairs(self.master, np.eye(4), on_master, markers["robot_frame"]),
             self._frame_pairs(self.assistant, self.base, on_assistant, markers["assistant_frame"]),
             (STATED_ERROR_MM, STATED_ERROR_MM),
-        )
+        ).bases
 
     def by_ball(self, coarse: BaseToBase) -> BallFit:
         """Bases refined by looks at the ball."""

@@ -16,8 +16,8 @@ from procedures.engine.methods import CaseMethods
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Question, Task
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.planning.plan_model import FiducialKind, PatientPosition
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization

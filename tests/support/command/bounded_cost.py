@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import median
 
 MEMORY_BYTES = 300 << 20
 LIMIT_S = 5.0
@@ -25,3 +26,13 @@ def bounded_cost(memory_bytes: int = MEMORY_BYTES, limit_s: float = LIMIT_S) -> 
         resource.setrlimit(resource.RLIMIT_AS, before)
     spent_s = time.thread_time() - begun_s
     assert spent_s < limit_s, f"{spent_s:.1f} s of processor time"
+
+
+def cpu_median_s(call: Callable[[], object], times: int) -> float:
+    """Median processor time of a call, to be compared with another's of the same moment."""
+    spent_s = []
+    for _ in range(times):
+        begun_s = time.thread_time()
+        call()
+        spent_s.append(time.thread_time() - begun_s)
+    return median(spent_s)

@@ -20,7 +20,7 @@ from procedures.guards.head_frames import HeadFrames
 from procedures.guards.motion_watch import SKIPPED_FRAMES
 from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM, RoomReading
 from procedures.guards.room_watch import Approach
-from procedures.planning.line_of_sight import TrackerSight
+from procedures.planning.tracker_sight import TrackerSight
 from procedures.registration.movement import LEAST_POINTS, measure_shift
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
 from ronna_hw.arm.pose import Pose

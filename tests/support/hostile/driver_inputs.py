@@ -23,7 +23,6 @@ from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
 from drivers.basler_stereo.identity import decode_identity
 from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
-from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
 from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
 from drivers.ndi_polaris.command_link import decode_ascii, split_binary
@@ -33,15 +32,17 @@ from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tool_definition import decode_definition
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.primary.client import package_size
-from drivers.universal_robots.primary.packages import PackageKind, iterate_parts, read_message
+from drivers.universal_robots.primary.packages import iterate_parts, read_message
 from drivers.universal_robots.realtime.line import RtdeLine, is_output
 from drivers.universal_robots.realtime.packages import OUTPUT
 from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.arm_stream.control_channel import RECEIVE_BYTES
 from ronna_hw.arm_stream.records import Orders
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import polaris
 from ronna_hw.wire.kuka_context import load_context
+from ronna_hw.wire.universal_robots_services import Order, PackageKind, Query
 from sim.kuka.rsi.telegrams import ReplyReader
 
 OUTPUT_PACKAGE = rtde_streaming().package()
@@ -202,8 +203,8 @@ def _dashboard(data: bytes) -> None:
     client.safety_mode(1.0)
     client.is_remote(1.0)
     client.is_program_running(1.0)
-    client.ask("get serial number", 1.0)
-    client.require("power on", "Powering on", 1.0)
+    client.ask(Query.SERIAL_NUMBER, 1.0)
+    client.require(Order.POWER_ON, 1.0)
 
 
 def _primary(data: bytes) -> None:

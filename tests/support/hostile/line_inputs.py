@@ -16,13 +16,14 @@ from typing import Any, cast
 from good_inputs import Take
 from record_inputs import ROOM_REQUESTS
 
-from drivers.kuka_rsi.eki.client import RECEIVE_BYTES, EkiClient
-from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.eki.telegrams import TelegramScanner
 from drivers.ndi_polaris.command_link import CommandLink, decode_ascii, unit_error
 from drivers.ndi_polaris.tool_loading import list_handles, request_handle
 from drivers.ndi_polaris.unit import parse_whole_number, read_identity, read_parameter
 from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
 from procedures.cli.tool.records import DIALS, read_gauge
+from ronna_hw.arm_stream.control_channel import RECEIVE_BYTES
 from ronna_hw.control_port import ControlPortClient
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
@@ -160,8 +161,7 @@ def _identity(data: bytes) -> None:
 def _acknowledged(data: bytes) -> None:
     client = EkiClient.__new__(EkiClient)
     client._arrived, client._listener, client.latest = threading.Condition(), None, None
-    client._acks, client._states = {}, {}
-    scanner = TelegramScanner()
+    client._acks, client._states, client._scanner = {}, {}, TelegramScanner()
     for begin in range(0, len(data), RECEIVE_BYTES):
-        for telegram in scanner.feed(data[begin : begin + RECEIVE_BYTES]):
-            client._handle_element(parse_telegram(telegram))
+        for telegram in client._split(data[begin : begin + RECEIVE_BYTES]):
+            client._handle(telegram)

@@ -162,9 +162,9 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     assert isinstance(arm.fault, LinkProcessDied)
     eventually(
         lambda: (
-            arm.connections.open_eki is not None
-            and arm.connections.open_eki.latest is not None
-            and arm.connections.open_eki.latest.error != 0
+            arm.connections.open_control is not None
+            and arm.connections.open_control.latest is not None
+            and arm.connections.open_control.latest.error != 0
         )
     )
     arm.recover("operator")

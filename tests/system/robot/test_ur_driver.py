@@ -303,34 +303,64 @@ def inserted(arm: UniversalRobotsArm, depth_mm: float, limit_N: float | None = F
     )
 
 
+class Inserting:
+    """An insertion in a thread of its own, under way."""
+
+    def __init__(self, arm: UniversalRobotsArm) -> None:
+        self._arm, self._start = arm, arm.read_state().joints_rad
+        self._errors: list[RonnaError] = []
+        self._thread = threading.Thread(target=self._insert)
+        self._thread.start()
+        eventually(lambda: travelled_mm(arm, self._start) > 0.5)
+
+    def end(self) -> RonnaError:
+        """Return the error that ended the insertion."""
+        self._thread.join()
+        return self._errors[0]
+
+    def rests_on_its_way(self, world: World) -> bool:
+        """Return whether the true arm is at rest between start and depth."""
+        arm = self._arm
+        way = arm.kinematics.flange_pose(self._start).inverse() @ arm.kinematics.flange_pose(
+            world.arm().joints_rad
+        )
+        return world.arm().at_rest and 0.5 < way.translation_mm[2] < 19.0
+
+    def _insert(self) -> None:
+        try:
+            self._arm.insert(inserted(self._arm, 20.0))
+        except RonnaError as error:
+            self._errors.append(error)
+
+
 @pytest.mark.slow
 @pytest.mark.hazard(30)
 def test_a_real_time_process_that_freezes_in_mid_insertion_leaves_the_instrument_at_rest_and_is_named(
     room: Room, arm: UniversalRobotsArm
 ) -> None:
-    start = arm.read_state().joints_rad
-    ended: list[RonnaError] = []
-
-    def insert() -> None:
-        try:
-            arm.insert(inserted(arm, 20.0))
-        except RonnaError as error:
-            ended.append(error)
-
-    inserting = threading.Thread(target=insert)
-    inserting.start()
-    eventually(lambda: travelled_mm(arm, start) > 0.5)
+    inserting = Inserting(arm)
     pid = arm.connections.link.process.pid
     os.kill(pid, signal.SIGSTOP)
     eventually(lambda: room.world.arm().at_rest)
     depth_rad = room.world.arm().joints_rad
-    inserting.join()
+    ended = inserting.end()
     os.kill(pid, signal.SIGKILL)
-    assert isinstance(ended[0], LinkProcessStalled)
+    assert isinstance(ended, LinkProcessStalled)
     assert arm.state is Lifecycle.FAULT
     assert room.world.arm().joints_rad == depth_rad
-    way = arm.kinematics.flange_pose(start).inverse() @ arm.kinematics.flange_pose(depth_rad)
-    assert 0.5 < way.translation_mm[2] < 19.0
+    assert inserting.rests_on_its_way(room.world)
+
+
+@pytest.mark.hazard(56)
+def test_a_program_that_is_killed_in_mid_insertion_leaves_the_instrument_at_rest_and_is_named(
+    room: Room, arm: UniversalRobotsArm
+) -> None:
+    inserting = Inserting(arm)
+    assert room.cell.dashboard("stop") == "Stopped"
+    assert isinstance(inserting.end(), ProgramStopped)
+    assert arm.state is Lifecycle.FAULT
+    room.await_cycles(lambda: room.world.arm().at_rest)
+    assert inserting.rests_on_its_way(room.world)
 
 
 def travelled_mm(arm: UniversalRobotsArm, start: JointVector) -> float:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka_rsi.errors import MotionTripped
-from drivers.kuka_rsi.fault_errors import fault_error
+from drivers.kuka_rsi.errors import STREAM_ERRORS, MotionTripped
+from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
@@ -113,7 +113,7 @@ def _fault(kind: str, axis: int, value: float, limit: float, mode: OperationMode
         violation_value=value,
         violation_limit=limit,
     )
-    return fault_error("master", state, KukaOptions(), mode, surroundings=_post_beside(15.0))
+    return RsiFaults("master", MODEL, STREAM_ERRORS, KukaOptions()).error(state, mode, _post_beside(15.0))
 
 
 def test_a_trip_names_the_two_bodies_and_the_distance() -> None:

@@ -238,7 +238,7 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
         arm.activate_unverified("Ana")
     assert isinstance(arm.fault, error)
     arm.connections.link.process.kill()  # so that closing need not wait for a stopped one
-    arm.connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
+    arm.connections.control.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
 def test_a_stop_during_a_start_leaves_the_arm_in_hold(make_arm: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.telegrams import read_state
 from drivers.kuka_rsi.probe import probe, stream_port_diagnostic
-from drivers.kuka_rsi.readings import controller_facts
+from drivers.kuka_rsi.readiness import controller_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity

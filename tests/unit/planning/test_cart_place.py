@@ -13,9 +13,10 @@ from benchmarks.place_map import agreement, cart_case
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.line_of_sight import SENSORS_MM, StereoSight
+from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.pose_name import GAUGE
 from procedures.planning.scene import PlanningScene
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.planning.visits import ArmSetting, Axes, build_target_visit, list_localizations
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory

@@ -6,7 +6,7 @@ import numpy as np
 from room_trials import TrackedCase
 from sight_trials import GuideSight
 
-from procedures.planning.line_of_sight import TrackerSight
+from procedures.planning.tracker_sight import TrackerSight
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform

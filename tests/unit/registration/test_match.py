@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from bounded_cost import cpu_median_s
 from scipy.spatial.transform import Rotation
 
 from procedures.registration import MatchStatus, Prior, match
@@ -290,14 +291,12 @@ def test_noise_larger_than_the_spacing_is_answered_within_five_seconds(random):
     assert time.process_time() - start < 5.0
 
 
-def test_a_twelve_by_twelve_match_takes_at_most_two_milliseconds(random, fiducials, reading):
-    readings = [reading(fiducials(8, random), 4, random) for _ in range(30)]
-    spent = []
-    for seen in readings:
-        start = time.process_time()
-        match(seen.image_mm, seen.physical_mm, **SIGMAS)
-        spent.append(time.process_time() - start)
-    assert np.median(spent) < 2e-3
+def test_a_twelve_by_twelve_match_takes_as_long_as_fourteen_fits_of_a_rotation(random, fiducials, reading):
+    """Two milliseconds, by the benchmark; twice the usual seven fits means that something broke."""
+    seen = reading(fiducials(8, random), 4, random)
+    matching = cpu_median_s(lambda: match(seen.image_mm, seen.physical_mm, **SIGMAS), 30)
+    fitting = cpu_median_s(lambda: Rotation.align_vectors(seen.image_mm[:8], seen.physical_mm[:8]), 30)
+    assert matching < 14.0 * fitting
 
 
 def test_more_points_than_any_head_can_carry_are_refused(random):

@@ -23,6 +23,7 @@ from studies.errors import LedgerUnreadable, OtherStudy
 from studies.low_cost.arms import InstantArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room
+from studies.low_cost.figures import NOMINAL_ERROR_KEY, Dimensions, Method, Place, Quantity
 from studies.low_cost.judge import Judge, distance_errors_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, ArmModel, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation, load_or_prepare
@@ -202,11 +203,12 @@ def test_a_damaged_preparation_is_refused(tmp_path: Path) -> None:
 
 
 def figures(closed_mm: float, opened_mm: float, nominal_mm: float = 3.0) -> Sums:
-    sums: Sums = {"nominal error|mm": nominal_mm}
+    sums: Sums = {NOMINAL_ERROR_KEY: nominal_mm}
     for orientation in range(len(ORIENTATIONS_RAD)):
         for target in range(2):
-            place = f"nominal|{orientation}|{target}|mm"
-            sums |= {f"open|{place}": opened_mm, f"closed|{place}": closed_mm}
+            for method, error_mm in zip(Method, (opened_mm, closed_mm), strict=True):
+                place = Place(method, Dimensions.NOMINAL, orientation, target)
+                sums[place.key(Quantity.ERROR_MM)] = error_mm
     return sums
 
 

@@ -1,57 +1,15 @@
-"""Every fault of the real-time process becomes its error, in words."""
+"""Stops by the controller, and motions that do not end, in this controller's words."""
 
 from __future__ import annotations
 
 import pytest
+from watched_stream import ur_faults
 
-from drivers.universal_robots import errors
-from drivers.universal_robots.errors import STREAM_ERRORS
-from drivers.universal_robots.faults import fault_error, stream_faults
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
-from ronna_hw.arm.clearance.live_watch import ViolationKind
-from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.arm_stream.records import NO_STATE, Fault, Result
-from ronna_hw.errors import RonnaError
+from ronna_hw.arm_stream.records import NO_STATE, Fault
 
-OPTIONS = UrOptions()
-FAULTS = stream_faults("arm", universal_robot("ur5e"), OPTIONS)
-
-
-STREAMING = ControllerWord(7, 1, 2, 2)
-
-
-def error_of(fault: Fault, word: ControllerWord = STREAMING) -> RonnaError | None:
-    state = NO_STATE._replace(
-        fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=3, controller_word=word.number
-    )
-    return fault_error(FAULTS, OPTIONS, state, "automatic")
-
-
-@pytest.mark.parametrize(
-    ("fault", "code"),
-    [
-        (Fault.SILENCE, "URD-021"),
-        (Fault.BROKEN, "URD-022"),
-        (Fault.HEARTBEAT, "URD-023"),
-        (Fault.MONITOR, "URD-026"),
-        (Fault.PATH, "URD-027"),
-        (Fault.LOSSES, "URD-028"),
-        (Fault.PROTECTIVE, "URD-029"),
-        (Fault.LINK_STOP, "URD-030"),
-        (Fault.DRIVES_OFF, "URD-031"),
-        (Fault.RESTARTED, "URD-038"),
-        (Fault.BASE, "URD-039"),
-    ],
-)
-def test_each_fault_has_its_code(fault: Fault, code: str) -> None:
-    error = error_of(fault)
-    assert error is not None
-    assert error.code == code
-
-
-def test_every_fault_has_an_error() -> None:
-    assert [fault for fault in Fault if error_of(fault) is None] == [Fault.NONE]
+FAULTS = ur_faults()
 
 
 @pytest.mark.parametrize(
@@ -72,18 +30,11 @@ def test_every_fault_has_an_error() -> None:
     ],
 )
 def test_a_stop_by_the_controller_says_why(word: ControllerWord, code: str, says: str) -> None:
-    error = error_of(Fault.CONTROLLER, word)
+    state = NO_STATE._replace(fault=Fault.CONTROLLER, controller_word=word.number)
+    error = FAULTS.error(state, "automatic")
     assert error is not None
     assert error.code == code
     assert says in str(error)
-
-
-def test_errors_of_the_process_and_of_motions_are_the_drivers() -> None:
-    assert FAULTS.refusal_error(NO_STATE._replace(result=Result.REFUSED_BUSY)).code == "URD-034"
-    assert FAULTS.refusal_error(NO_STATE._replace(result=Result.REFUSED_STOP)).code == "URD-032"
-    assert STREAM_ERRORS.not_finished is errors.MotionNotFinished
-    assert STREAM_ERRORS.died is errors.LinkProcessDied
-    assert STREAM_ERRORS.stalled is errors.LinkProcessStalled
 
 
 def test_a_motion_that_does_not_end_names_the_speed_slider_or_else_losses() -> None:

@@ -11,11 +11,17 @@ from handmade_ur import UR5E_A, HandmadeController
 from drivers.universal_robots import connections as ur_connections
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.dashboard import DashboardClient
-from drivers.universal_robots.errors import BadOptions, ControllerExchanged, ControllerLost, NoAnswer
+from drivers.universal_robots.errors import (
+    BadOptions,
+    ControllerExchanged,
+    ControllerLost,
+    NoAnswer,
+    NotPowered,
+)
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.clock import HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig
-from ronna_hw.devices import Lifecycle
+from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 
@@ -171,7 +177,7 @@ def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
     with pytest.raises(ControllerExchanged):
         arm.recover("Ann", LIMIT_S)
     assert arm.state is Lifecycle.FAULT
-    assert arm.kinematics is arm.connections.kinematics is kinematics
+    assert arm.kinematics is kinematics
     arm.close()
 
 
@@ -199,6 +205,29 @@ def test_a_controller_that_is_not_ready_is_not_started(
     with pytest.raises(RonnaError) as raised:
         arm.connections.start_stream(LIMIT_S, arm.limits)
     assert raised.value.code == code
+    arm.close()
+
+
+@pytest.mark.hazard(53)
+def test_an_arm_that_is_being_switched_off_on_request_is_not_started_before_it_is_off(
+    controller: HandmadeController, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ur_connections, "POWER_LIMIT_S", 0.05)
+    arm = make_arm(controller)
+    arm.connect(LIMIT_S)
+    arm.configure(LIMIT_S)
+    controller.answers["power off"] = "Powering off"
+    arm.stop(StopKind.DRIVES_OFF)
+    with pytest.raises(NotPowered, match="being switched off on request"):
+        arm.activate(LIMIT_S)
+    assert arm.state is Lifecycle.FAULT
+    assert not {"power on", "brake release"} & set(controller.asked)
+    controller.answers["robotmode"] = "Robotmode: POWER_OFF"
+    arm.recover("Ann", LIMIT_S)
+    assert arm.state is Lifecycle.CONFIGURED
+    with pytest.raises(NotPowered, match="was not switched on"):  # this controller never does
+        arm.activate(LIMIT_S)
+    assert "power on" in controller.asked
     arm.close()
 
 
@@ -257,6 +286,7 @@ def test_a_dashboard_that_is_silent_or_gone_is_told_apart(controller: HandmadeCo
         {"model": "ur10"},
         {"speed": 1},
         {"tool_inputs": [18]},
+        {"tool_inputs": []},
         {"lookahead_s": 0.01},
         {"speed_fraction": 0.9},
         {"line_speed_mm_s": 0.25},

@@ -199,14 +199,6 @@ def test_hold_comes_to_rest_on_the_path_and_the_stream_continues() -> None:
     assert stand.cycle() is not None
 
 
-def test_a_protective_stop_comes_to_rest_at_once_and_is_latched() -> None:
-    stand = moving()
-    stand.stop(StopOrder.PROTECTIVE)
-    stand.cycles(REST_CYCLES)
-    assert (stand.session.phase, stand.session.fault) == (Phase.FAULT, Fault.PROTECTIVE)
-    assert not stand.session.moving
-
-
 def test_a_link_stop_ceases_to_send_and_the_script_stops_the_arm() -> None:
     stand = moving()
     stand.stop(StopOrder.LINK)
@@ -266,13 +258,6 @@ def test_joints_off_their_commanded_angles_at_the_start_are_refused() -> None:
     stand.measured = (0.1, *START[1:])
     stand.begin()
     assert stand.session.fault is Fault.BASE
-
-
-def test_an_arm_that_does_not_follow_trips_the_monitor() -> None:
-    stand = moving()
-    stand.follows = False
-    stand.cycles(300)
-    assert stand.session.fault is Fault.MONITOR
 
 
 def test_ending_leaves_the_script_by_its_order() -> None:

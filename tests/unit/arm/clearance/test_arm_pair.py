@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pair_of_arms import LAG_S, PairOfArms
 
-from ronna_hw.arm.clearance.arm_pair import APART_MM, Course, find_approach, require_apart
+from ronna_hw.arm.clearance.arm_pair import APART_MM, SampledPath, find_approach, require_apart
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.errors import ArmsTooClose
@@ -42,15 +42,15 @@ def test_an_arm_at_rest_is_as_far_from_the_other_as_the_obstacles_made_of_it() -
 
 
 def test_an_approach_between_two_postures_is_found() -> None:
-    """Both courses are far apart at their ends and pass each other on the way."""
+    """Both paths are far apart at their ends and pass each other on the way."""
     pair = PairOfArms(3)
     arm = pair.master.bodies.arm
     home = np.array(arm.home_rad)
     ends = [home + np.radians((side, 0.0, 0.0, 0.0, 0.0, 0.0)) for side in (-80.0, 80.0)]
     shares = np.linspace(0.0, 1.0, 100)[:, None]
-    swing = Course(pair.master, ends[0] * (1.0 - shares) + ends[1] * shares, 0.02)
+    swing = SampledPath(pair.master, ends[0] * (1.0 - shares) + ends[1] * shares, 0.02)
     reached_out = home + np.radians((0.0, 60.0, -40.0, 0.0, 0.0, 0.0))
-    still = Course.resting(pair.assistant, tuple(reached_out.tolist()), 0.02)
+    still = SampledPath.resting(pair.assistant, tuple(reached_out.tolist()), 0.02)
     at_ends = [pair.world.distance(swing.joints_rad[row], still.joints_rad[0]).distance_mm for row in (0, -1)]
     found = find_approach(pair.world, swing, still, LAG_S)
     assert found is not None
@@ -64,10 +64,10 @@ def accepted_gaps_mm(pairs: int, scenes: int) -> list[float]:
     gaps = []
     for number in range(pairs):
         pair = PAIRS.setdefault(number % scenes, PairOfArms(number % scenes, ARMS[number % scenes % 2]))
-        first, second = pair.course(pair.master), pair.course(pair.assistant)
+        first, second = pair.sampled_path(pair.master), pair.sampled_path(pair.assistant)
         lag_s = float(pair.draws.uniform(-LAG_S, LAG_S))
         if find_approach(pair.world, first, second, LAG_S) is not None:  # then one after the other
-            lag_s, first = 0.0, Course(first.arm, first.joints_rad[-1:], first.cycle_s)
+            lag_s, first = 0.0, SampledPath(first.arm, first.joints_rad[-1:], first.cycle_s)
             if find_approach(pair.world, first, second, 0.0) is not None:
                 continue
         gaps.append(pair.least_true_gap_mm(first, second, lag_s))

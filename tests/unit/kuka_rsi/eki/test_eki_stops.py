@@ -153,6 +153,6 @@ def test_an_unreadable_eki_telegram_stops_the_arm(
 def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, patient_arm: Any) -> None:
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
-    eventually(lambda: patient_arm.connections.eki.latest.tool == 7)
+    eventually(lambda: patient_arm.connections.control.latest.tool == 7)
     patient_arm.move_joints(THERE)
     assert patient_arm.state is Lifecycle.ACTIVE

@@ -1,14 +1,11 @@
-"""Receive loop of the driver with an open session, and a mailbox."""
+"""Receive loop of the driver with an open session."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 
 import pytest
 from rsi_loop import InProcessLink
-
-from ronna_hw.arm_stream.mailbox import Mailbox
 
 
 @pytest.fixture
@@ -17,18 +14,3 @@ def link() -> Iterator[InProcessLink]:
     made.open()
     yield made
     made.close()
-
-
-@pytest.fixture
-def memory() -> Iterator[int]:
-    fd = os.memfd_create("test")
-    Mailbox.initialise(fd)
-    yield fd
-    os.close(fd)
-
-
-@pytest.fixture
-def mailbox(memory: int) -> Iterator[Mailbox]:
-    box = Mailbox(memory)
-    yield box
-    box.close()

@@ -13,12 +13,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
 
-from drivers.kuka_rsi.errors import LinkUnusable
-from drivers.kuka_rsi.fault_errors import fault_error
+from drivers.kuka_rsi.errors import STREAM_ERRORS, LinkUnusable
+from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import Losses
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm_stream.losses import WINDOW_CYCLES
@@ -348,7 +349,9 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     controller.lose(["reply", ""] * 100)
     assert not controller.responder.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
-    error = fault_error("robot.master", controller.state, KukaOptions(), OperationMode.EXT)
+    error = RsiFaults("robot.master", kr6_r900(KukaOptions().variant), STREAM_ERRORS, KukaOptions()).error(
+        controller.state, OperationMode.EXT
+    )
     assert isinstance(error, LinkUnusable)
     assert "late or lost by the controller's count" in str(error)
 

@@ -29,7 +29,7 @@ from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
-from procedures.planning import line_of_sight
+from procedures.planning import tracker_sight
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
@@ -360,7 +360,7 @@ def test_the_approach_is_confirmed_once_and_the_question_says_when_the_arm_will_
     engine = before_positioning(cell)
     if in_the_way:  # a tracker behind the hand
         hand = cell.arm.kinematics.flange_pose(checked_paths(cell).targets[FIRST].joints_rad)
-        monkeypatch.setattr(line_of_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
+        monkeypatch.setattr(tracker_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
     run(engine, f"positioning:{FIRST}")
     (question,) = cell.operator.asked
     assert question.topic is Topic.APPROACH

@@ -1,52 +1,14 @@
-"""Arm readings and readiness, from the stream and the primary interface."""
+"""What the controller says about its readiness, and the number of the mounted tool."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
 from drivers.universal_robots.errors import RegistersInUse
-from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
+from drivers.universal_robots.primary.client import ControllerState
 from drivers.universal_robots.safety import EMERGENCY_MODES, NORMAL_MODES, RESTART_MODES, safety_text
-from ronna_hw.arm_stream.readings import StreamReadings
-from ronna_hw.arm_stream.watch import HasLink
-from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
-from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
-
-
-class HasPrimary(HasLink, Protocol):
-    """Connections of an arm, among them the primary interface."""
-
-    open_primary: PrimaryClient | None
-
-
-class ArmReadings(StreamReadings):
-    """Numbered readings from one arm, with the latest kept for observers."""
-
-    senses_force = True
-
-    def __init__(self, connections: HasPrimary, clock: Clock, silence_limit_s: float) -> None:
-        super().__init__(connections, clock, silence_limit_s)
-        self._connections = connections
-
-    def from_controller(self, state: ControllerState) -> ArmReading:
-        """Build a reading from a state of the primary interface."""
-        self._newest = _controller_reading(state, self.stamp(state.mode.timestamp_us))
-        return self._newest
-
-    def _reported_reading(self, now_s: float, host_s: float) -> ArmReading | None:
-        primary = self._connections.open_primary
-        if primary is None or primary.latest is None:
-            return None
-        state = primary.latest
-        stamp = Stamp(self._sequence, state.mode.timestamp_us, now_s - (host_s - state.received_s))
-        return _controller_reading(state, stamp)
-
-
-def _controller_reading(state: ControllerState, stamp: Stamp) -> ArmReading:
-    return ArmReading(stamp, Validity.OK, state.joints_rad, commanded_rad=None, moving=state.moving)
 
 
 def read_tool_number(digital_inputs: int, bits: Sequence[int]) -> int:
@@ -54,13 +16,8 @@ def read_tool_number(digital_inputs: int, bits: Sequence[int]) -> int:
     return sum((digital_inputs >> bit & 1) << place for place, bit in enumerate(bits))
 
 
-def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """Yield the controller's status from its latest report, if any.
-
-    An arm that is switched off is no objection: `activate` switches it on.
-    """
-    if state is None:
-        return
+def controller_facts(state: ControllerState) -> Iterator[Fact]:
+    """Yield the controller's status. An arm that is off is no objection: `activate` switches it on."""
     safety, mode = state.safety_mode, state.mode
     is_pressed = mode.is_emergency_stopped or safety in EMERGENCY_MODES
     yield Fact(

@@ -1,16 +1,11 @@
-"""Arm readings and readiness, from the RSI stream and EKI states."""
+"""What the controller says about its readiness."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from ronna_hw.arm.pose import radians6
-from ronna_hw.arm_stream.readings import StreamReadings
-from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
-from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
@@ -18,38 +13,8 @@ MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type
 MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
-class ArmReadings(StreamReadings):
-    """Numbered readings from one arm, with the latest kept for observers."""
-
-    def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
-        super().__init__(connections, clock, silence_limit_s)
-        self._connections = connections
-
-    def from_controller(self, state: ControllerState) -> ArmReading:
-        """Build a reading from the joint angles in a controller `State`."""
-        self._newest = self._make_controller_reading(state, self.stamp())
-        return self._newest
-
-    def _reported_reading(self, now_s: float, host_s: float) -> ArmReading | None:
-        eki = self._connections.open_eki
-        if eki is None or eki.latest is None:
-            return None
-        stamp = Stamp(self._sequence, 0, now_s - (host_s - eki.latest.received_s))
-        return self._make_controller_reading(eki.latest, stamp)
-
-    def _make_controller_reading(self, state: ControllerState, stamp: Stamp) -> ArmReading:
-        return ArmReading(
-            stamp, Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
-        )
-
-
-def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """Yield the controller's status from its latest report, if any.
-
-    Drives that are off are no objection: `activate` switches them on.
-    """
-    if state is None:
-        return
+def controller_facts(state: ControllerState) -> Iterator[Fact]:
+    """Yield the controller's status. Drives that are off are no objection: `activate` switches them on."""
     yield Fact("operating mode", str(state.mode), state.mode in MODES, MODE_ADVICE)
     yield Fact(
         EMERGENCY_STOP, "pressed" if state.emergency_stop else "released", not state.emergency_stop,

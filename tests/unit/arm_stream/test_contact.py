@@ -7,14 +7,12 @@ from math import dist, nan, radians
 import pytest
 from rtde_stand import CYCLE_S, FAR, LIMITS, MODEL, START, RtdeStand, streaming
 
-from drivers.universal_robots.errors import BadLoad
-from drivers.universal_robots.loads import has_load, load_commands, to_load
 from ronna_hw.arm.errors import InsertionInvalid
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
 from ronna_hw.arm_stream.insertion import plan_insertion
 from ronna_hw.arm_stream.records import Command, CommandKind, Result
-from ronna_hw.devices.contact import HandGuidance, Insertion, ToolLoad
+from ronna_hw.devices.contact import HandGuidance, Insertion
 from ronna_hw.frames import Frame, Transform
 
 SENSES = {"force_filter_s": 0.02, "force_at_rest_N": 15.0}
@@ -180,13 +178,3 @@ def test_an_insertion_is_a_line_at_its_speed() -> None:
 def test_an_insertion_off_its_axis_or_beyond_its_limits_is_refused(insertion: Insertion) -> None:
     with pytest.raises(InsertionInvalid):
         plan_insertion(MODEL, START, insertion, LIMITS)
-
-
-def test_a_load_is_set_in_metres_and_compared_when_read_back() -> None:
-    load = ToolLoad(1.2, (0.0, 1.0, 60.0), (0.0, 0.0, 150.0))
-    assert load_commands(load) == ("set_payload(1.2, [0, 0.001, 0.06])", "set_tcp(p[0, 0, 0.15, 0, 0, 0])")
-    read = to_load((1.2, 0.0, 0.001, 0.06, 0.0, 0.0, 0.15, 0.0, 0.0, 0.0))
-    assert has_load(read, load, None)
-    assert not has_load(ToolLoad(1.2, load.centre_mm), load, None)
-    with pytest.raises(BadLoad):
-        load_commands(ToolLoad(5.5))

@@ -1,0 +1,96 @@
+"""Arm and controller that were found: their identity, and what the theatre file demands of them."""
+
+from __future__ import annotations
+
+from drivers.universal_robots.errors import (
+    ControllerExchanged,
+    FactoryCalibrationDiffers,
+    WrongArm,
+    WrongVersion,
+)
+from drivers.universal_robots.options import UrOptions
+from drivers.universal_robots.primary.packages import KinematicsInfo
+from drivers.universal_robots.rtde import Version
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.wire.universal_robots_services import ARM_TYPE
+
+MAJOR_VERSION = {UrModel.UR5: 3, UrModel.UR5E: 5}
+GENERATIONS = {UrModel.UR5: "a CB3 controller", UrModel.UR5E: "an e-Series controller"}
+LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote control
+CALIBRATION = "calibration"  # among the details of an identity
+
+
+def require_version(name: str, options: UrOptions, version: Version) -> None:
+    """Raise URD-004 for software that lacks what the stream needs."""
+    major, least = MAJOR_VERSION[options.model], LEAST_MINOR[options.model]
+    if version.major == major and version.minor < least:
+        raise WrongVersion(
+            f"{name}: the controller's software is too old",
+            expected=f"{major}.{least} or newer",
+            got=str(version),
+        )
+
+
+def require_arm(name: str, options: UrOptions, model: str, serial: str, version: Version) -> None:
+    """Raise URD-003 for another model or serial number; `model` is the dashboard's word."""
+    if model != ARM_TYPE or version.major != MAJOR_VERSION[options.model]:
+        raise WrongArm(
+            f"{name}: the controller drives another arm",
+            expected=f"option model, {options.model}",
+            got=_arm_text(model, version),
+        )
+    if options.serial and serial != options.serial:
+        raise WrongArm(
+            f"{name}: the arm has another serial number",
+            expected=f"option serial, {options.serial}",
+            got=serial,
+        )
+
+
+def identity_of(options: UrOptions, serial: str, version: Version, info: KinematicsInfo) -> Identity:
+    """Return the identity of arm, controller and factory calibration."""
+    details = ((CALIBRATION, info.fingerprint), ("cycle_ms", f"{options.cycle_s * 1e3:g}"))
+    model_name = universal_robot(options.model).name
+    return Identity("Universal Robots", model_name, serial, str(version), details)
+
+
+def require_same(name: str, first: Identity | None, found: Identity) -> None:
+    """Raise URD-042 for another arm or controller than was found first."""
+    if first is not None and first != found:
+        raise ControllerExchanged(
+            f"{name}: another arm or controller answers than at the start",
+            expected=_describe(first),
+            got=_describe(found),
+        )
+
+
+def require_calibration(name: str, options: UrOptions, info: KinematicsInfo) -> FactoryCalibration | None:
+    """Return the factory calibration to compute with, if any; raises URD-005 or ARM-010."""
+    if options.calibration and info.fingerprint != options.calibration:
+        raise FactoryCalibrationDiffers(
+            f"{name}: the controller has the factory calibration of another arm",
+            expected=f"option calibration, {options.calibration}",
+            got=info.fingerprint,
+        )
+    if not options.factory_calibration:
+        return None
+    nominal = universal_robot(options.model).dimensions
+    return FactoryCalibration.from_parameters(nominal, info.theta_rad, info.a_mm, info.d_mm, info.alpha_rad)
+
+
+def _describe(identity: Identity) -> str:
+    calibration = dict(identity.details)[CALIBRATION]
+    return f"{identity.serial}, software {identity.firmware}, calibration {calibration}"
+
+
+def _arm_text(model: str, version: Version) -> str:
+    """Say which arm the controller drives, and how that is known."""
+    found = next((m for m, major in MAJOR_VERSION.items() if major == version.major), None)
+    if model != ARM_TYPE or found is None:
+        return f"{model}, software {version}"
+    return (
+        f"{found}: the dashboard calls both generations {ARM_TYPE}, and software {version} is that of "
+        f"{GENERATIONS[found]}"
+    )

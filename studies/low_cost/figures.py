@@ -1,0 +1,83 @@
+"""Names of the figures of an arm, as its run keeps them and the tables find them again."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+SEPARATOR = "|"
+NOMINAL_ERROR_KEY = "nominal error|mm"
+REPEATABILITY_KEY = "repeatability|mm"
+
+
+class Method(StrEnum):
+    """Method of positioning."""
+
+    OPEN = "open"  # method 1
+    CLOSED = "closed"  # method 2
+
+
+class Dimensions(StrEnum):
+    """Source of the Denavit-Hartenberg parameters."""
+
+    NOMINAL = "nominal"
+    FACTORY = "factory"
+
+
+class Quantity(StrEnum):
+    """Figure at a target."""
+
+    ERROR_MM = "mm"
+    ANGLE_DEG = "deg"
+    ROUNDS = "rounds"
+    SETTLED = "settled"
+
+
+class Extent(StrEnum):
+    """Summary of the absolute error of an arm."""
+
+    MEAN = "mean"
+    LARGEST = "max"
+
+
+class Fit(StrEnum):
+    """Figure of a calibration."""
+
+    LOOKS = "looks"
+    SCATTER_MM = "scatter mm"
+    SCATTER_DEG = "scatter deg"
+    HELD_OUT_MM = "held out mm"
+    HELD_OUT_DEG = "held out deg"
+
+
+class Place(NamedTuple):
+    """Positioning at one target, with the number of its orientation."""
+
+    method: Method
+    dimensions: Dimensions
+    orientation: int
+    target: int
+
+    def key(self, quantity: Quantity) -> str:
+        """Return the name of a figure here."""
+        return SEPARATOR.join([*map(str, self), quantity])
+
+
+def read_key(key: str) -> tuple[Place, Quantity] | None:
+    """Return the place and quantity of a name; None for the name of a figure that is not at a target."""
+    parts = key.split(SEPARATOR)
+    if len(parts) != len(Place._fields) + 1:
+        return None
+    method, dimensions, orientation, target, quantity = parts
+    place = Place(Method(method), Dimensions(dimensions), int(orientation), int(target))
+    return place, Quantity(quantity)
+
+
+def absolute_key(dimensions: Dimensions, extent: Extent) -> str:
+    """Return the name of the absolute error of an arm alone."""
+    return SEPARATOR.join(("absolute", dimensions, extent))
+
+
+def fit_key(dimensions: Dimensions, fit: Fit) -> str:
+    """Return the name of a figure of the calibration."""
+    return SEPARATOR.join(("calibration", dimensions, fit))

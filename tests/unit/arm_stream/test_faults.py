@@ -1,0 +1,53 @@
+"""Every fault and every refusal of a real-time process becomes an error of its driver, in words."""
+
+from __future__ import annotations
+
+import pytest
+from watched_stream import kuka_faults, ur_faults
+
+from ronna_hw.arm.clearance.live_watch import ViolationKind
+from ronna_hw.arm_stream.faults import StreamFaults
+from ronna_hw.arm_stream.records import NO_STATE, Fault, LinkState, Result
+
+KUKA, UR = kuka_faults(), ur_faults()
+CODES = {
+    Fault.MONITOR: ("RSI-005", "URD-026"),
+    Fault.SILENCE: ("RSI-003", "URD-021"),
+    Fault.HEARTBEAT: ("RSI-006", "URD-023"),
+    Fault.PROTECTIVE: ("RSI-009", "URD-029"),
+    Fault.LINK_STOP: ("RSI-004", "URD-030"),
+    Fault.DRIVES_OFF: ("EKI-009", "URD-031"),
+    Fault.PATH: ("RSI-016", "URD-027"),
+    Fault.RESTARTED: ("RSI-008", "URD-038"),
+    Fault.BASE: ("RSI-015", "URD-039"),
+    Fault.LOSSES: ("RSI-019", "URD-028"),
+    Fault.BROKEN: ("RSI-019", "URD-022"),  # no datagram breaks a connection
+}
+
+
+def _with(fault: Fault) -> LinkState:
+    return NO_STATE._replace(fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=1)
+
+
+@pytest.mark.parametrize("fault", CODES)
+def test_each_fault_has_the_code_of_its_driver(fault: Fault) -> None:
+    errors = [faults.error(_with(fault), "automatic") for faults in (KUKA, UR)]
+    assert tuple(error.code for error in errors if error is not None) == CODES[fault]
+
+
+@pytest.mark.parametrize("faults", [KUKA, UR], ids=["kuka", "ur"])
+def test_every_fault_and_every_refusal_has_a_message(faults: StreamFaults) -> None:
+    assert [fault for fault in Fault if faults.error(_with(fault), "automatic") is None] == [Fault.NONE]
+    for result in Result:
+        if result.name.startswith("REFUSED"):
+            assert "robot.master" in str(faults.refusal_error(NO_STATE._replace(result=result)))
+
+
+@pytest.mark.parametrize(
+    ("faults", "busy", "stopped"), [(KUKA, "RSI-012", "RSI-010"), (UR, "URD-034", "URD-032")]
+)
+def test_a_motion_is_refused_or_stopped_in_the_code_of_its_driver(
+    faults: StreamFaults, busy: str, stopped: str
+) -> None:
+    assert faults.refusal_error(NO_STATE._replace(result=Result.REFUSED_BUSY)).code == busy
+    assert faults.refusal_error(NO_STATE._replace(result=Result.REFUSED_STOP)).code == stopped
