@@ -63,8 +63,8 @@ from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
 from ronna_hw.wire.universal_robots_services import MessageKind, Order, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
-POLL_S = 0.05  # host time between two looks at the controller's modes
 STATE_PERIOD_S = 0.1  # of the primary interface
+POLL_S = 0.05  # host time between two looks at the controller's modes
 PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
 POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
 UNLOCK_PAUSE_S = 0.25
@@ -105,7 +105,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def request_state(self, timeout_s: float) -> ControllerState:
         """Return a state that arrived after this call; raises URD-002, URD-014 or URD-015.
 
-        No more theatre time passes than a state needs, however long this program takes to notice it.
+        No more theatre time passes than that takes.
         """
         self.clock.let_pass(STATE_PERIOD_S)
         try:

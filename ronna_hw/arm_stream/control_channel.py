@@ -95,7 +95,8 @@ class ControlChannel(ABC, Generic[S]):
         self._sending = threading.Lock()
         self.latest: S | None = None  # the last state, requested or unsolicited
         self.failure: RonnaError | None = None  # cause of the loss
-        self._listened_s = 0.0  # host time up to which the reader has taken all that arrived
+        self._opened_s = time.monotonic()
+        self._listened_s = self._opened_s  # up to then the reader has taken all that arrived
         self._listener: Listener[S] | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name=self.thread_name, daemon=True)
@@ -116,7 +117,7 @@ class ControlChannel(ABC, Generic[S]):
         The time in which this program did not run is no silence of the controller.
         """
         latest = self.latest
-        return max(0.0, self._listened_s - latest.received_s) if latest is not None else 0.0
+        return max(0.0, self._listened_s - (self._opened_s if latest is None else latest.received_s))
 
     def listen(self, listener: Listener[S]) -> None:
         """Register a listener for states, silence and loss of the connection."""
@@ -171,7 +172,7 @@ class ControlChannel(ABC, Generic[S]):
                 for message in self._split(data):
                     self._handle(message)
                 if len(data) < RECEIVE_BYTES:  # nothing was left in the socket
-                    self._note_listened(received_s)
+                    self._tell_listened(received_s)
             failure = self._lost_error(" closed the connection")
         except RonnaError as error:
             failure = error
@@ -190,7 +191,7 @@ class ControlChannel(ABC, Generic[S]):
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
-                self._note_listened(began_s + QUIET_S)
+                self._tell_listened(began_s + QUIET_S)
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
@@ -198,7 +199,7 @@ class ControlChannel(ABC, Generic[S]):
                 self._on_bytes(Direction.RECEIVED, data)
             return data
 
-    def _note_listened(self, until_s: float) -> None:
+    def _tell_listened(self, until_s: float) -> None:
         with self._arrived:
             self._listened_s = until_s
             self._arrived.notify_all()

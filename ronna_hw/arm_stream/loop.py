@@ -104,19 +104,20 @@ class StreamLoop(ABC):
     def _note_sent(self, reply: bytes) -> None:
         """Record a reply that has just been sent, and yield the processor at a controller's pace."""
         self._sent_ns = sent_ns = time.monotonic_ns()
-        self._last_reply = reply
         is_short = self._received_ns - self._answered_ns <= self._paced_ns
         self._short_gaps = self._short_gaps + 1 if is_short else 0
         if self._short_gaps < LOCK_STEP_GAPS:
+            if self._receiver.keeps_pace:  # before anything else: a peer on this processor waits for it
+                time.sleep(YIELD_S)
             self._lock_step_cycles = 0
             if self._receiver.note_paced():
-                time.sleep(YIELD_S)
                 self._processor.follow(self._line.processor())
         else:
             self._receiver.note_lock_step()
             self._lock_step_cycles += 1
             if self._is_time_to_look():
                 self._processor.avoid(self._line.processor())
+        self._last_reply = reply
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 

@@ -74,7 +74,7 @@ class PacedReceiver(Generic[R]):
         self._rehearse = rehearse
         self._now_ns = now_ns
         self._pace = Pace()
-        self._keeps_pace = False
+        self.keeps_pace = False  # the controller's schedule is known, or was until now
         self._lock_steps = 0  # consecutive
         self.received_ns = 0  # arrival of the last telegram
         self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
@@ -100,14 +100,14 @@ class PacedReceiver(Generic[R]):
         """
         self._lock_steps = 0
         self._pace.note_arrival(self.received_ns)
-        self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
-        return self._keeps_pace
+        self.keeps_pace = self.keeps_pace or self._pace.due_ns > 0
+        return self.keeps_pace
 
     def note_lock_step(self) -> None:
         """Record a telegram sent in immediate response to a reply, and discard the schedule."""
         self._lock_steps += 1
         self._pace.forget()
-        self._keeps_pace = False
+        self.keeps_pace = False
 
     def _sleep_until_rehearsal(self) -> None:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import select
 import socket
 import struct
@@ -19,6 +18,7 @@ CAPACITY_BYTES: Final = 1 << 16  # half a second of packages at 500 Hz
 LONGEST_PACKAGE_BYTES: Final = 4096  # a message; data packages have below 200 bytes
 CONNECT_LIMIT_S: Final = 0.1  # to oneself
 _SIZE: Final = struct.Struct(">H")
+_OUTPUT_SIZE: Final = _SIZE.pack(OUTPUT.size)
 _AT_ONCE: Final = int(socket.MSG_DONTWAIT)  # a plain number costs less than the flag
 _NO_BYTES: Final = struct.pack("i", 0)
 
@@ -73,17 +73,19 @@ class RtdeLine:
             time.sleep(IDLE_POLL_S)
             raise BlockingIOError
         while True:
-            package = self._next_package()
+            package = self._next_package() if self._end else None
             if package is not None:
                 return package
             try:
-                count = line.recv_into(self._view[self._end :] if self._end else self._view)
+                count = line.recv_into(self._view[self._end :] if self._end else self._buffer)
             except ConnectionError as error:
                 self.broken = f"the connection broke ({(error.strerror or str(error)).lower()})"
                 raise
             if not count:
                 self.broken = "the controller closed the connection"
                 raise ConnectionResetError
+            if count == OUTPUT.size and not self._end and self._buffer.startswith(_OUTPUT_SIZE):
+                return bytes(self._view[:count])  # as usual: one of our packages, and nothing else
             self._end += count
 
     def newer(self) -> bytes | None:
@@ -140,32 +142,35 @@ class Rehearsal:
     """Dry run of sending and receiving, on a connection of a socket with itself."""
 
     def __init__(self) -> None:
-        self._own: socket.socket | None = None
-        self._buffer = bytearray(LONGEST_PACKAGE_BYTES)
+        self._line = RtdeLine()
         own = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             own.settimeout(CONNECT_LIMIT_S)
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             own.bind(("127.0.0.1", 0))
             own.connect(own.getsockname())  # both ends at once: nothing listens
-            own.setblocking(True)
+            self._line.attach(own)
         except OSError:  # nothing depends on it
             own.close()
-        else:
-            self._own = own
 
-    def exchange(self, data: bytes) -> None:
-        """Send and receive a package through the same calls as a real exchange."""
-        if self._own is not None:
-            with contextlib.suppress(OSError):
-                self._own.send(data, _AT_ONCE)
-                self._own.recv_into(self._buffer, LONGEST_PACKAGE_BYTES, _AT_ONCE)
+    @property
+    def line(self) -> RtdeLine:
+        """Connection with itself, or none."""
+        return self._line
+
+    def exchange(self, package: bytes) -> None:
+        """Send and receive a package through the same calls as a real exchange; never waits."""
+        line = self._line
+        try:
+            line.send(package)
+            if line.has_datagram():
+                line.receive()
+        except OSError:
+            line.detach()
 
     def close(self) -> None:
         """Close the connection."""
-        if self._own is not None:
-            self._own.close()
-            self._own = None
+        self._line.detach()
 
 
 def is_output(package: bytes, recipe: int) -> bool:

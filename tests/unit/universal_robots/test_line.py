@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.universal_robots.realtime.line import Rehearsal
-from drivers.universal_robots.realtime.packages import OUTPUT
+from drivers.universal_robots.realtime.packages import HEAD, OUTPUT
+from ronna_hw.wire.universal_robots import PackageType
 
-PACKAGE = bytes(OUTPUT.size)
+PACKAGE = HEAD.pack(OUTPUT.size, PackageType.DATA, 1).ljust(OUTPUT.size, b"\0")
 
 
 @pytest.fixture
@@ -23,14 +24,12 @@ def rehearsal() -> Iterator[Rehearsal]:
 def test_a_rehearsal_leaves_nothing_in_its_socket(rehearsal: Rehearsal) -> None:
     for _ in range(100):
         rehearsal.exchange(PACKAGE)
-    own = rehearsal._own
-    assert own is not None
-    with pytest.raises(BlockingIOError):
-        own.recv(100, socket.MSG_DONTWAIT)
+    assert rehearsal.line.is_connected
+    assert not rehearsal.line.has_datagram()
 
 
 def test_nobody_can_connect_to_a_rehearsal(rehearsal: Rehearsal) -> None:
-    own = rehearsal._own
+    own = rehearsal.line._socket
     assert own is not None
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(own.getsockname())

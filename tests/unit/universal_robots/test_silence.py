@@ -19,6 +19,7 @@ from ronna_hw.errors import RonnaError
 
 LIMIT_S = 10.0
 STOOD_STILL_S = 30.0
+KEY_MESSAGE = bytes.fromhex("00000010 14 0000000000000000 00 07 00")
 
 
 class SilenceListener:
@@ -46,11 +47,6 @@ class Line:
             self.client = PrimaryClient(host, port, LIMIT_S, self._hold)
             self.controller = server.accept()[0]
 
-    def send_state(self) -> None:
-        self.controller.sendall(robot_state())
-        self.client.await_state(LIMIT_S)
-        self.received.clear()
-
     def _hold(self, _direction: Direction, _data: bytes) -> None:
         self.received.set()
         self.runs.wait(LIMIT_S)
@@ -69,16 +65,14 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
 
 
 def test_a_reader_that_did_not_run_is_no_silence_of_the_controller(line: Line) -> None:
-    line.send_state()
     line.runs.clear()
-    line.controller.sendall(robot_state())
+    line.controller.sendall(KEY_MESSAGE)
     assert line.received.wait(LIMIT_S)
     line.now_s += STOOD_STILL_S
     assert line.client.silent_s == 0.0
 
 
 def test_what_a_reader_has_listened_to_in_vain_is_silence(line: Line) -> None:
-    line.send_state()
     listener = SilenceListener()
     line.now_s += STOOD_STILL_S
     line.client.listen(listener)
