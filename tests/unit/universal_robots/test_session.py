@@ -298,3 +298,18 @@ def test_reduced_limits_are_those_of_the_stream() -> None:
     stand.run(most=8000)
     assert stand.session.result is Result.DONE
     assert stand.largest_step_rad < 1.001 * max(reduced.speed_rad_s) * CYCLE_S
+
+
+def test_a_speed_that_is_no_number_is_new_in_each_package() -> None:
+    stand = moving()
+    assert stand.session.ready is not None
+    stand.scaling = math.nan
+    stand.cycles(3)
+    assert stand.session.ready is None
+
+
+def test_after_the_largest_number_of_a_set_point_no_reply_is_prepared() -> None:
+    stand = moving()
+    stand.is_replaced, stand.used = True, 2**31 - 1
+    stand.cycle()
+    assert stand.session.ready is None
