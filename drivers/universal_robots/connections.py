@@ -63,6 +63,7 @@ from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
 from ronna_hw.wire.universal_robots_services import MessageKind, Order, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
+STATE_PERIOD_S = 0.1  # of the primary interface
 POLL_S = 0.05  # host time between two looks at the controller's modes
 PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
 POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
@@ -102,8 +103,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         return None if self._options.model is UrModel.UR5 else self.dashboard.is_remote(timeout_s)
 
     def request_state(self, timeout_s: float) -> ControllerState:
-        """Return a state that arrived after this call; raises URD-002, URD-014 or URD-015."""
-        self.clock.let_pass(timeout_s)
+        """Return a state that arrived after this call; raises URD-002, URD-014 or URD-015.
+
+        No more theatre time passes than that takes.
+        """
+        self.clock.let_pass(STATE_PERIOD_S)
         try:
             return self.control.await_state(timeout_s, newer_than_s=time.monotonic())
         finally:

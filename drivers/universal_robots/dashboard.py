@@ -119,14 +119,12 @@ class DashboardClient:
         while b"\n" not in self._received:
             if len(self._received) > LONGEST_LINE_BYTES:
                 raise BadBytes(f"{self.where} sends an endless line", wire=self._received)
-            remaining_s = deadline - time.monotonic()
-            if remaining_s <= 0.0:
-                raise NoAnswer(f"{self.where} does not answer")
-            self._socket.settimeout(remaining_s)
+            # Past its limit it still takes an answer that has come while this program did not run.
+            self._socket.settimeout(max(0.0, deadline - time.monotonic()))
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
-            except TimeoutError:
-                continue
+            except (TimeoutError, BlockingIOError):
+                raise NoAnswer(f"{self.where} does not answer") from None
             except OSError as error:
                 raise self._lost_error(error) from error
             if not data:

@@ -163,11 +163,12 @@ class RtdeSetup:
 
     def _receive(self, count: int) -> bytes:
         while len(self._received) < count:
-            remaining_s = self._deadline - time.monotonic()
-            if remaining_s <= 0.0:
-                raise TimeoutError
-            self.socket.settimeout(remaining_s)
-            data = self.socket.recv(LONGEST_PACKAGE_BYTES)
+            # Past the limit it still takes a reply that has come while this program did not run.
+            self.socket.settimeout(max(0.0, self._deadline - time.monotonic()))
+            try:
+                data = self.socket.recv(LONGEST_PACKAGE_BYTES)
+            except BlockingIOError:
+                raise TimeoutError from None
             if not data:
                 raise ControllerLost(f"{self.where} closed the connection")
             self._received += data

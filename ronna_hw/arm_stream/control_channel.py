@@ -23,6 +23,7 @@ from ronna_hw.vectors import JointVector
 RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 QUIET_S = 0.2  # two periods of the state: after such a silence a listener should check how long it lasts
+READER_LIMIT_S = 2.0  # beyond its limit, in which a wait lets the reader take what has arrived by then
 _TIMEVAL = struct.Struct("ll")
 
 T = TypeVar("T")
@@ -94,6 +95,8 @@ class ControlChannel(ABC, Generic[S]):
         self._sending = threading.Lock()
         self.latest: S | None = None  # the last state, requested or unsolicited
         self.failure: RonnaError | None = None  # cause of the loss
+        self._opened_s = time.monotonic()
+        self._listened_s = self._opened_s  # up to then the reader has taken all that arrived
         self._listener: Listener[S] | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name=self.thread_name, daemon=True)
@@ -109,9 +112,12 @@ class ControlChannel(ABC, Generic[S]):
 
     @property
     def silent_s(self) -> float:
-        """Host time since the last state."""
+        """Host time for which the reader has listened in vain for a state.
+
+        The time in which this program did not run is no silence of the controller.
+        """
         latest = self.latest
-        return time.monotonic() - latest.received_s if latest is not None else 0.0
+        return max(0.0, self._listened_s - (self._opened_s if latest is None else latest.received_s))
 
     def listen(self, listener: Listener[S]) -> None:
         """Register a listener for states, silence and loss of the connection."""
@@ -148,10 +154,12 @@ class ControlChannel(ABC, Generic[S]):
                     return found
                 if self.failure is not None:
                     raise self.failure
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0:
+                now_s = time.monotonic()
+                # On a busy computer this thread may run first, while the answer waits in the socket.
+                limit_s = deadline if self._listened_s >= deadline else deadline + READER_LIMIT_S
+                if now_s >= limit_s:
                     return None
-                self._arrived.wait(remaining_s)
+                self._arrived.wait((deadline if now_s < deadline else limit_s) - now_s)
 
     def _lost_error(self, how: str) -> ProtocolError:
         return self.errors.lost(f"{self.where}{how}")
@@ -160,8 +168,11 @@ class ControlChannel(ABC, Generic[S]):
         failure: RonnaError
         try:
             while data := self._receive():
+                received_s = time.monotonic()
                 for message in self._split(data):
                     self._handle(message)
+                if len(data) < RECEIVE_BYTES:  # nothing was left in the socket
+                    self._tell_listened(received_s)
             failure = self._lost_error(" closed the connection")
         except RonnaError as error:
             failure = error
@@ -176,15 +187,22 @@ class ControlChannel(ABC, Generic[S]):
     def _receive(self) -> bytes:
         """Receive the next bytes, or none once the controller has closed the connection."""
         while True:
+            began_s = time.monotonic()
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
+                self._tell_listened(began_s + QUIET_S)
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
             if self._on_bytes is not None:
                 self._on_bytes(Direction.RECEIVED, data)
             return data
+
+    def _tell_listened(self, until_s: float) -> None:
+        with self._arrived:
+            self._listened_s = until_s
+            self._arrived.notify_all()
 
     def _handle(self, message: bytes) -> None:
         with self._arrived:

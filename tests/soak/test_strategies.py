@@ -12,6 +12,7 @@ import tomli_w
 from user_commands import Commands
 
 from procedures.strategies.catalogue import STRATEGIES
+from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
@@ -20,6 +21,7 @@ SEEDS = range(20)
 CASE_LIMIT_S = 300.0  # host time
 TARGETS = 3  # of the default scene
 CALIBRATED_MEAN_MM = 0.15
+OTHER_ARM_MEAN_MM = 0.25  # with `ocs`, uncalibrated; 0.10 over six seeds of a UR5e
 X_FRAME_MEAN_MM = {True: 0.20, False: 0.35}  # with `ocs`, calibrated or not; 0.11 and 0.28 were measured
 # The neutral orientation leaves an arm's remaining errors in, the thesis' own OCS its backlash.
 MEAN_MM = {"nos": 0.25, "thesis-ocs": 0.25}
@@ -70,3 +72,9 @@ def test_every_seed_completes_with_the_x_shaped_frame(
 ) -> None:
     errors_mm = errors_of_every_seed(commands, tmp_path, calibrated, "--fiducials", "xframe")
     assert np.mean(errors_mm) <= X_FRAME_MEAN_MM[calibrated]
+
+
+@pytest.mark.parametrize("arm", [one.value for one in ArmChoice if one is not ArmChoice.KR6])
+def test_every_seed_completes_with_another_arm(commands: Commands, tmp_path: Path, arm: str) -> None:
+    errors_mm = errors_of_every_seed(commands, tmp_path, False, "--arm", arm)
+    assert np.mean(errors_mm) <= OTHER_ARM_MEAN_MM

@@ -1,6 +1,6 @@
 """Python API pages, with signatures and docstrings extracted from the modules.
 
-A member without a docstring gets the docstring of its interface: drivers inherit nothing else.
+A member without a docstring gets that of its interface. What a driver inherits of a streamed arm is its own.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
@@ -23,6 +24,7 @@ class ClientInterfaces:
         self._controller = controller
         self._packages = StatePackages(controller)
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
+        self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
         self._deaf: set[Connection] = set()  # real-time clients that never read: no longer sent to
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
         self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
@@ -66,7 +68,7 @@ class ClientInterfaces:
         """Send what is due in this cycle."""
         if self._waiting:
             self._start_waiting()
-        if self._controller.cycles % self._period == 0:
+        if self._is_state_due():
             readers = [*self.primary.connections, *self.secondary.connections]
             if readers:
                 self._controller.loads.publish_torques()
@@ -78,6 +80,18 @@ class ClientInterfaces:
             for connection in self.realtime.connections:
                 if connection not in self._deaf and not connection.try_send(package):
                     self._deaf.add(connection)
+
+    def _is_state_due(self) -> bool:
+        """Return whether a period has passed, in cycles or in host time, and begin the next one.
+
+        Clients judge silence by the host's clock, and cycles of a resting lock-step are far apart on it.
+        """
+        cycles, now_s = self._controller.cycles, time.monotonic()
+        if cycles < self._due_cycle and now_s < self._due_s:
+            return False
+        self._due_cycle = cycles + self._period
+        self._due_s = now_s + self._controller.parameters.state_period_s
+        return True
 
     # -- scripts
 

@@ -20,8 +20,12 @@ from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 from sim.world.scene.arm_design import KR6
 
-MOTION_LINK, COMMAND_LINK = "robot.master.rsi", "robot.master.eki"
-MOVING_COMMAND = re.compile(rb'Name="(RSI_START|DRIVES|PTP_AXIS|PTP_POS|LIN|SELECT)"')
+MOTION_LINKS = ("robot.master.rsi", "robot.master.rtde")  # of either driver
+MOVING_COMMANDS = {
+    "robot.master.eki": re.compile(rb'Name="(RSI_START|DRIVES|PTP_AXIS|PTP_POS|LIN|SELECT)"'),
+    "robot.master.dashboard": re.compile(rb"power on|brake release|play|unlock"),
+    "robot.master.primary": re.compile(rb"def "),  # a program
+}
 REACHED_S = 100.0
 # A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
 LARGEST_CHANGE_MM = 4 * KR6.errors.repeatability_mm * 6**0.5
@@ -93,14 +97,16 @@ def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> N
         return  # it was begun anew: there was nothing to accept
     began = datetime.fromisoformat(str(restarts[-1]["host_time"]))
     ended = datetime.fromisoformat(str(accepted[-1]["host_time"])) if accepted else None
-    since = [one for one in read_link(folder / BYTES_FOLDER, MOTION_LINK) if one.host_time > began]
+    bytes_folder = folder / BYTES_FOLDER
+    since = [one for link in MOTION_LINKS for one in read_link(bytes_folder, link) if one.host_time > began]
     for passed in since:
         assert ended is not None, passed
         assert passed.host_time >= ended, passed
-    for passed in read_link(folder / BYTES_FOLDER, COMMAND_LINK):
-        before = began < passed.host_time and (ended is None or passed.host_time < ended)
-        if before and passed.direction is Direction.SENT:
-            assert not (named := MOVING_COMMAND.search(passed.data)), named
+    for link, moving in MOVING_COMMANDS.items():
+        for passed in read_link(bytes_folder, link):
+            before = began < passed.host_time and (ended is None or passed.host_time < ended)
+            if before and passed.direction is Direction.SENT:
+                assert not (named := moving.search(passed.data)), named
     moved = any(line["entry"] == Entry.MOTION for line in lines[number:])
     assert since or not moved, "nothing of the arm's link was recorded, and the arm has moved"
 

@@ -15,6 +15,7 @@ from ronna_hw.errors import EXIT_LINK_LOST
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
 MOVING_STEP = "relocalization:T1"
+WITHOUT_PROCESSOR_S = 8.0  # a program of idle priority, on two cores with a load of eight
 
 
 @pytest.mark.slow
@@ -66,3 +67,18 @@ def test_a_device_that_dies_during_a_motion_is_reported_and_everything_ends(
     one_error(stderr)
     assert commands.await_no_survivors() == []
     assert_nothing_half_written(out)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_a_case_that_got_no_processor_for_seconds_goes_on_in_lock_step(
+    commands: Commands, tmp_path: Path
+) -> None:
+    out = tmp_path / "runs"
+    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
+    await_motion_in(out, MOVING_STEP)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(WITHOUT_PROCESSOR_S)  # the duration itself is what it must bear
+    process.send_signal(signal.SIGCONT)
+    _, stderr = process.communicate(timeout=150)
+    assert process.returncode == 0, stderr

@@ -63,6 +63,17 @@ def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed
 
 
 @pytest.mark.hazard(2)
+@pytest.mark.parametrize("place", [SETTLES, GOES_IN])
+def test_a_case_with_another_arm_can_be_resumed_as_well(
+    commands: Commands, tmp_path: Path, place: str
+) -> None:
+    killed = killed_at(commands, (*MINI_SEED_3, "--arm", "ur5e"), tmp_path, place)
+    outcome = reopen_run(commands, killed)
+    assert outcome["outcome"] == "done"
+    assert outcome["mean_application_error_mm"] == pytest.approx(0.0, abs=LARGEST_ERROR_MM)
+
+
+@pytest.mark.hazard(2)
 def test_resuming_without_acceptance_moves_nothing(commands: Commands, tmp_path: Path) -> None:
     killed = killed_at(commands, MINI_SEED_3, tmp_path, GOES_IN)
     left = (killed.folder / "theatre" / WORLD_FILE).read_bytes()

@@ -222,8 +222,10 @@ CODES = re.compile(r"([A-Z]+-)(\d{3})(?: to [A-Z]+-(\d{3}))?")
 def _named_codes() -> set[str]:
     """Every code that set_up, the workcell and the three drivers say they refuse a case with."""
     drivers = [cast("Any", load_driver(name)) for name in ("kuka_rsi", "ndi_polaris", "basler_stereo")]
-    ways = [each for driver in drivers for each in (driver.__init__, driver.connect, driver.configure)]
-    found = (CODES.findall(each.__doc__) for each in (set_up.run, Workcell.__init__, *ways))
+    ways = [
+        each for driver in drivers for each in (driver, driver.__init__, driver.connect, driver.configure)
+    ]
+    found = (CODES.findall(each.__doc__ or "") for each in (set_up.run, Workcell.__init__, *ways))
     return {
         f"{package}{number:03}"
         for codes in found

@@ -134,6 +134,30 @@ def test_secondary_clients_get_the_version_and_states_but_no_other_messages(
     assert list(kinds.values()) == [[version, safety, state, safety, safety], [version, state]]
 
 
+def test_a_resting_controller_sends_its_state_as_often_on_the_clock_of_its_clients(
+    controller: Controller, poll: Poll, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, period_s = [1000.0], controller.parameters.state_period_s
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    clients = ClientInterfaces(controller, own_address(), poll)
+    host, port = clients.primary.endpoint.removeprefix("tcp://").split(":")
+    with socket.create_connection((host, int(port)), timeout=LIMIT_S) as client:
+        while not clients.primary.connections:
+            poll.serve(LIMIT_S)
+        client.recv(65536)  # what every client is told first
+        cycles = {"fast": (100, 0.0), "in real time": (100, 0.002), "at rest": (2, period_s)}
+        states = {}
+        for pace, (number, cycle_s) in cycles.items():
+            for _ in range(number):
+                now_s[0] += cycle_s
+                controller.step()
+                clients.send_state()
+            states[pace] = message_kinds(client.recv(65536)).count((16, None))
+    for listener in clients.listeners:
+        listener.close()
+    assert states == dict.fromkeys(cycles, 2)
+
+
 def message_kinds(data: bytes) -> list[tuple[int, int | None]]:
     """The type of each package, and the kind of each message."""
     found = []

@@ -35,9 +35,22 @@ def controller() -> Iterator[HandmadeController]:
     made.close()
 
 
-def make_arm(controller: HandmadeController, **options: Any) -> UniversalRobotsArm:
+class FreeClock(HostClock):
+    """Clock that notes how much time it is allowed to let pass."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.allowed_s: list[float] = []
+
+    def let_pass(self, duration_s: float) -> None:
+        self.allowed_s.append(duration_s)
+
+
+def make_arm(
+    controller: HandmadeController, clock: HostClock | None = None, **options: Any
+) -> UniversalRobotsArm:
     config = DeviceConfig(driver="universal_robots", endpoints=controller.endpoints, options=options)
-    return UniversalRobotsArm("robot.master", config, HostClock())
+    return UniversalRobotsArm("robot.master", config, clock or HostClock())
 
 
 def refused(controller: HandmadeController, **options: Any) -> RonnaError:
@@ -62,6 +75,20 @@ def test_connecting_reads_identity_calibration_joints_and_inputs(controller: Han
     make_again = make_arm(controller, calibration=fingerprint)
     make_again.connect(LIMIT_S)
     make_again.close()
+
+
+def test_a_reading_lets_no_more_theatre_time_pass_than_a_period_of_the_state(
+    controller: HandmadeController,
+) -> None:
+    # What a case finds must not depend on how long its host took to read.
+    clock = FreeClock()
+    arm = make_arm(controller, clock)
+    arm.connect(LIMIT_S)
+    clock.allowed_s.clear()
+    arm.read_state(LIMIT_S)
+    arm.read_tool_identity(LIMIT_S)
+    arm.close()
+    assert clock.allowed_s == [0.1, 0.1]
 
 
 def test_the_factory_calibration_is_that_of_the_kinematics(controller: HandmadeController) -> None:

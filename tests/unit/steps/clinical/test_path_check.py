@@ -9,6 +9,7 @@ from prepared_results import (
     checked_set_up,
     correspondence,
     far_away,
+    global_localization,
     joints_at,
     localized_fiducials,
 )
@@ -27,7 +28,8 @@ from ronna_hw.frames import Transform
 
 def check(cell: ClinicalCell, robot_from_ct: Transform = ROBOT_FROM_CT) -> Stored[CheckedPaths]:
     return cell.run(
-        *(correspondence(robot_from_ct), localized_fiducials(), checked_plan(), checked_set_up(cell)), STEP
+        *(global_localization(), correspondence(robot_from_ct), localized_fiducials()),
+        *(checked_plan(), checked_set_up(cell), STEP),
     )
 
 
@@ -78,7 +80,13 @@ def plan_with_one_out_of_reach() -> CheckedPlan:
 @pytest.mark.branch("UNREACHABLE")
 def test_a_trajectory_out_of_reach_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.UNREACHABLE)
-    given = (correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell))
+    given = (
+        global_localization(),
+        correspondence(),
+        localized_fiducials(),
+        plan_with_one_out_of_reach(),
+        checked_set_up(cell),
+    )
     with pytest.raises(NotReachable, match=f"{LAST}/"):
         cell.run(*given, STEP)
 
