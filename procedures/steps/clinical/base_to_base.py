@@ -63,7 +63,8 @@ from ronna_hw.vectors import JointVector
 Array = NDArray[np.float64]
 
 FRAMES = 12  # of the tracker, averaged per look at a frame
-FRAME_LOOKS, SPARE = 12, 4  # planned poses for each wanted one
+FRAME_LOOKS, SPARE = 12, 12  # planned poses for each wanted one: an arm hides its own frame in most of them
+MOST_FACING_RAD, NO_TURN_RAD = math.radians(35.0), 1e-6  # of the assistant's frame towards the tracker
 FRAME_TILT_RAD, FRAME_TURN_RAD = math.radians(30.0), math.radians(60.0)
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
@@ -265,12 +266,14 @@ class _BaseMeasurement:
         cell.return_home()
         base = self._base()
         drawn = second.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
-        home = second.flange_pose(second.home_rad).rigid.rotation
         frames_mm, from_base = base.inverse().apply(self._frames_mm), base.inverse() @ tracker
+        home = second.flange_pose(second.home_rad).rigid.rotation
+        facing = (home * drawn.rigid.rotation).as_matrix()[:, 2]
+        towards = _turn_towards(facing, from_base.translation_mm - frames_mm) * home
         other = self._turn(
             (
                 partial(second.flange_joints, _flange(one.pose), second.home_rad, ONE_SIDE)
-                for one in _plan_turns(home, frames_mm, drawn.translation_mm)
+                for one in _plan_turns(towards, frames_mm, drawn.translation_mm)
             ),
             lambda at: explain_hidden_frame(
                 from_base, second.flange_pose(at) @ drawn, second.arm.kinematics, at
@@ -436,6 +439,16 @@ def _plan_turns(reference: Rotation, place_mm: ArrayLike, frame_mm: ArrayLike) -
         for number in range(SPARE)
     )
     return [look for one in sets for look in order_by_orientation(one)]
+
+
+def _turn_towards(facing: ArrayLike, wanted: ArrayLike) -> Rotation:
+    """Return the turn of a direction (3,) towards another, by `MOST_FACING_RAD` at most."""
+    one, other = (np.asarray(way, dtype=float) / np.linalg.norm(way) for way in (facing, wanted))
+    axis = np.cross(one, other)
+    angle_rad = math.atan2(float(np.linalg.norm(axis)), float(one @ other))
+    if angle_rad < NO_TURN_RAD:
+        return Rotation.identity()
+    return Rotation.from_rotvec(axis / np.linalg.norm(axis) * min(angle_rad, MOST_FACING_RAD))
 
 
 def spread_places(count: int) -> Array:
