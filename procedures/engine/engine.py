@@ -266,6 +266,7 @@ class Engine:
             if second is not None and second.place.is_out:
                 workcell.start()
                 second.go_home()
+                workcell.touch({})
             workcell.compare_place()
             if not workcell.place.is_home:
                 if (axis_place := workcell.place.axis) is not None:

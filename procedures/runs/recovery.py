@@ -14,7 +14,7 @@ from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE, removal_words
-from procedures.engine.run_folder import step_key
+from procedures.engine.run_folder import parse_record, step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
@@ -142,8 +142,9 @@ def _restore_arm(
     workcell.restore_history(previous.arm, set_up.home_rad)
     if workcell.second is not None and set_up.assistant_home_rad is not None:
         workcell.second.restore_home(set_up.assistant_home_rad)
-        if (known := engine.case.find(KnownBases, None)) is not None:
-            workcell.place_assistant(known.result.robot_from_base.transform)
+        if (known := _last_bases(engine)) is not None:
+            workcell.place_assistant(known.robot_from_base.transform)
+            workcell.second.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -170,6 +171,12 @@ def _restore_arm(
         comparison.warn("the guide is at the divot, which is assumed to be raised")
     if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
         workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
+
+
+def _last_bases(engine: Engine) -> KnownBases | None:
+    """Return the bases as last measured, also if void by now: the way out begins from where they were."""
+    made = [record for record in engine.case.records if record.kind == KnownBases.kind]
+    return parse_record(made[-1], KnownBases) if made else None
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
@@ -274,10 +281,15 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = []
+    second = workcell.second
+    if second is not None and (axis := second.place.axis) is not None:
+        first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
     if (place := engine.instrument_in) is not None:
-        first.append(f"first, by hand: {removal_words(place)}")
+        first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
     if (current_trajectory := workcell.place.trajectory) is not None:
         first.append(f"the guide retreats from {current_trajectory} along its axis")
+    if second is not None and second.place.is_out:
+        first.append("the assistant goes home")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
@@ -301,6 +313,9 @@ def _key_of(record: Record) -> StepKey:
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
+    if (second := workcell.second) is not None and second.place.is_out:
+        engine.retreat_home()  # the assistant first: it may hold an instrument in the guide
+        return True
     engine.questions.request_instrument_removal()
     following = engine.upcoming
     if (

@@ -8,6 +8,7 @@ of every registered trajectory, and the joints with those at the gauge.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.engine.case import StepKey
@@ -16,6 +17,8 @@ from procedures.engine.errors import RecoveryRefused
 from procedures.engine.run_folder import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
+from procedures.steps.clinical.assisted_insertion import surround_holder
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -43,6 +46,23 @@ def surround(engine: Engine) -> None:
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
     workcell, keys = engine.setting.workcell, engine.order.sequence
+    _surround_guide_or_head(engine, keys)
+    second = workcell.second
+    if second is None or not second.place.is_out:
+        return
+    trajectory = second.place.trajectory or workcell.place.trajectory
+    at_target = next(
+        (one for one in keys if one.name == ReachedTarget.kind and one.trajectory == trajectory), None
+    )
+    if (
+        at_target is not None and trajectory is not None
+    ):  # else it looked at the ball, with nothing in its clamp
+        stop = workcell.history.stops.get(trajectory, {})
+        surround_holder(engine.context(at_target), float(str(stop.get("read_mm", 0.0))))
+
+
+def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:
+    workcell = engine.setting.workcell
     if engine.setting.clinical is None:
         surround_calibration(engine)
     elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:

@@ -85,7 +85,7 @@ class Insertion:
         along_mm = self.start.inverse().apply(tool.translation_mm)[2]
         return float(along_mm)
 
-    def check_on_axis(self, tool: Transform) -> None:
+    def check_on_axis(self, tool: Transform, named: str = "the guide") -> None:
         """Raise PRO-015 unless the position and direction of a pose ROBOT <- TOOL are on the axis."""
         tip_mm = self.held.inverse().apply(tool.translation_mm)
         off_mm = float(np.hypot(tip_mm[0], tip_mm[1]))
@@ -93,7 +93,7 @@ class Insertion:
         turned_rad = math.acos(min(1.0, max(-1.0, cosine)))
         if off_mm > ON_AXIS_MM or turned_rad > ON_AXIS_RAD:
             raise TipOffAxis(
-                f"the guide is not on the axis of {self.trajectory}",
+                f"{named} is not on the axis of {self.trajectory}",
                 limit=f"{ON_AXIS_MM:g} mm, {math.degrees(ON_AXIS_RAD):g} deg",
                 got=f"{off_mm:.2f} mm, {math.degrees(turned_rad):.2f} deg",
             )

@@ -165,6 +165,11 @@ class Assistant:
                     at_rad = leg.target_rad
         return True
 
+    def shift_tool(self, flange_from_ball_mm: Sequence[float]) -> None:
+        """Shift clamp and ball on the flange by what the ball was found beside its record."""
+        found = zip(flange_from_ball_mm, self.holder.flange_from_ball_mm, strict=True)
+        self.shift_mm = _vector([seen - drawn for seen, drawn in found])
+
     def hold_instrument(self, tip_mm: float) -> None:
         """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
         self._tip_mm = tip_mm
@@ -251,6 +256,9 @@ class Assistant:
         """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""
         on, axis = self.place.axis, motion.axis
         if axis is not None and (on is None or axis.trajectory == on.trajectory):
+            if on is not None:  # a straight line from beside the axis would bend the instrument
+                flange = self.flange_pose(self.joints_rad(), on.arriving)
+                on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
             return
         if on is not None:
             raise GuideHeldAtEntry(

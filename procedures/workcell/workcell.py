@@ -522,6 +522,7 @@ class Workcell:
             self._require_outside(motion.what)
         else:
             self.instrument.require_out(motion.what)
+            self._require_assistant_off_axis(motion.what)
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
@@ -549,7 +550,10 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        if self.second is not None and self.second.place.is_on_axis:
-            raise InstrumentInGuide(f"{what}: the assistant is on the axis of the guide")
+        self._require_assistant_off_axis(what)
         for held in self.place.hold_reasons:
             raise GuideHeldAtEntry(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
+
+    def _require_assistant_off_axis(self, what: str) -> None:
+        if self.second is not None and self.second.place.is_on_axis:
+            raise InstrumentInGuide(f"{what}: the assistant is on the axis of the guide")

@@ -58,11 +58,8 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
     context.perform_task(Task(HOLDER, load, trajectory))
     known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
     assert known is not None
-    shift = np.asarray(known.flange_from_ball_mm) - second.holder.flange_from_ball_mm
-    second.shift_mm = (float(shift[0]), float(shift[1]), float(shift[2]))
-    second.hold_instrument(stop.read_mm)
-    workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
-    _surround(context)
+    second.shift_tool(known.flange_from_ball_mm)
+    surround_holder(context, stop.read_mm)
     axis, start_rad = _find_axis(context, second, stop, known.head_shift_mm)
     workcell.start()
     second.supervised.confirm(
@@ -95,6 +92,18 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
             got=f"{gap_mm:.2f} mm",
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
+
+
+def surround_holder(context: StepContext, tip_mm: float) -> None:
+    """Take the holder with its instrument, and what it may come close to, into account at the guide.
+
+    `tip_mm` is how far the instrument reaches beyond the clamp.
+    """
+    workcell, second = context.workcell, context.workcell.second
+    assert second is not None
+    second.hold_instrument(tip_mm)
+    workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
+    _surround(context)
 
 
 def withdraw_assistant(context: StepContext) -> None:

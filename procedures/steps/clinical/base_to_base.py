@@ -73,7 +73,7 @@ BALL_ABOVE_GUIDE_MM = 80.0
 BALL_SPREAD_MM = np.array((60.0, 60.0, 50.0))  # either way, of the ball's places
 PLACES_SEED = 49
 POSTURES, LOOKS_PER_POSTURE = 6, 3
-MOST_POSTURES = 24  # that are tried
+MOST_POSTURES, LOOKS_TRIED = 48, 6  # that are tried: an arm stands in the way of the other in many
 BALL_TILT_RAD, BALL_TURN_RAD = math.radians(35.0), math.radians(60.0)
 HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(22.0), math.radians(50.0)
 ENOUGH_MM = 0.095  # stated error at which no more looks are taken
@@ -134,7 +134,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     workcell.surround_assistant(measuring.around())
     fit = measuring.look_at_ball(coarse, ErrorSizes.stated(context.setting.settings, records.arm).tool_mm)
     workcell.place_assistant(_robot_from_base(fit.bases))
-    second.shift_mm = _numbers(fit.flange_from_ball_mm - second.holder.flange_from_ball_mm)
+    second.shift_tool(_numbers(fit.flange_from_ball_mm))
     workcell.surround_assistant(measuring.around())
     seen = _see_platforms(context, second, context.result(GlobalLocalization).points_mm)
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
@@ -351,12 +351,15 @@ class _BaseMeasurement:
             looks = plan_poses_about(
                 reference,
                 there_mm,
-                LOOKS_PER_POSTURE,
-                number * LOOKS_PER_POSTURE,
+                LOOKS_TRIED,
+                number * LOOKS_TRIED,
                 tilt_rad=HEAD_TILT_RAD,
                 turn_rad=HEAD_TURN_RAD,
             )
+            before = len(heads)
             for look in looks:
+                if len(heads) == before + LOOKS_PER_POSTURE:
+                    break
                 at = partial(cell.joints_at, look.pose, cell.home_rad, ONE_SIDE)
                 if not self._reach(
                     at, lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True), reasons
@@ -369,7 +372,7 @@ class _BaseMeasurement:
                 heads.append(cell.tool_pose(arrived=ONE_SIDE).as_matrix())
                 places.append(seen.point.position_mm)
                 flanges.append(flange.as_matrix())
-            held += 1
+            held += len(heads) > before
             share = 0.5 + min(held / POSTURES, 1.0) / 2.0
             self._context.progress(share, "looking at the ball")
             if held >= POSTURES:
