@@ -265,6 +265,7 @@ class Engine:
             self.questions.request_instrument_removal()
             if second is not None and second.place.is_out:
                 workcell.start()
+                workcell.hold_instrument(0.0)
                 second.go_home()
                 workcell.touch({})
             workcell.compare_place()

@@ -44,6 +44,7 @@ from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotA
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
+from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
@@ -85,6 +86,7 @@ class Workcell:
         self._theatre = theatre
         self._computed = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
+        self._around_assistant: Surroundings | None = None  # robot frame
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
@@ -310,7 +312,14 @@ class Workcell:
         """Set what surrounds the assistant, in the robot frame; its tool is its own."""
         second = self._require_second()
         assert self._pair is not None, "where the assistant stands is known first"
+        self._around_assistant = surroundings
         self._pair.surround(ASSISTANT, second.surroundings(surroundings))
+
+    def hold_instrument(self, tip_mm: float) -> None:
+        """Take an instrument as held by the assistant, its tip this far beyond the clamp; 0 for none."""
+        self._require_second().hold_instrument(tip_mm)
+        if self._around_assistant is not None:
+            self.surround_assistant(self._around_assistant)
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
@@ -358,9 +367,13 @@ class Workcell:
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
-        if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
-            self.instrument.require_out("start the arm")
         arms = (self._arm,) if self.second is None else (self._arm, self._theatre.arms[ASSISTANT])
+        # Starting an unverified controller moves every axis. Otherwise nothing moves, and the assistant can
+        # only lead its instrument out once both arms are started.
+        moves = any(isinstance(arm, ConfirmedStart) and arm.to_confirm is not None for arm in arms)
+        held = self.second is not None and self.second.place.is_on_axis
+        if self._arm.state is Lifecycle.CONFIGURED and (moves or not held):
+            self.instrument.require_out("start the arm")
         self.supervised.start((*arms, self.stereo) if cameras else arms)
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:

@@ -101,7 +101,7 @@ def surround_holder(context: StepContext, tip_mm: float) -> None:
     """
     workcell, second = context.workcell, context.workcell.second
     assert second is not None
-    second.hold_instrument(tip_mm)
+    workcell.hold_instrument(tip_mm)
     workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
     _surround(context)
 
@@ -120,8 +120,7 @@ def send_assistant_home(context: StepContext) -> None:
     if second is None:
         return
     if second.place.is_out:
-        second.hold_instrument(0.0)
-        _surround(context)
+        workcell.hold_instrument(0.0)
         second.go_home()
     workcell.touch({})
 

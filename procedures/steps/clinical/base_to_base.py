@@ -338,7 +338,8 @@ class _BaseMeasurement:
         postures = [posture for one in sets for posture in order_by_orientation(one)]
         reference = cell.tool_pose(cell.home_rad).rigid.rotation
         near = working_joints(second, [_flange(one.pose) for one in postures])
-        heads, places, flanges = [], [], []
+        heads: list[Array] = []
+        places, flanges = [], []
         reasons: list[str] = []
         fit: BallFit | None = None
         held = 0
