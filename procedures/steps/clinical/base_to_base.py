@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 FRAMES = 12  # of the tracker, averaged per look at a frame
 FRAME_LOOKS, SPARE = 12, 12  # planned poses for each wanted one: an arm hides its own frame in most of them
-MOST_FACING_RAD, NO_TURN_RAD = math.radians(35.0), 1e-6  # of the assistant's frame towards the tracker
+MOST_FACING_RAD = math.radians(35.0)  # turn of the assistant's frame towards the tracker
 FRAME_TILT_RAD, FRAME_TURN_RAD = math.radians(30.0), math.radians(60.0)
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
@@ -449,10 +449,11 @@ def _turn_towards(facing: ArrayLike, wanted: ArrayLike) -> Rotation:
     """Return the turn of a direction (3,) towards another, by `MOST_FACING_RAD` at most."""
     one, other = (np.asarray(way, dtype=float) / np.linalg.norm(way) for way in (facing, wanted))
     axis = np.cross(one, other)
-    angle_rad = math.atan2(float(np.linalg.norm(axis)), float(one @ other))
-    if angle_rad < NO_TURN_RAD:
+    sine = float(np.linalg.norm(axis))
+    if not sine:
         return Rotation.identity()
-    return Rotation.from_rotvec(axis / np.linalg.norm(axis) * min(angle_rad, MOST_FACING_RAD))
+    angle_rad = math.atan2(sine, float(one @ other))
+    return Rotation.from_rotvec(axis / sine * min(angle_rad, MOST_FACING_RAD))
 
 
 def spread_places(count: int) -> Array:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from procedures.planning.free_angle import LEAST_BEND_RAD, WristState, choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
+from procedures.planning.pose_name import PoseKind
+from procedures.planning.scene import PlanningScene
+from procedures.planning.tracker_sight import TrackerSight
 from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
@@ -18,7 +23,9 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 HALF_ANGLE_RAD = math.radians(27.5)
 CAMERA_MM = 250.0 * np.array([0.0, math.sin(HALF_ANGLE_RAD), -math.cos(HALF_ANGLE_RAD)])
@@ -160,3 +167,28 @@ def test_a_wrist_is_good_only_away_from_the_singularity_and_similar_at_all_poses
     assert WristState(LEAST_BEND_RAD, math.radians(44.0)).is_good
     assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).is_good
     assert not WristState(math.radians(60.0), math.radians(46.0)).is_good
+
+
+@dataclass
+class TrackerBeside:
+    """A tracker that sees the head from one side: with the first axis turned that way."""
+
+    asked: list[float] = field(default_factory=list)
+
+    def seen(self, arm: object, surroundings: object, joints_rad: JointVector) -> np.ndarray:
+        self.asked.append(joints_rad[0])
+        return np.full(3, joints_rad[0] > 0.1)
+
+
+@pytest.mark.hazard(60)
+def test_a_turn_that_leaves_the_head_in_the_trackers_view_is_preferred() -> None:
+    scene = PlanningScene(
+        CollisionConfig(), HeadEllipsoid(centre_mm=(0.0, 0.0, -100.0), semi_axes_mm=(70.0, 90.0, 60.0))
+    )
+    watched = replace(SETTING, scene=scene, sights=(cast("TrackerSight", tracker := TrackerBeside()),))
+    unwatched = choose_free_angles(replace(SETTING, scene=scene), (DOWN,), FREE, SIGHT)
+    turned = choose_free_angles(watched, (DOWN,), FREE, SIGHT)
+    (target,) = (one for one in turned.check.reached if one.visit.name.kind is PoseKind.TARGET)
+    (before,) = (one for one in unwatched.check.reached if one.visit.name.kind is PoseKind.TARGET)
+    assert before.at_rad[0] <= 0.1 < target.at_rad[0]
+    assert len(tracker.asked) > 1

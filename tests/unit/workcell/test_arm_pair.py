@@ -12,14 +12,16 @@ from ideal_arm import Controller, IdealArm
 
 from procedures.workcell.arm_pair import ArmPair
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
-from ronna_hw.arm.errors import ArmsTooClose, NotClear
+from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, MASTER, DeviceConfig
+from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
 HOST = DeviceConfig(driver="ideal", endpoint="host:")
@@ -138,6 +140,7 @@ def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
     return stop
 
 
+@pytest.mark.hazard(58)
 @pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
 @pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
 def test_a_stop_of_one_arm_stops_and_holds_both(
@@ -190,6 +193,7 @@ def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
     assert master.controller.joints_rad == HOME_RAD
 
 
+@pytest.mark.hazard(58)
 def test_arms_that_come_too_close_are_stopped(
     pair: ArmPair, master: WatchedArm, assistant: WatchedArm
 ) -> None:
@@ -232,3 +236,28 @@ def test_a_halt_names_the_place_of_the_instrument(master: WatchedArm, assistant:
     pair.stop("a fault")
     with pytest.raises(BothArmsHalted, match="an instrument is in the guide, and in T2"):
         pair.move(MASTER, JointMove(HOME_RAD))
+
+
+class PressingArm(WatchedArm):
+    """An arm that meets the force limit of every insertion."""
+
+    senses_force = True
+
+    def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
+        self.stop(StopKind.HOLD)
+        raise ForceLimitExceeded("the force on the tool", limit=f"{insertion.force_limit_N} N", got="16 N")
+
+
+@pytest.mark.hazard(56)
+def test_an_insertion_that_meets_its_force_limit_holds_and_latches_nothing(master: WatchedArm) -> None:
+    """The arm's own error passes through; both arms can be led on, or back, once they are resumed."""
+    pressing = PressingArm("robot.assistant", HOME_RAD)
+    started(pressing)
+    pair = ArmPair({MASTER: master, ASSISTANT: pressing}, ACROSS, CLOCK, lambda: "T1")
+    target = Transform.of(Frame.ROBOT, Frame.TOOL)
+    insertion = Insertion(target, Transform.of(Frame.FLANGE, Frame.TOOL), force_limit_N=15.0)
+    with pytest.raises(ForceLimitExceeded):
+        pair.move(ASSISTANT, insertion, with_instrument=True)
+    assert pressing.state is Lifecycle.HOLD
+    assert pair.halted is None
+    pressing.close()

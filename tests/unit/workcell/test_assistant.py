@@ -1,0 +1,87 @@
+"""The assistant with an instrument in the guide: straight along the axis it is on, or not at all."""
+
+from __future__ import annotations
+
+from math import radians
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+from ideal_arm import Controller, IdealArm
+from recording_cell import RecordingCell
+
+from procedures.journal.journal import Entry
+from procedures.operator.errors import NotConfirmed
+from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion
+from procedures.workcell.assistant import Assistant
+from procedures.workcell.errors import TipOffAxis
+from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibration import PoseRecord
+from ronna_hw.clock import HostClock
+from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
+from ronna_hw.frames import Frame, Transform
+
+CLOCK = HostClock()
+BALL_MM = (0.0, 0.0, 160.0)
+FOUND_MM = (0.4, -0.3, 161.0)
+TRAVEL_MM = 100.0
+
+
+@pytest.fixture
+def arm() -> IdealArm:
+    arm = IdealArm("robot.assistant", DeviceConfig(driver="ideal", endpoint="host:"), CLOCK)
+    arm.controller = Controller(IdealArm.kinematics.home_rad)
+    arm.connect()
+    return arm
+
+
+@pytest.fixture
+def second(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) -> Assistant:
+    """An assistant that holds an instrument in the guide, where its clamp stands now."""
+    monkeypatch.setattr(
+        "procedures.workcell.assistant.calibrated_arm", lambda nominal, _: CalibratedArm(nominal)
+    )
+    across = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
+    clamp = PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=across)
+    holder = SimpleNamespace(flange_from_clamp=clamp, flange_from_ball_mm=BALL_MM)
+    records = SimpleNamespace(arm=True, assistant_arm=True, assistant_holder=holder)
+    log = ArmLog(cell.journal, CLOCK, ArmHistory(ASSISTANT))
+    second = Assistant(
+        lambda: arm,
+        log,
+        cast("Calibrations", records),
+        lambda leg, _motion: leg.drive(arm),
+        lambda _by: False,
+        lambda: "T1",
+    )
+    second.base = Transform.of(Frame.ROBOT, Frame.ROBOT)
+    held = second.clamp_pose(second.joints_rad())
+    axis = Insertion("T1", held, TRAVEL_MM)
+    log.note(
+        Entry.PLACED,
+        joints_rad=list(second.joints_rad()),
+        at_home=False,
+        trajectory="T1",
+        axis=axis.as_plain(),
+    )
+    return second
+
+
+def test_a_retreat_begins_where_the_instrument_is(second: Assistant) -> None:
+    with pytest.raises(NotConfirmed):  # allowed, but no case is open
+        second.supervised.carry_out(second.withdraw_motion())
+
+
+@pytest.mark.hazard(59)
+def test_an_instrument_beside_its_axis_is_not_led_along_it(second: Assistant, arm: IdealArm) -> None:
+    first, *others = arm.controller.joints_rad
+    arm.controller.joints_rad = (first + radians(1.0), *others)
+    with pytest.raises(TipOffAxis, match="PRO-015: the assistant is not on the axis of T1"):
+        second.supervised.carry_out(second.withdraw_motion())
+
+
+def test_the_clamp_is_where_the_ball_was_found(second: Assistant) -> None:
+    before_mm = second.flange_from_clamp.translation_mm
+    second.shift_tool(FOUND_MM)
+    shift_mm = second.flange_from_clamp.translation_mm - before_mm
+    assert shift_mm == pytest.approx((0.4, -0.3, 1.0))
