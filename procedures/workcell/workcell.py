@@ -7,7 +7,7 @@ nothing moves at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -368,13 +368,19 @@ class Workcell:
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
         arms = (self._arm,) if self.second is None else (self._arm, self._theatre.arms[ASSISTANT])
-        # Starting an unverified controller moves every axis. Otherwise nothing moves, and the assistant can
-        # only lead its instrument out once both arms are started.
-        moves = any(isinstance(arm, ConfirmedStart) and arm.to_confirm is not None for arm in arms)
-        held = self.second is not None and self.second.place.is_on_axis
-        if self._arm.state is Lifecycle.CONFIGURED and (moves or not held):
+        if self._arm.state is Lifecycle.CONFIGURED and not self._starts_still(arms):
             self.instrument.require_out("start the arm")
         self.supervised.start((*arms, self.stereo) if cameras else arms)
+
+    def _starts_still(self, arms: Sequence[RobotArm]) -> bool:
+        """Whether an assistant on the axis waits for both arms, and starting them moves nothing.
+
+        Starting an unverified controller moves every axis. The assistant can only lead its instrument out
+        once both arms are started.
+        """
+        if self.second is None or not self.second.place.is_on_axis:
+            return False
+        return not any(isinstance(arm, ConfirmedStart) and arm.to_confirm is not None for arm in arms)
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` would make."""

@@ -6,7 +6,13 @@ from pathlib import Path
 
 import pytest
 from clinical_case import SPHERES_MM, ClinicalCell
-from prepared_results import checked_plan, checked_set_up, correspondence, localized_fiducials
+from prepared_results import (
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    global_localization,
+    localized_fiducials,
+)
 
 from procedures.steps.clinical import path_check
 from ronna_hw.collision_config import BodyFrame, RoomBody
@@ -33,7 +39,8 @@ def with_body(cell: ClinicalCell, name: str, *, away_mm: float) -> None:
 
 
 def check(cell: ClinicalCell) -> None:
-    cell.run(correspondence(), localized_fiducials(), checked_plan(), checked_set_up(cell), path_check.STEP)
+    found = (global_localization(), correspondence(), localized_fiducials())
+    cell.run(*found, checked_plan(), checked_set_up(cell), path_check.STEP)
 
 
 @pytest.mark.hazard(24)

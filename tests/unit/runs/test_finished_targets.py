@@ -16,6 +16,7 @@ from prepared_results import (
     checked_tool,
     coarse,
     correspondence,
+    global_localization,
     imported_ct,
     localized_fiducials,
     locked_cart,
@@ -82,7 +83,7 @@ class Target(StepResult, kind="target"):
 def test_the_path_check_skips_a_target_finished_before_the_move(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     engine = cell.begin(
-        *(localized_fiducials(), checked_plan(), checked_set_up(cell)),
+        *(global_localization(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
         done_later(correspondence()),
         path_check.STEP,
         done_later(Target(), CheckedPaths, scope=Scope.TRAJECTORY, finishes=True),
