@@ -1,4 +1,4 @@
-"""What the controller says about its readiness."""
+"""Readiness of a KUKA controller, by what it reports."""
 
 from __future__ import annotations
 

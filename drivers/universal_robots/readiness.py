@@ -1,4 +1,4 @@
-"""What the controller says about its readiness, and the number of the mounted tool."""
+"""Readiness of a Universal Robots controller by its reports, and the number of the mounted tool."""
 
 from __future__ import annotations
 

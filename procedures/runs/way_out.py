@@ -51,14 +51,11 @@ def surround(engine: Engine) -> None:
     if second is None or not second.place.is_out:
         return
     trajectory = second.place.trajectory or workcell.place.trajectory
-    at_target = next(
-        (one for one in keys if one.name == ReachedTarget.kind and one.trajectory == trajectory), None
-    )
-    if (
-        at_target is not None and trajectory is not None
-    ):  # else it looked at the ball, with nothing in its clamp
-        stop = workcell.history.stops.get(trajectory, {})
-        surround_holder(engine.context(at_target), float(str(stop.get("read_mm", 0.0))))
+    if trajectory is None:  # it showed its ball, with nothing in its clamp
+        return
+    stop = workcell.history.stops.get(trajectory, {})
+    at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
+    surround_holder(at_target, float(str(stop.get("read_mm", 0.0))))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:

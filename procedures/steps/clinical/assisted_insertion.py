@@ -203,16 +203,15 @@ def _require_coaxial(
     bore = context.workcell.tools.guide.bore
     ends = [clamp.inverse().apply((0.0, 0.0, z)) for z in (-bore.reach_mm - bore.length_mm, -bore.reach_mm)]
     off_mm = max(math.hypot(end[0], end[1]) for end in ends)
-    if off_mm > COAXIAL_MM or turned_rad > COAXIAL_RAD:
-        raise GateFailed(
-            f"the instrument is not coaxial with the guide at {context.trajectory}",
-            limit=f"{COAXIAL_MM:g} mm, {math.degrees(COAXIAL_RAD):g} deg",
-            got=f"{format_against_limit(off_mm, COAXIAL_MM, 2)} mm, {math.degrees(turned_rad):.2f} deg",
-            action="The assistant stays where it is. Repeat the step, or send the arms home.",
-        )
+    _require_within(
+        (off_mm, turned_rad),
+        (COAXIAL_MM, COAXIAL_RAD),
+        f"the instrument is not coaxial with the guide at {context.trajectory}",
+        "The assistant stays where it is. Repeat the step, or send the arms home.",
+    )
     context.find(
-        f"at {context.trajectory} the instrument is {off_mm:.2f} mm and "
-        f"{math.degrees(turned_rad):.2f} deg from the axis of the guide"
+        f"at {context.trajectory} the instrument is {off_mm:.2f} mm and {math.degrees(turned_rad):.2f} deg "
+        "from the axis of the guide, by the joints of both arms"
     )
 
 
@@ -236,16 +235,27 @@ def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownB
     held_mm = by_joints.translation - robot_from_marker(workcell, workcell.joints_rad()).translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
     turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
-    if apart_mm > SEEN_APART_MM or turned_rad > SEEN_APART_RAD:
-        raise GateFailed(
-            f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
-            limit=f"{SEEN_APART_MM:g} mm, {math.degrees(SEEN_APART_RAD):g} deg",
-            got=f"{format_against_limit(apart_mm, SEEN_APART_MM, 2)} mm, {math.degrees(turned_rad):.2f} deg",
-            action="Look for a cart that has moved or a frame that is loose; then localize again.",
-        )
+    _require_within(
+        (apart_mm, turned_rad),
+        (SEEN_APART_MM, SEEN_APART_RAD),
+        f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
+        "Look for a cart that has moved or a frame that is loose; then localize again.",
+    )
     context.find(
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
         f"and {math.degrees(turned_rad):.2f} deg"
+    )
+
+
+def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:
+    """Raise PRO-007 for a distance in mm or an angle in rad above its limit."""
+    if found[0] <= limit[0] and found[1] <= limit[1]:
+        return
+    raise GateFailed(
+        what,
+        limit=f"{limit[0]:g} mm, {math.degrees(limit[1]):g} deg",
+        got=f"{format_against_limit(found[0], limit[0], 2)} mm, {math.degrees(found[1]):.2f} deg",
+        action=action,
     )
 
 

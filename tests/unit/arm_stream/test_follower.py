@@ -1,4 +1,4 @@
-"""Who supervises a motion: in the words of the arm that was found, and one motion at a time."""
+"""Supervision of a motion: in the words of the arm that was found, and one motion at a time."""
 
 from __future__ import annotations
 

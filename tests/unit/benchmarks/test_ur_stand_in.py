@@ -1,4 +1,4 @@
-"""What the benchmark of the Universal Robots link measures runs against its stand-in of a controller."""
+"""Programs that the benchmark of the Universal Robots link measures, against its stand-in of a controller."""
 
 from __future__ import annotations
 
