@@ -37,7 +37,7 @@ CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
 BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
 # The flange down, drawn back from the patient.
 KR6_HOME_DEG = (0.0, -120.0, 145.0, 0.0, 65.0, 0.0)
-UR_HOME_DEG = (-60.0, -75.0, -105.0, -90.0, 90.0, -90.0)
+UR_HOME_DEG = (-15.0, -75.0, -105.0, -90.0, 90.0, -90.0)
 HOMES_DEG = {ArmChoice.KR6: KR6_HOME_DEG, ArmChoice.UR5: UR_HOME_DEG, ArmChoice.UR5E: UR_HOME_DEG}
 CLAMP = "clamp of the assistant"  # noise key
 
