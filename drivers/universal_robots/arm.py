@@ -51,7 +51,7 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
         return tuple(
             readiness_facts(
                 self._request_state(timeout_s),
-                remote=connections.is_remote(timeout_s),
+                remote=connections.power.is_remote(timeout_s),
                 running=connections.dashboard.is_program_running(timeout_s),
                 registers="" if self._guard.state in RUNNING else connections.registers_taken(timeout_s),
             )
@@ -93,4 +93,4 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
         return reported is not None and reported.safety_mode in NEEDS_PERSON
 
     def _switch_drives_off(self, timeout_s: float) -> None:
-        self.connections.switch_off(timeout_s)
+        self.connections.power.switch_off(timeout_s)

@@ -6,27 +6,21 @@ connection, recipes, a script and a session number of its own.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
 
 from drivers.universal_robots.controller.script import render_script, render_secondary
-from drivers.universal_robots.dashboard import DashboardClient, is_accepted
+from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
     ControllerNotFound,
     LinkNotStarted,
     LoadNotTaken,
-    LocalMode,
-    NoAnswer,
-    NotPowered,
-    ProtectivelyStopped,
     RegistersInUse,
     ScriptNotStarted,
     SpeedAtZero,
@@ -41,13 +35,13 @@ from drivers.universal_robots.identification import (
 )
 from drivers.universal_robots.loads import LOAD_FIELDS, has_load, load_commands, to_load
 from drivers.universal_robots.options import ROLES, link_settings, script_settings
+from drivers.universal_robots.power import ASK_LIMIT_S, PowerAndSafety
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
 from drivers.universal_robots.rtde import RtdeSetup, Version
-from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
@@ -55,21 +49,14 @@ from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import ToolLoad
-from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.universal_robots import RobotMode, SafetyMode, ScriptState
+from ronna_hw.wire.universal_robots import SafetyMode, ScriptState
 from ronna_hw.wire.universal_robots_services import MessageKind, Order, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
 STATE_PERIOD_S = 0.1  # of the primary interface
-POLL_S = 0.05  # host time between two looks at the controller's modes
-PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
-POWER_LIMIT_S = 30.0  # host time for power and brakes (U: 5 s each and more)
-UNLOCK_PAUSE_S = 0.25
-ASK_LIMIT_S = 1.0
-T = TypeVar("T")
 
 
 class Connections(StreamConnections[ControllerState, PrimaryClient]):
@@ -88,7 +75,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self._calibration: tuple[float, ...] = ()
         self._identity: Identity | None = None  # found first: another one is refused
         self._load: ToolLoad | None = None  # set by a caller, and sent again with each script
-        self._goes_off = False  # on our order, until the robot mode says so
+        self.power = PowerAndSafety(faults.name, faults.options.model, clock, lambda: self.dashboard)
         self._channel: socket.socket | None = None  # over which connections are handed to the process
 
     @property
@@ -97,10 +84,6 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         if self.open_dashboard is None:
             raise ControllerNotFound(f"{self._name}: no dashboard connection is open")
         return self.open_dashboard
-
-    def is_remote(self, timeout_s: float) -> bool | None:
-        """Return whether the controller is in remote control; None for CB3, which has no such mode."""
-        return None if self._options.model is UrModel.UR5 else self.dashboard.is_remote(timeout_s)
 
     def request_state(self, timeout_s: float) -> ControllerState:
         """Return a state that arrived after this call; raises URD-002, URD-014 or URD-015.
@@ -157,7 +140,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         than `timeout_s`. Returns the operating mode, to whose limits process and monitor keep.
         """
         self._require_ready()
-        self._switch_on()
+        self.power.switch_on()
         deadline = time.monotonic() + timeout_s
         link = self.link
         mode = self._operating_mode(self.dashboard.safety_mode(ASK_LIMIT_S))
@@ -184,13 +167,13 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             raise fault
         if load:
             self._require_load(max(remaining_s(deadline), ASK_LIMIT_S))
-        self._require_power_kept()
+        self.power.require_not_switching_off()
         return mode
 
     def set_load(self, load: ToolLoad, timeout_s: float) -> ToolLoad:
         """Tell the controller the load, also at later starts, and return it as read back; raises URD-040."""
         self._load = load
-        self._require_remote()
+        self.power.require_remote()
         self.control.send_script(render_secondary(load_commands(load)))
         return self._require_load(timeout_s)
 
@@ -219,33 +202,14 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def end_stream(self, deadline: float) -> None:
         """End the script by its order, or by the dashboard if that fails, and close the RTDE connection."""
         super().end_stream(deadline)
-        self._await(lambda: not self.dashboard.is_program_running(ASK_LIMIT_S) or None, deadline)
+        self.power.await_condition(lambda: not self.dashboard.is_program_running(ASK_LIMIT_S), deadline)
 
     def acknowledge(self, person: str, deadline: float) -> None:
         """End any program and release what a person has to release; moves nothing.
 
         Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
         """
-        dashboard = self.dashboard
-        self._require_remote()
-        dashboard.require(Order.STOP, ASK_LIMIT_S)
-        if self._goes_off:
-            self._await(lambda: dashboard.robot_mode(ASK_LIMIT_S) is RobotMode.POWER_OFF or None, deadline)
-            self._goes_off = False  # a person has looked, even if it has been switched on again meanwhile
-        safety = dashboard.safety_mode(ASK_LIMIT_S)
-        if safety is SafetyMode.PROTECTIVE_STOP:
-            self._unlock(person, deadline)
-        elif safety in RESTART_MODES:
-            dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
-            dashboard.require(Order.RESTART_SAFETY, ASK_LIMIT_S)
-        if safety in (SafetyMode.PROTECTIVE_STOP, *RESTART_MODES):
-            self._await(lambda: dashboard.safety_mode(ASK_LIMIT_S) in NORMAL_MODES or None, deadline)
-        self._require_safe()
-
-    def switch_off(self, timeout_s: float) -> None:
-        """Switch the arm off; until it is off, no start succeeds."""
-        self._goes_off = True
-        self.dashboard.require(Order.POWER_OFF, timeout_s)
+        self.power.acknowledge(person, deadline)
 
     def close_control(self) -> None:
         """Close dashboard and primary interface, if open."""
@@ -323,49 +287,13 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def _require_ready(self) -> None:
         """Raise what prevents a start before anything is switched on or sent."""
         dashboard, name = self.dashboard, self._name
-        self._require_remote()
-        self._require_safe()
+        self.power.require_remote()
+        self.power.require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
             raise AnotherProgramRuns(f"{name}: the controller is running another program")
         reported = self.reported
         if reported is not None and not reported.mode.speed_fraction > 0.0:
             raise SpeedAtZero(f"{name}: the speed slider is at {reported.mode.speed_fraction:.0%}")
-
-    def _switch_on(self) -> None:
-        """Switch power on and release the brakes; raises URD-008 if that takes too long."""
-        dashboard, deadline = self.dashboard, time.monotonic() + POWER_LIMIT_S
-        mode = dashboard.robot_mode(ASK_LIMIT_S)
-        self._goes_off = self._goes_off and mode is not RobotMode.POWER_OFF
-        self._require_power_kept()
-        if mode is RobotMode.RUNNING:
-            return
-        if mode not in (RobotMode.IDLE, RobotMode.BACKDRIVE):
-            dashboard.require(Order.POWER_ON, ASK_LIMIT_S)
-            self._await_mode((RobotMode.IDLE, RobotMode.RUNNING), deadline)
-        dashboard.require(Order.BRAKE_RELEASE, ASK_LIMIT_S)
-        self._await_mode((RobotMode.RUNNING,), deadline)
-
-    def _require_power_kept(self) -> None:
-        """Raise URD-008 while the arm is being switched off on our own order."""
-        if self._goes_off:
-            raise NotPowered(
-                f"{self._name}: the arm is being switched off on request",
-                expected=RobotMode.POWER_OFF.name,
-                got=self.dashboard.robot_mode(ASK_LIMIT_S).name,
-                action=f"Wait until it is off, then {ACKNOWLEDGE}: the next start switches it on again.",
-            )
-
-    def _await_mode(self, modes: tuple[RobotMode, ...], deadline: float) -> None:
-        def reached() -> bool | None:
-            return self.dashboard.robot_mode(ASK_LIMIT_S) in modes or None
-
-        if self._await(reached, deadline) is None:
-            raise NotPowered(
-                f"{self._name}: the arm was not switched on",
-                expected=RobotMode.RUNNING.name,
-                limit=f"{POWER_LIMIT_S:g} s",
-                got=self.dashboard.robot_mode(ASK_LIMIT_S).name,
-            )
 
     def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:
         """Open a new RTDE connection with our recipes, and give it to the real-time process."""
@@ -382,8 +310,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def _start_error(self, what: str, timeout_s: float) -> RonnaError:
         """Build the error for a stream that does not start, with what the controller says about it."""
         try:
-            self._require_remote()
-            self._require_safe()
+            self.power.require_remote()
+            self.power.require_safe()
         except RonnaError as error:
             return error
         texts = [m.text for m in self.control.messages if m.kind == MessageKind.RUNTIME_EXCEPTION and m.text]
@@ -394,48 +322,5 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             got=word.text,
         )
 
-    def _require_remote(self) -> None:
-        if self.is_remote(ASK_LIMIT_S) is False:
-            raise LocalMode(f"{self._name}: the controller is in local control", expected="remote control")
-
-    def _require_safe(self) -> None:
-        refusal = safety_refusal(self._name, self.dashboard.safety_mode(ASK_LIMIT_S))
-        if refusal is not None:
-            raise refusal
-
-    def _unlock(self, person: str, deadline: float) -> None:
-        """Release a protective stop in the name of a person, as soon as the controller permits it."""
-        dashboard = self.dashboard
-        with contextlib.suppress(NoAnswer):
-            dashboard.ask(f"{Query.ADD_TO_LOG} protective stop released by {_ascii(person)}", ASK_LIMIT_S)
-        dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
-        while True:
-            answer = dashboard.ask(Order.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)
-            if is_accepted(Order.UNLOCK_PROTECTIVE_STOP, answer):
-                return
-            if remaining_s(deadline) <= UNLOCK_PAUSE_S:
-                raise ProtectivelyStopped(f"{self._name}: the protective stop remains", got=answer)
-            self._pause(UNLOCK_PAUSE_S)
-
-    def _await(self, find: Callable[[], T | None], deadline: float) -> T | None:
-        """Poll until a host time; returns None if nothing was found by then."""
-        while (found := find()) is None:
-            if remaining_s(deadline) <= 0.0:
-                return None
-            self._pause(POLL_S)
-        return found
-
-    def _pause(self, host_s: float) -> None:
-        """Wait, and let theatre time pass: the controller may need it."""
-        self.clock.let_pass(PASSING_SHARE * host_s)
-        try:
-            time.sleep(host_s)
-        finally:
-            self.clock.hold_back()
-
     def _operating_mode(self, safety: SafetyMode) -> OperatingMode:
         return OperatingMode.REDUCED_SPEED if safety is SafetyMode.REDUCED else OperatingMode.AUTOMATIC
-
-
-def _ascii(name: str) -> str:
-    return name.encode("ascii", "replace").decode()

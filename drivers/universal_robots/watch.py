@@ -79,7 +79,7 @@ class UrWatch(StreamWatch[ControllerState]):
             return
         error = failure
         with contextlib.suppress(RonnaError):
-            if self._connections.is_remote(DASHBOARD_LIMIT_S) is False:
+            if self._connections.power.is_remote(DASHBOARD_LIMIT_S) is False:
                 error = ControllerStopped(
                     f"{self._connections.faults.name}: the pendant was switched to local control",
                     expected="remote control",

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from handmade_ur import UR5E_A, HandmadeController
 
-from drivers.universal_robots import connections as ur_connections
+from drivers.universal_robots import power as ur_power
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
@@ -198,7 +198,7 @@ def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
 def test_a_controller_that_is_not_ready_is_not_started(
     controller: HandmadeController, answers: dict[str, str], code: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ur_connections, "POWER_LIMIT_S", 0.05)
+    monkeypatch.setattr(ur_power, "POWER_LIMIT_S", 0.05)
     arm = make_arm(controller)
     arm.connect(LIMIT_S)
     controller.answers.update(answers)
@@ -212,7 +212,7 @@ def test_a_controller_that_is_not_ready_is_not_started(
 def test_an_arm_that_is_being_switched_off_on_request_is_not_started_before_it_is_off(
     controller: HandmadeController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ur_connections, "POWER_LIMIT_S", 0.05)
+    monkeypatch.setattr(ur_power, "POWER_LIMIT_S", 0.05)
     arm = make_arm(controller)
     arm.connect(LIMIT_S)
     arm.configure(LIMIT_S)
