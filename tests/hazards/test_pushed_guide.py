@@ -77,6 +77,7 @@ def warns_once(means_mm: Array) -> NDArray[np.bool_]:
     return np.asarray(by_place[0] | by_place[1] | beyond(means_mm[ENDS], END_SEEN_MM))
 
 
+@pytest.mark.slow
 def test_at_most_one_undisturbed_insertion_of_ten_minutes_in_a_thousand_warns_of_a_push() -> None:
     warned = np.array(list(insertions(0.0, 0.0, READINGS)))
     assert len(warned) >= 1500

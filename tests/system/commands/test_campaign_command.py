@@ -45,6 +45,7 @@ def test_a_campaign_writes_tables_and_a_plot_and_recognizes_that_it_is_done(tmp_
     assert again.stdout.startswith("fiducials\truns\t")
 
 
+@pytest.mark.slow
 def test_the_pairing_of_the_thesis_can_be_chosen_with_its_e_alongside_ours(tmp_path: Path) -> None:
     arguments = ["correspondence", "--runs", "1", "--workers", "1", "--out", tmp_path, "--json"]
     arguments += ["--method", "count", "--method", "thesis-validated", "--e", "2", "--e", "1.5"]

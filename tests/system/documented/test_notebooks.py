@@ -31,6 +31,7 @@ def test_one_case_is_read_from_the_ct_to_the_error(
     assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
 
 
+@pytest.mark.slow
 def test_tracker_noise_is_that_of_a_sphere_and_not_of_a_place_in_the_list(tmp_path: Path) -> None:
     cells = execute_notebook("tracker-noise.ipynb", tmp_path)
     assert "Along its line of sight" in final_sentence(cells)
@@ -40,6 +41,7 @@ def test_tracker_noise_is_that_of_a_sphere_and_not_of_a_place_in_the_list(tmp_pa
     assert "by place in the list: sd [[1" in text  # tens of millimetres
 
 
+@pytest.mark.slow
 def test_strategies_are_compared_arm_by_arm(tmp_path: Path) -> None:
     cells = execute_notebook("strategies.ipynb", tmp_path)
     assert "reduces the mean error by" in final_sentence(cells)

@@ -30,7 +30,7 @@ def check_found(volume: Volume, *mounted: Mounted, diameter_mm: float = 11.5) ->
         assert error @ np.linalg.solve(marker.covariance_mm2, error) < 21.1  # 0.01 % of three degrees
 
 
-@pytest.mark.parametrize("metal", ["titanium", "steel"])
+@pytest.mark.parametrize("metal", [pytest.param("titanium", marks=pytest.mark.slow), "steel"])
 def test_a_ball_whose_own_screw_shades_it_from_the_side_is_found(metal: str) -> None:
     ball = Mounted((0.3, -6.2, 0.4), ASIDE, metal)
     volume = scan(ball)
@@ -45,6 +45,7 @@ def test_twins_on_steel_are_both_found() -> None:
     check_found(scan(*twins), *twins)
 
 
+@pytest.mark.slow
 def test_a_small_ball_is_found_beside_a_larger_one_on_the_same_metal() -> None:
     small = Mounted((8.7, -6.2, 0.4), BELOW, "titanium", ball_mm=5.0)
     large = Mounted((-8.3, -6.2, 0.4), BELOW, "titanium")

@@ -64,7 +64,13 @@ DRAWS = 400  # their rms is known to 4 %
 LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
 
 
-@pytest.mark.parametrize("sizes", [ErrorSizes(), ErrorSizes(links=0.0, joints=0.0)], ids=["all", "tool"])
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        pytest.param(ErrorSizes(), marks=pytest.mark.slow, id="all"),
+        pytest.param(ErrorSizes(links=0.0, joints=0.0), id="tool"),
+    ],
+)
 def test_the_strategy_with_the_least_predicted_error_is_chosen(
     make_arm: Callable[..., ArmSetting], sizes: ErrorSizes
 ) -> None:

@@ -206,6 +206,7 @@ def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_r
         compare_registered(truth, make_plan(scene), planned, cut, ["T1"])
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(43)
 def test_another_skull_is_refused(scene: Scene, planned: Volume) -> None:
     a, b, c = scene.head.semi_axes_mm
