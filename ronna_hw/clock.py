@@ -84,6 +84,16 @@ class HostClock:
         """Do nothing: host time passes anyway."""
 
 
+@contextmanager
+def passing(clock: Clock, duration_s: float) -> Iterator[None]:
+    """Let theatre time pass by `duration_s` at most within the block, for what it awaits in host time."""
+    clock.let_pass(duration_s)
+    try:
+        yield
+    finally:
+        clock.hold_back()
+
+
 # Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
 LAYOUT_VERSION = 5
 CLOCK = MemoryMap(b"RONNACLK")

@@ -46,7 +46,7 @@ from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase
-from ronna_hw.clock import Clock
+from ronna_hw.clock import Clock, passing
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import ToolLoad
 from ronna_hw.devices.lifecycle import Identity
@@ -90,11 +90,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
 
         No more theatre time passes than that takes.
         """
-        self.clock.let_pass(STATE_PERIOD_S)
-        try:
+        with passing(self.clock, STATE_PERIOD_S):
             return self.control.await_state(timeout_s, newer_than_s=time.monotonic())
-        finally:
-            self.clock.hold_back()
 
     def registers_taken(self, timeout_s: float) -> str:
         """Return who has the registers of our script, with the code of the error; empty if nobody has."""
@@ -180,11 +177,10 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def read_load(self, timeout_s: float, accept: Callable[[ToolLoad], bool] = lambda _: True) -> ToolLoad:
         """Read the load that the controller assumes, until it is as wanted or the time is over."""
         rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
-        self.clock.let_pass(timeout_s)
         try:
-            values = rtde.read_outputs(LOAD_FIELDS, lambda values: accept(to_load(values)))
+            with passing(self.clock, timeout_s):
+                values = rtde.read_outputs(LOAD_FIELDS, lambda values: accept(to_load(values)))
         finally:
-            self.clock.hold_back()
             rtde.close()
         return to_load(values)
 
@@ -252,12 +248,9 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.open_control = primary = PrimaryClient(
             address.host, address.port, remaining_s(deadline), self._bytes_of("primary")
         )
-        self.clock.let_pass(timeout_s)
-        try:
+        with passing(self.clock, timeout_s):
             info = primary.await_kinematics(remaining_s(deadline))
             primary.await_state(remaining_s(deadline))
-        finally:
-            self.clock.hold_back()
         identity = identity_of(options, serial, version, info)
         require_same(self._name, self._identity, identity)
         calibration = require_calibration(self._name, options, info)

@@ -11,7 +11,7 @@ from drivers.universal_robots.errors import LocalMode, NoAnswer, NotPowered, Pro
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.arm_stream.connections import remaining_s
-from ronna_hw.clock import Clock
+from ronna_hw.clock import Clock, passing
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
 from ronna_hw.wire.universal_robots_services import Order, Query
@@ -131,11 +131,8 @@ class PowerAndSafety:
 
     def _pause(self, host_s: float) -> None:
         """Wait, and let theatre time pass: the controller may need it."""
-        self._clock.let_pass(PASSING_SHARE * host_s)
-        try:
+        with passing(self._clock, PASSING_SHARE * host_s):
             time.sleep(host_s)
-        finally:
-            self._clock.hold_back()
 
 
 def _ascii(name: str) -> str:

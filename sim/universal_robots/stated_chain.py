@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.universal_robots.kinematics import Frame, Kinematics, compose
+from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.model import ZEROS
 from sim.world.nominal_arm import RobotDescription
 from sim.world.rigid import rotation_from_vector
 
@@ -44,7 +45,7 @@ def stated_chain(kinematics: Kinematics, arm: RobotDescription) -> Chain:
     The point on an axis is the one nearest to where the model has the joint.
     """
     nominal = nominal_chain(arm)
-    *frames, flange = _zero_frames(kinematics)
+    *frames, flange = kinematics.link_frames(ZEROS)
     points, axes = [], []
     for frame, wanted in zip(frames, nominal.points_mm, strict=False):
         axis = np.array([frame.r02, frame.r12, frame.r22])
@@ -76,19 +77,6 @@ def deviations_from(
     # Both begin on the first axis, along which the stated one may begin elsewhere.
     shifts[0] = shifts[0] + nominal.points_mm[0] - stated.points_mm[0]
     return np.array(shifts), np.array(turns)
-
-
-def _zero_frames(kinematics: Kinematics) -> list[Frame]:
-    """Return the frames, in m, whose z are the axes, and that of the flange, all joints at zero."""
-    frame = Frame(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    frames = [frame]
-    for theta, a, d, alpha in zip(
-        kinematics.theta_rad, kinematics.a_m, kinematics.d_m, kinematics.alpha_rad, strict=True
-    ):
-        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        link = Frame(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca, a * c, a * s, d)
-        frames.append(frame := compose(frame, link))
-    return frames
 
 
 def _smallest_rotation(one: Array, other: Array) -> Array:
