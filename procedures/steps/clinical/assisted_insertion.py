@@ -17,7 +17,8 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Task, Topic
 from procedures.planning.errors import NotReachable
-from procedures.steps.clinical.base_to_base import FLANGE_ONWARDS, KnownBases, working_joints
+from procedures.steps.clinical.base_postures import FLANGE_ONWARDS, working_joints
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
