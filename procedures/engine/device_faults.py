@@ -12,6 +12,7 @@ from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock
+from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -130,9 +131,10 @@ class DeviceFaults:
         }
 
     def require_arm_moves(self) -> None:
-        """Raise PRO-001 with a fault description if the arm is in fault."""
-        if (fault := self.descriptions.get(ARM)) is not None:
-            raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
+        """Raise PRO-001 with a fault description if an arm is in fault: of two, neither moves then."""
+        found = self.descriptions
+        if faults := [found[role] for role in (ARM, ASSISTANT) if role in found]:
+            raise StepRefused(f"the arm cannot move: {'. '.join(faults)}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
         """Recover every device in fault without motion; return the acknowledged faults by role.

@@ -17,7 +17,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tools import MountedTool, ToolMount, calibrated_arm, require_this_arm
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -236,8 +236,9 @@ def _check_records(
             camera_subject = f"{subject}calibration of the {side} camera"
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
-    if isinstance(device, RobotArm) and name == f"robot.{MASTER}":
-        kinematics, arm = device.kinematics, calibrations.arm
+    if isinstance(device, RobotArm) and name in (f"robot.{MASTER}", f"robot.{ASSISTANT}"):
+        is_master = name == f"robot.{MASTER}"
+        kinematics, arm = device.kinematics, calibrations.arm if is_master else calibrations.assistant_arm
 
         def check_arm() -> None:
             calibrated_arm(kinematics, arm)
@@ -248,6 +249,8 @@ def _check_records(
         )
         is_unverified = arm is not None and not (arm.serial and serial)
         yield replace(arm_check, advice=OF_THIS_ARM) if is_unverified and arm_check.well else arm_check
+        if not is_master:
+            return
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         mounted = MountedTool.STEREO_HEAD
         yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
