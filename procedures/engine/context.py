@@ -86,12 +86,15 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault that puts a result in doubt, or None; arguments as for `result`."""
-        return self._case.doubt_of(self._read_result(model).record)
+        """Return the fault that puts a result in doubt, or None; without a declared read, the last result."""
+        return self._case.doubt_of(self._read_declared_or_last(model).record)
 
     def keep(self, model: type[R]) -> None:
-        """Clear the doubt about a result; `model` as for `result`."""
-        self._case.trust(self._read_result(model).record)
+        """Clear the doubt about a result; `model` as for `doubt`."""
+        self._case.trust(self._read_declared_or_last(model).record)
+
+    def _read_declared_or_last(self, model: type[R]) -> Stored[R]:
+        return self._read_result(model) if model in self.reads else self._standing(model)[-1]
 
     @property
     def trajectory(self) -> str:

@@ -12,6 +12,7 @@ from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock
+from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -130,9 +131,10 @@ class DeviceFaults:
         }
 
     def require_arm_moves(self) -> None:
-        """Raise PRO-001 with a fault description if the arm is in fault."""
-        if (fault := self.descriptions.get(ARM)) is not None:
-            raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
+        """Raise PRO-001 with a fault description if an arm is in fault: of two, neither moves then."""
+        found = self.descriptions
+        if faults := [found[role] for role in (ARM, ASSISTANT) if role in found]:
+            raise StepRefused(f"the arm cannot move: {'. '.join(faults)}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
         """Recover every device in fault without motion; return the acknowledged faults by role.
@@ -145,8 +147,7 @@ class DeviceFaults:
         for role, fault in recover_faults(workcell.devices, lambda role: workcell.recover(role, by)):
             # First: the device is recovered even if this cannot be written.
             self._acknowledged.append((fault.partition(": ")[0], by))
-            if role == ARM:
-                self.doubt_tool(fault, self._course.order.localizations)
+            self._doubt_after(role, fault)
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
@@ -185,18 +186,27 @@ class DeviceFaults:
         return problem
 
     def doubt_results(self) -> None:
-        """After an arm fault, cast doubt on all earlier localizations and tool checks.
+        """After an arm fault, cast doubt on earlier localizations, tool checks, and bases of two arms.
 
         The journal has this before the fault can end, so that no restart loses it.
         """
-        if (fault := self.now.get(ARM)) is not None:
-            when = f"theatre time {self._clock.now_s():.0f} s"
-            self.doubt_tool(f"{fault} ({when})", self._course.order.localizations)
+        for role, fault in self.now.items():
+            self._doubt_after(role, f"{fault} (theatre time {self._clock.now_s():.0f} s)")
 
-    def doubt_tool(self, fault: str, localizations: Sequence[StepKey] = ()) -> None:
-        """Cast doubt on all checks of the mounted tool and on the given localizations."""
-        order, case = self._course.order, self._course.case
-        if keys := [key for key in (*localizations, *order.checks_of_tool) if case.trusts(key)]:
+    def _doubt_after(self, role: str, fault: str) -> None:
+        order = self._course.order
+        if role == ARM:
+            self._doubt(fault, (*order.localizations, *order.checks_of_tool, *order.relations_of_arms))
+        elif role == ASSISTANT:  # it may have touched something, and its holder is off
+            self._doubt(fault, order.relations_of_arms)
+
+    def doubt_tool(self, fault: str) -> None:
+        """Cast doubt on all checks of the mounted tool."""
+        self._doubt(fault, self._course.order.checks_of_tool)
+
+    def _doubt(self, fault: str, steps: Sequence[StepKey]) -> None:
+        case = self._course.case
+        if keys := [key for key in steps if case.trusts(key)]:
             self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
             for key in keys:
                 case.doubt(key, fault)

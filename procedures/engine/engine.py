@@ -179,9 +179,11 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether no step remains and, in a case with targets, the arm is home."""
+        """Whether no step remains and, in a case with targets, every arm is home."""
         leads = self.order.leads_to_targets
-        return self.course.over and not (leads and (self.instrument_in or self.setting.workcell.place.is_out))
+        return self.course.over and not (
+            leads and (self.instrument_in or self.setting.workcell.is_any_arm_out)
+        )
 
     def _finish_if_over(self) -> None:
         if self.over and not self.machine.ended:
@@ -259,9 +261,11 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            if (second := workcell.second) is not None and second.place.is_on_axis:
-                workcell.start()
-                second.retreat()
+            if (second := workcell.second) is not None:
+                second.compare_place()
+                if second.place.is_on_axis:
+                    workcell.start()
+                    second.retreat()
             self.questions.request_instrument_removal()
             if second is not None and second.place.is_out:
                 workcell.start()

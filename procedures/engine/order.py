@@ -53,7 +53,8 @@ class StepSpec(Generic[R_co]):
     nothing else may come between. `finishes` says that the work at a target is done with it: what moves later
     voids no result of that trajectory, and nothing more is done for it. `rechecks` says that it checks the
     mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
-    may have had that tool in their hands, so the step is run again before the tool is used. `preconditions`
+    may have had that tool in their hands, so the step is run again before the tool is used. `relates_arms`
+    says that it measures two arms against each other: a fault of either puts it in doubt. `preconditions`
     are checked besides, and say in plain words what is unmet. `asks` are the questions of its course, in
     order; those of its branches are in their table: see `list_questions`.
     """
@@ -68,6 +69,7 @@ class StepSpec(Generic[R_co]):
     continues: bool = False
     finishes: bool = False
     rechecks: bool = False
+    relates_arms: bool = False
     asks: tuple[Topic, ...] = ()
     preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
 
@@ -121,6 +123,11 @@ class CaseOrder:
     def checks_of_tool(self) -> tuple[StepKey, ...]:
         """Steps that check the mounted tool."""
         return tuple(key for key in self.sequence if self.spec(key).rechecks)
+
+    @property
+    def relations_of_arms(self) -> tuple[StepKey, ...]:
+        """Steps that measure two arms against each other."""
+        return tuple(key for key in self.sequence if self.spec(key).relates_arms)
 
     @property
     def leads_to_targets(self) -> bool:

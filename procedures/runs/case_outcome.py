@@ -54,7 +54,7 @@ def finish_case(
     folder = interrupted.folder
     if not interrupted.untouched:
         order = restore_order(request.case, interrupted)
-        if CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.arm.place.is_out:
+        if CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.is_any_arm_out:
             closed = close_completed_run(interrupted, clinical_input(request.case, folder))
             return outcome_as_recorded(request, closed)
     return run_case(request, folder, observers, Resumption(interrupted, accepted))

@@ -264,15 +264,15 @@ def tell_next_commands(folder: Path, problem: BaseException) -> None:
     """After an interruption or failure, report where the arm is and which commands continue the run."""
     if not (folder / REQUEST_FILE).exists():
         return
-    from procedures.workcell.arm_history import fold_history
+    from procedures.workcell.arm_history import fold_arms
 
     interrupted = isinstance(problem, KeyboardInterrupt)
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
-        history = fold_history(read_chain(folder / JOURNAL_FILE))
+        arms = fold_arms(read_chain(folder / JOURNAL_FILE))
         if _has_other_run_left_arm_away(folder):  # what ends this run names the commands of that one
             return
-        if history.place.is_out or (interrupted and history.motions):
+        if any(arm.place.is_out or (interrupted and arm.motions) for arm in arms):
             first = _describe_theatre_restart(folder) if isinstance(problem, ClockUnavailable) else ""
             tell(
                 f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "

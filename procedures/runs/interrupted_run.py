@@ -12,7 +12,7 @@ from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, parse_record, run_of, step_key
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
-from procedures.workcell.arm_history import ArmHistory, fold_history
+from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 from ronna_hw.evidence.lost_end import LOST, describe_lost_end, describe_orphans, find_orphans, lost_as_plain
@@ -77,6 +77,11 @@ class InterruptedRun:
         return fold_history(self.chain, self.lost)
 
     @property
+    def is_any_arm_out(self) -> bool:
+        """Whether an arm may be away from home. Raises PRO-011 for lines of another version."""
+        return is_any_arm_out(self.chain, self.lost)
+
+    @property
     def finished(self) -> bool:
         """Whether the run was closed with every step done."""
         last = self.run.journal[-1] if self.run.journal else {}
@@ -84,8 +89,8 @@ class InterruptedRun:
 
     @property
     def parked(self) -> bool:
-        """Whether the run is finished and its arm is home."""
-        return self.finished and not self.arm.place.is_out
+        """Whether the run is finished and every arm is home."""
+        return self.finished and not self.is_any_arm_out
 
     @property
     def why_home_needs_no_device(self) -> str | None:

@@ -38,6 +38,9 @@ from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
+from procedures.workcell.arm_history import fold_history
+from procedures.workcell.errors import TipOffAxis
+from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -140,11 +143,12 @@ def _restore_arm(
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
     workcell.restore_history(previous.arm, set_up.home_rad)
-    if workcell.second is not None and set_up.assistant_home_rad is not None:
-        workcell.second.restore_home(set_up.assistant_home_rad)
+    if (second := workcell.second) is not None and set_up.assistant_home_rad is not None:
+        second.restore_home(set_up.assistant_home_rad)
+        if (base := second.history.base) is not None:  # also if void by now: from there the way out begins
+            workcell.place_assistant(base)
         if (known := _last_bases(engine)) is not None:
-            workcell.place_assistant(known.robot_from_base.transform)
-            workcell.second.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
+            second.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -157,6 +161,7 @@ def _restore_arm(
     if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
         comparison.refuse(updates)
     _compare_last_to_move(engine, comparison)
+    _compare_assistant(engine, previous, comparison)
     if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
         axis, travel_mm = found
         workcell.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
@@ -173,8 +178,28 @@ def _restore_arm(
         workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
 
 
+def _compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
+    """Compare where the assistant is with the journal; refuse a way out that nobody can check."""
+    workcell = engine.setting.workcell
+    if (second := workcell.second) is None:
+        return
+    try:
+        second.require_on_axis()
+    except TipOffAxis as problem:
+        assert second.place.axis is not None
+        comparison.add_difference("the assistant", f"on the axis of {second.place.axis.trajectory}", problem)
+    if second.base is None and workcell.is_any_arm_out:
+        comparison.refuse(
+            "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
+            "arms home with their pendants, one at a time"
+        )
+    was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
+    if was_home and second.place.is_out:
+        comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
+
+
 def _last_bases(engine: Engine) -> KnownBases | None:
-    """Return the bases as last measured, also if void by now: the way out begins from where they were."""
+    """Return the bases as last measured, also if void by now."""
     made = [record for record in engine.case.records if record.kind == KnownBases.kind]
     return parse_record(made[-1], KnownBases) if made else None
 

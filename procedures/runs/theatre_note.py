@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import ArmPlace, arm_history, fold_history
+from procedures.workcell.arm_history import ArmPlace, arm_history, fold_arms, is_any_arm_out
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -69,14 +69,13 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
         if run.is_dir() and not (run / JOURNAL_FILE).exists():
             return None
         chain, lost = _read_left_journal(run)
-        arm = fold_history(chain, lost)
-        inside = arm.place.instrument_may_be_inside
-        if (
-            not (chain.torn or lost or inside)
-            and arm.journeys == arm_history(chain.lines[:lines_before]).journeys
-        ):
+        arms = fold_arms(chain, lost)
+        inside = arms[0].place.instrument_may_be_inside
+        before = chain.lines[:lines_before]
+        moved = any(arm.journeys != arm_history(before, arm.arm).journeys for arm in arms)
+        if not (chain.torn or lost or inside or moved):
             return None
-        return not (arm.place.is_out or inside)
+        return not (inside or any(arm.place.is_out for arm in arms))
     except (OSError, RonnaError):
         return False
 
@@ -212,7 +211,8 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
         return FormerRun()
     try:
         chain, lost_lines = _read_left_journal(last)
-        place = fold_history(chain, lost_lines).place
+        place = fold_arms(chain, lost_lines)[0].place
+        is_out = is_any_arm_out(chain, lost_lines)
     except (RonnaError, OSError):
         lost = _describe_lost_run(last, at_home=note.at_home)
         return FormerRun() if lost is None else FormerRun(last, lost)
@@ -222,14 +222,12 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
         home = f"ronna-procedure home {shlex.quote(str(last))}"
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
         home = None
-    if not (place.is_out or inside):
+    if not (is_out or inside):
         return FormerRun()
     verb = "has lost the end of its journal, and may have left" if chain.torn or lost_lines else "left"
-    message = (
-        f"run {last.name} {verb} the arm away from its home" if place.is_out else f"run {last.name} ended"
-    )
+    message = f"run {last.name} {verb} the arm away from its home" if is_out else f"run {last.name} ended"
     if home is not None:
-        return FormerRun(last, f"{message}; {home} brings it there" if place.is_out else None, inside, home)
+        return FormerRun(last, f"{message}; {home} brings it there" if is_out else None, inside, home)
     if inside is not None:
         message = f"{message}, and {inside}: take it out by hand"
     return FormerRun(last, f"{message}; {JOG}", inside)

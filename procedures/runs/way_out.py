@@ -24,7 +24,11 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
-from procedures.steps.clinical.surroundings import surround_guide, surround_stereo_head
+from procedures.steps.clinical.surroundings import (
+    planning_scene_of,
+    surround_guide,
+    surround_stereo_head,
+)
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import stands_at
 from procedures.workcell.ball_watcher import build_ball_surroundings, build_free_surroundings, build_stand
@@ -51,11 +55,23 @@ def surround(engine: Engine) -> None:
     if second is None or not second.place.is_out:
         return
     trajectory = second.place.trajectory or workcell.place.trajectory
-    if trajectory is None:  # it showed its ball, with nothing in its clamp
+    if trajectory is None:  # it showed its ball, with nothing in its clamp; or somebody has jogged it
+        _surround_assistant(engine, keys)
         return
     stop = workcell.history.stops.get(trajectory, {})
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
     surround_holder(at_target, float(str(stop.get("read_mm", 0.0))))
+
+
+def _surround_assistant(engine: Engine, keys: Sequence[StepKey]) -> None:
+    """Set the bodies around an assistant on no axis: the head as first found."""
+    workcell, found = engine.setting.workcell, engine.case.find(Correspondence, None)
+    if found is None or workcell.second is None or workcell.second.base is None:
+        return
+    over = next(key for key in keys if key.name == Relocalization.kind)
+    head = workcell.flange_from(MountedTool.STEREO_HEAD)
+    scene = planning_scene_of(engine.context(over))
+    workcell.surround_assistant(scene.with_stereo_head(found.result.robot_from_ct.transform, head, None))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:

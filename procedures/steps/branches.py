@@ -300,6 +300,16 @@ KEPT_REGISTRATION = Branch(
     Topic.REGISTRATION_KEPT,
     (YES, NO),
 )
+KEPT_BASES = Branch(
+    "the bases of two arms are older than a fault of one of them",
+    "acknowledged faults",
+    ("at_target",),
+    "they are kept only if the operator says that no arm, tool or cart was touched",
+    Ending.ASK,
+    (GateFailed,),
+    Topic.REGISTRATION_KEPT,
+    (YES, NO),
+)
 WRONG_TOOL = Branch(
     "the wrong tool is mounted after an exchange",
     "the controller's inputs",

@@ -23,7 +23,7 @@ from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
-from ronna_hw.config import MASTER
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 from ronna_hw.evidence.lost_end import LOST, lost_as_plain
 from ronna_hw.frames import Transform
@@ -201,6 +201,7 @@ class ArmHistory:
     doubted: frozenset[str] = frozenset()  # trajectories where more may have been done than the journal says
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
+    base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
 
     def with_line(self, line: Line) -> ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
@@ -218,6 +219,9 @@ class ArmHistory:
                 return self._with_arrival(line)
             case Entry.PLACED:
                 return self._with_look(line)
+            case Entry.BASE:
+                base = FramedPose.model_validate(line["robot_from_base"])
+                return replace(self, base=base.transform)
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 place = replace(
@@ -340,6 +344,16 @@ def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> 
     """
     ending: dict[str, JournalValue] = {"entry": Entry.RESTARTED, "torn_bytes": len(chain.torn)}
     return _fold_line(arm_history(chain.lines, arm), ending | lost_as_plain(lost))
+
+
+def fold_arms(chain: Chain, lost: Sequence[Line] = ()) -> tuple[ArmHistory, ArmHistory]:
+    """Build the histories of master and assistant; that of a missing assistant is empty. Raises as above."""
+    return fold_history(chain, lost), fold_history(chain, lost, ASSISTANT)
+
+
+def is_any_arm_out(chain: Chain, lost: Sequence[Line] = ()) -> bool:
+    """Return whether an ended program may have left an arm away from home. Raises as above."""
+    return any(arm.place.is_out for arm in fold_arms(chain, lost))
 
 
 def _joints_rad(line: Line) -> JointVector:

@@ -11,9 +11,18 @@ from dataclasses import replace
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
+from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
-from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, Insertion, MotionKind
+from procedures.workcell.arm_history import (
+    ArmHistory,
+    ArmLog,
+    ArmPlace,
+    Insertion,
+    MotionKind,
+    PlaceKind,
+    stands_at,
+)
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
 from procedures.workcell.motions import PlannedMotion
@@ -109,6 +118,29 @@ class Assistant:
     def restore_home(self, home_rad: JointVector) -> None:
         """Restore the home of a resumed run. Nothing moves."""
         self._log.home_rad = home_rad
+
+    def place_base(self, robot_from_base: Transform) -> None:
+        """Take the base as known. The journal has it before either arm moves: the way out needs it."""
+        known, pose = self._log.history.base, FramedPose.of(robot_from_base)
+        if known is None or pose != FramedPose.of(known):
+            self._log.write(Entry.BASE, robot_from_base=pose.model_dump(mode="json"))
+        self.base = robot_from_base
+
+    def compare_place(self) -> None:
+        """Compare the measured joints with home; see `Workcell.compare_place`."""
+        if self._log.home_rad is None:
+            return
+        joints_rad = self.joints_rad()
+        at_home = stands_at(joints_rad, self._log.home_rad)
+        if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
+            self.supervised.settled_home = False
+            self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
+
+    def require_on_axis(self) -> None:
+        """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""
+        if (on := self.place.axis) is not None:
+            flange = self.flange_pose(self.joints_rad(), on.arriving)
+            on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
 
     def joints_rad(self) -> JointVector:
         """Measure the joint angles, rad."""
@@ -256,9 +288,7 @@ class Assistant:
         """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""
         on, axis = self.place.axis, motion.axis
         if axis is not None and (on is None or axis.trajectory == on.trajectory):
-            if on is not None:  # a straight line from beside the axis would bend the instrument
-                flange = self.flange_pose(self.joints_rad(), on.arriving)
-                on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
+            self.require_on_axis()  # a straight line from beside the axis would bend the instrument
             return
         if on is not None:
             raise GuideHeldAtEntry(

@@ -59,6 +59,13 @@ class BothArmsHalted(RefusedError):
     )
 
 
+class SameArmTwice(RefusedError):
+    """Master and assistant report the same serial number: both roles would be played by one arm."""
+
+    code = "DUAL-004"
+    action = "Correct the addresses of [robot.master] and [robot.assistant] in the theatre file."
+
+
 class OtherArmMoving(RefusedError):
     """An arm was to move while another motion is under way."""
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from procedures.journal.journal import Entry
 from procedures.workcell.arm_history import ArmLog, Stop
-from procedures.workcell.errors import AnotherArm, InstrumentInGuide, WrongTool
+from procedures.workcell.errors import AnotherArm, InstrumentInGuide, SameArmTwice, WrongTool
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
@@ -111,6 +111,13 @@ def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
         raise AnotherArm(
             f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
         )
+
+
+def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> None:
+    """Raise DUAL-004 if two arms have the same model and serial number. An empty one is unreported."""
+    model, serial = master
+    if serial and master == assistant:
+        raise SameArmTwice("master and assistant are one arm", got=f"{model} {serial}, twice")
 
 
 @dataclass(frozen=True)

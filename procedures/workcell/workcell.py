@@ -242,9 +242,9 @@ class Workcell:
         self._log.history = history
 
     def compare_place(self) -> None:
-        """Compare the measured joints with home, and journal the place if the journal disagrees.
+        """Compare the measured joints of each arm with home, and journal a place that the journal has not.
 
-        Somebody may have jogged it. Whether it left its axis is checked before the next motion along that.
+        Somebody may have jogged one. Whether it left its axis is checked before the next motion along that.
         Raises the arm's error if it reports no joints.
         """
         if self._log.home_rad is None:
@@ -254,6 +254,8 @@ class Workcell:
         if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
             self.supervised.settled_home = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
+        if self.second is not None:
+            self.second.compare_place()
 
     def tracker_move(self, localization: str) -> TrackerMove:
         """Return how the tracker was moved since this localization, as far as it was followed."""
@@ -279,6 +281,11 @@ class Workcell:
         return self._log.history
 
     @property
+    def is_any_arm_out(self) -> bool:
+        """Whether an arm may be away from its home."""
+        return self.place.is_out or (self.second is not None and self.second.place.is_out)
+
+    @property
     def place(self) -> ArmPlace:
         """Journalled position of the arm, and whether an instrument may be inside."""
         return self._log.history.place
@@ -300,7 +307,7 @@ class Workcell:
         """Take the assistant's base as known: from now on either arm may move, watched with the other."""
         second = self._require_second()
         base = Pose.from_matrix(robot_from_base.as_matrix().tolist())
-        second.base = robot_from_base
+        second.place_base(robot_from_base)
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
             self._pair = ArmPair(arms, base, clock, lambda: self.instrument.inside)
@@ -500,6 +507,9 @@ class Workcell:
             self.supervised.reset_confirmation()
             if not self.place.is_on_axis:  # only the guide can be on an axis
                 self.mount.tool = MountedTool.UNKNOWN
+        elif self.second is not None and role == ASSISTANT:
+            self.second.supervised.settled_home = False
+            self.second.supervised.reset_confirmation()
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""

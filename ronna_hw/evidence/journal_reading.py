@@ -50,6 +50,7 @@ class Entry(StrEnum):
     MOTION = "motion"  # the intent of one motion
     MOVED = "moved"  # its outcome
     PLACED = "placed"  # the arm by its measured joints: home as set up, or not where the lines before say
+    BASE = "base"  # of the assistant, as known from then on: needed for every way out
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
     TRACKER = "tracker"  # moved since the localization, and followed

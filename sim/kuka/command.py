@@ -97,7 +97,7 @@ def kuka(
     if detach and not IN_BACKGROUND:
         start_in_background("kuka")
         return
-    parameters = parse_parameters(parameter or ())
+    parameters = parse_parameters(parameter or ()).of_arm(role.number)
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
     ethernet = context.ethernet

@@ -7,8 +7,8 @@ chooses one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
 
 from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
 from sim.kuka.errors import UnknownParameter
@@ -142,6 +142,10 @@ class ControllerParameters:
     enabling_switch_message: Annotated[int, "Number of the message: enabling switch released."] = 26
     collision_message: Annotated[int, "Number of the message: collision."] = 117
     T1_speed_message: Annotated[int, "Number of the message: too fast for T1."] = 421
+
+    def of_arm(self, number: int) -> Self:
+        """Return those of the arm with this number in a theatre: no two have one serial number."""
+        return replace(self, serial_number=self.serial_number + number)
 
 
 def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:

@@ -8,7 +8,9 @@ from typing import Any
 
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from sim.errors import BadDeviceParameter
+from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters as UrParameters
 from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
@@ -33,7 +35,7 @@ class ArmController:
     roles: tuple[str, ...]
     model_option: str
     addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
-    parse_parameters: Callable[[tuple[str, ...]], object]
+    parse_parameters: Callable[[tuple[str, ...]], KukaParameters | UrParameters]
     # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
@@ -42,6 +44,10 @@ class ArmController:
         """Return the options of the command in a theatre."""
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
         return (*cycle, *self.addresses(variant, role.number), "--role", role.value)
+
+    def serial(self, role: ArmRole, parameters: tuple[str, ...]) -> str:
+        """Return the serial number that the controller of an arm in this role reports."""
+        return str(self.parse_parameters(parameters).of_arm(role.number).serial_number)
 
     def device_entry(
         self, variant: str, endpoints: Mapping[str, str], silence_limit_s: float, cycle_ms: int | None

@@ -247,6 +247,8 @@ def _arm_record(
     values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1), stated)
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
+    if scene.assistant is not None:  # two arms may be of one model: their records must not be exchanged
+        values["serial"] = CONTROLLERS[arm.variant].serial(ArmRole.MASTER, parameters)
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
 
 
@@ -261,6 +263,7 @@ def _assistant_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> d
     values = arm_values(arm, residual, draws, stated)
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
+    values["serial"] = CONTROLLERS[arm.variant].serial(ArmRole.ASSISTANT, ())
     twist = matrix_from(
         draws.normal(0.0, HOLDER_MM, 3), rotation_from_vector(draws.normal(0.0, HOLDER_RAD, 3))
     )

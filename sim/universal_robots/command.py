@@ -64,7 +64,7 @@ def ur(
     if detach and not IN_BACKGROUND:
         start_in_background("ur")
         return
-    parameters = parse_parameters(parameter or ())
+    parameters = parse_parameters(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
     chosen = ArmChoice(model.value)
     room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)

@@ -7,8 +7,8 @@ chooses one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
 
 from sim.named_parameters import MaximumValue, apply_assignments
 from sim.universal_robots.errors import UnknownParameter
@@ -133,6 +133,10 @@ class ControllerParameters:
     state_period_s: Annotated[float, "Period of the robot state on the primary interface."] = 0.1
     script_start_s: Annotated[float, "From the end of a script's text to its first cycle; 0: at once."] = 0.0
     longest_script_bytes: Annotated[int, "Text without end beyond which a connection is closed."] = 1_000_000
+
+    def of_arm(self, number: int) -> Self:
+        """Return those of the arm with this number in a theatre: no two have one serial number."""
+        return replace(self, serial_number=self.serial_number + number)
 
 
 def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:

@@ -15,9 +15,15 @@ from procedures.cli.doctor.theatre_checks import TOOL, run_check
 from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
-from procedures.workcell.tools import MountedTool, ToolMount, calibrated_arm, require_this_arm
+from procedures.workcell.tools import (
+    MountedTool,
+    ToolMount,
+    calibrated_arm,
+    require_this_arm,
+    require_two_arms,
+)
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -30,6 +36,8 @@ from ronna_hw.theatre import require_interface, required_interface
 
 SIDES = ("left", "right")
 STEREO = "stereo"  # table of the cameras
+ARM_RECORD = "calibration of the arm"
+TWO_ARMS = "arms of master and assistant"
 TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
@@ -236,21 +244,39 @@ def _check_records(
             camera_subject = f"{subject}calibration of the {side} camera"
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
-    if isinstance(device, RobotArm) and name == f"robot.{MASTER}":
-        kinematics, arm = device.kinematics, calibrations.arm
+    if isinstance(device, RobotArm) and name in (f"robot.{MASTER}", f"robot.{ASSISTANT}"):
+        is_master = name == f"robot.{MASTER}"
+        kinematics, arm = device.kinematics, calibrations.arm if is_master else calibrations.assistant_arm
 
         def check_arm() -> None:
             calibrated_arm(kinematics, arm)
             require_this_arm(arm, serial)
 
-        arm_check = run_check(
-            f"{subject}calibration of the arm", f"{kinematics.name} {serial}".rstrip(), check_arm
+        seen = f"{kinematics.name} {serial}".rstrip()
+        arm_check = replace(
+            run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
         )
         is_unverified = arm is not None and not (arm.serial and serial)
         yield replace(arm_check, advice=OF_THIS_ARM) if is_unverified and arm_check.well else arm_check
+        if not is_master:
+            return
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         mounted = MountedTool.STEREO_HEAD
         yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
+
+
+def two_arm_diagnostics(found: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Diagnostic]:
+    """Check that master and assistant are two arms, by the `found` diagnostics of each table."""
+    arms = [
+        identity
+        for name in (f"robot.{MASTER}", f"robot.{ASSISTANT}")
+        for one in found.get(name, ())
+        if one.subject == f"{name}: {ARM_RECORD}"
+        for identity in one.serials.items()
+    ]
+    if len(arms) == len((MASTER, ASSISTANT)):
+        master, assistant = ((model, serial or "") for model, serial in arms)
+        yield run_check(TWO_ARMS, "two", partial(require_two_arms, master, assistant))
 
 
 def frame_diagnostics(

@@ -18,7 +18,13 @@ from procedures.cli.doctor.calibrations import (
     tool_diagnostics,
 )
 from procedures.cli.doctor.findings_text import findings_text
-from procedures.cli.doctor.inspection import STEREO, advise_on_serials, frame_diagnostics, inspection
+from procedures.cli.doctor.inspection import (
+    STEREO,
+    advise_on_serials,
+    frame_diagnostics,
+    inspection,
+    two_arm_diagnostics,
+)
 from procedures.cli.doctor.theatre_checks import (
     CLOCK,
     INSTRUMENT,
@@ -178,6 +184,7 @@ def examine(
             found[name] = advise_on_unfinished_run(config, found[name])
         advance(1.0)
     of_devices = {name: found[name] for name in devices}
+    case = (*case, *two_arm_diagnostics(of_devices))
     case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices))
     advised = partial(_with_commands, config=config)
     return Report(

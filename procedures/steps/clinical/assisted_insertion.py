@@ -15,8 +15,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.engine.context import StepContext
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
-from procedures.operator.question import Task, Topic
+from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
+from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_postures import FLANGE_ONWARDS, working_joints
 from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
@@ -57,8 +58,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
     context.request_instrument_removal()
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
-    known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
-    assert known is not None
+    known = _require_bases(context)
     second.shift_tool(known.flange_from_ball_mm)
     surround_holder(context, stop.read_mm)
     axis, start_rad = _find_axis(context, second, stop, known.head_shift_mm)
@@ -93,6 +93,26 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
             got=f"{gap_mm:.2f} mm",
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
+
+
+def _require_bases(context: StepContext) -> KnownBases:
+    """Return the bases. Raises PRO-007 if they predate a fault of an arm and the operator rejects them."""
+    known = context.result_among(KnownBases, lambda made: made[-1])
+    assert known is not None
+    if (fault := context.doubt(KnownBases)) is not None:
+        question = KEPT_BASES.question(
+            "keep the bases of the two arms: neither an arm, what it carries nor its cart was touched",
+            f"they are older than a fault: {fault}",
+            context.trajectory,
+        )
+        if context.choose(question) != YES:
+            raise GateFailed(
+                "the bases of the two arms are older than a fault of an arm",
+                got=fault,
+                action="Send the arms home, then localize again, starting with the tracker.",
+            )
+        context.keep(KnownBases)
+    return known
 
 
 def surround_holder(context: StepContext, tip_mm: float) -> None:

@@ -220,5 +220,6 @@ STEP = StepSpec(
     asks=(Topic.CALIBRATION,),
     reads=(CheckedPaths, *ROOM_READS, *READS),
     moves=True,
+    relates_arms=True,
     preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
 )

@@ -14,7 +14,7 @@ from procedures.operator.question import Topic
 from procedures.planning.tool_records import check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
-from procedures.workcell.tools import require_this_arm
+from procedures.workcell.tools import require_this_arm, require_two_arms
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -81,9 +81,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
     Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record, TOOL-008 for a
     patient's frame that is another one. Raises DEV-003 for a frame unknown to the tracker, CAL-013 for
-    another arm, STE-010 for another camera, PRO-009 for another tool. Raises CAL-020 and CAL-021 for an arm
-    calibrated with another stereo head or tip. Raises PRO-002 unless the position of an arm left by an
-    earlier run is confirmed.
+    another arm, DUAL-004 for one arm in both roles, STE-010 for another camera, PRO-009 for another tool.
+    Raises CAL-020 and CAL-021 for an arm calibrated with another stereo head or tip. Raises PRO-002 unless
+    the position of an arm left by an earlier run is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
@@ -100,6 +100,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
     require_this_arm(calibrations.arm, identities["arm"].serial)
     if workcell.second is not None:
+        master, assistant = identities["arm"], identities[ASSISTANT]
+        require_two_arms((master.model, master.serial), (assistant.model, assistant.serial))
         require_this_arm(calibrations.assistant_arm, identities[ASSISTANT].serial)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)

@@ -479,6 +479,7 @@ ELSEWHERE = {
     "MOVE_FOLLOWED": "an operator who repeats the registration",
     "REFERENCE_UNDECIDED": "the frame of the patient on the head clamp, which its scene does not have",
     "NOT_CLEAR_NOW": "a registration far from the coarse one",
+    "KEPT_BASES": "a fault of an arm that was acknowledged, in a case with two",
     "KEPT_REGISTRATION": "a fault of the arm that was acknowledged",
     "WORK_BEGUN": "a restart after the work at a target has begun",
     "ABORTED": "an operator who ends the case",

@@ -209,6 +209,7 @@ UNTRIED = {
     "PRO-002": "a question to a person; what it asks about is a line of the doctor's, see test_left_away.py",
     "PRO-003": "there is no journal before a run; the doctor judges the disk that it is written to",
     "CFG-001": "the doctor reads the same file",
+    "DUAL-004": "the theatre here has one arm; tests/unit/cli/doctor compares two",
     "CFG-002": "the doctor reads the same file",
     "EKI-006": AS_A_CASE_DOES,
     "NDI-003": AS_A_CASE_DOES,

@@ -31,6 +31,7 @@ from procedures.runs.theatre_note import (
 from procedures.steps.clinical import set_up
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.lost_end import EVENTS_FILE
@@ -38,7 +39,7 @@ from ronna_hw.evidence.lost_end import EVENTS_FILE
 UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
 
 
-def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Path:
+def earlier(runs: Path, number: int, *whats: str, resumable: bool = True, arm: str = MASTER) -> Path:
     """A run on the theatre that made these motions and was killed."""
     runs.mkdir(exist_ok=True)
     cell = RecordingCell(runs / f"2026010{number}T000000-abcd")
@@ -49,10 +50,20 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     with hold_theatre(theatre, cell.folder):
         for what in whats:
-            cell.journal.write(Entry.MOTION, 0.0, what=what)
-            cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=what == "home")
+            cell.journal.write(Entry.MOTION, 0.0, arm=arm, what=what)
+            cell.journal.write(Entry.MOVED, 0.0, arm=arm, joints_rad=list(HOME), at_home=what == "home")
     cell.journal.close()
     return cell.folder
+
+
+@pytest.mark.hazard(61)
+def test_an_assistant_that_is_away_is_warned_of_as_the_master_is(tmp_path: Path) -> None:
+    run = earlier(tmp_path, 1, "settle", "home", arm=ASSISTANT)
+    assert warning(tmp_path) is None
+    run = earlier(tmp_path, 2, "settle", arm=ASSISTANT)
+    told = warning(tmp_path)
+    assert told is not None
+    assert f"run {run.name} left the arm away from its home" in told
 
 
 def warning(runs: Path) -> str | None:

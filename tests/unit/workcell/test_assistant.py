@@ -10,9 +10,9 @@ import pytest
 from ideal_arm import Controller, IdealArm
 from recording_cell import RecordingCell
 
-from procedures.journal.journal import Entry
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.errors import NotConfirmed
-from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion
+from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
@@ -78,6 +78,32 @@ def test_an_instrument_beside_its_axis_is_not_led_along_it(second: Assistant, ar
     arm.controller.joints_rad = (first + radians(1.0), *others)
     with pytest.raises(TipOffAxis, match="PRO-015: the assistant is not on the axis of T1"):
         second.supervised.carry_out(second.withdraw_motion())
+
+
+@pytest.mark.hazard(59)
+def test_an_assistant_that_was_jogged_is_where_its_joints_say(second: Assistant, arm: IdealArm) -> None:
+    second.restore_home(IdealArm.kinematics.home_rad)
+    first, *others = arm.controller.joints_rad
+    arm.controller.joints_rad = (first + radians(20.0), *others)
+    second.compare_place()
+    assert second.place.is_on_axis
+    with pytest.raises(TipOffAxis, match="PRO-015"):
+        second.require_on_axis()
+    arm.controller.joints_rad = IdealArm.kinematics.home_rad
+    second.compare_place()  # led out and home by hand
+    assert second.place.is_home
+    assert not second.place.is_on_axis
+
+
+def test_where_the_assistant_stands_outlasts_the_program(second: Assistant, cell: RecordingCell) -> None:
+    base = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(700.0, -500.0, 0.0))
+    second.place_base(base)
+    second.place_base(base)
+    lines = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.BASE]
+    assert len(lines) == 1
+    known = arm_history(lines, ASSISTANT).base
+    assert known is not None
+    assert known.translation_mm == pytest.approx((700.0, -500.0, 0.0))
 
 
 def test_the_clamp_is_where_the_ball_was_found(second: Assistant) -> None:

@@ -11,8 +11,8 @@ import pytest
 from arm_looks import ENDPOINTS
 from recording_cell import RecordingCell, theatre_of
 
-from procedures.workcell.errors import AnotherArm
-from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm
+from procedures.workcell.errors import AnotherArm, SameArmTwice
+from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm, require_two_arms
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.config import parse_theatre
@@ -44,6 +44,14 @@ def test_the_record_of_another_arm_of_the_model_is_refused_where_both_have_a_ser
     expected = pytest.raises(AnotherArm, match="expected 2, got 1") if refused else nullcontext()
     with expected:
         require_this_arm(record, reported)
+
+
+def test_one_arm_does_not_play_both_roles() -> None:
+    require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601235"))
+    require_two_arms(("KR 6 R900 sixx", "7"), ("UR5e", "7"))  # each maker counts its own
+    require_two_arms(("KR 6 R900 sixx", ""), ("KR 6 R900 sixx", ""))  # unreported
+    with pytest.raises(SameArmTwice, match="DUAL-004"):
+        require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601234"))
 
 
 def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:

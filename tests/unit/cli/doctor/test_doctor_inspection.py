@@ -10,7 +10,7 @@ import pytest
 from recording_cell import RecordingArm, RecordingCell, theatre_of
 
 from procedures.cli.doctor import inspection
-from procedures.cli.doctor.inspection import OF_THIS_ARM, advise_on_serials
+from procedures.cli.doctor.inspection import ARM_RECORD, OF_THIS_ARM, advise_on_serials, two_arm_diagnostics
 from procedures.cli.doctor.report import Report, verdicts
 from procedures.engine.order import order_of
 from procedures.steps.clinical import set_up
@@ -203,3 +203,16 @@ def test_a_pair_refused_for_a_reason_of_its_own_keeps_its_advice() -> None:
     pair = Diagnostic("device stereo", False, "refused", PAIRS_OWN)
     _, same, also = advise_on_serials((left, right, pair), cameras("4417"), HEAD)
     assert (same, also) == (right, pair)
+
+
+@pytest.mark.parametrize(("assistant", "well"), [("601234", False), ("601235", True)])
+def test_the_doctor_says_that_one_arm_has_both_roles(assistant: str, well: bool) -> None:
+    serials = {"robot.master": "601234", "robot.assistant": assistant}
+    found = {
+        name: [Diagnostic(f"{name}: {ARM_RECORD}", True, "", serials={"KR 6": serial})]
+        for name, serial in serials.items()
+    }
+    (one,) = two_arm_diagnostics(found)
+    assert one.well is well
+    assert ("DUAL-004" in one.seen) is not well
+    assert not list(two_arm_diagnostics({"robot.master": found["robot.master"]}))
