@@ -74,7 +74,7 @@ class Engine:
         self._before_result = before_result
         self.recorders = list(recorders)
         self.running: StepKey | None = None
-        self.compare_place = setting.workcell.compare_place  # before a step begins
+        self.compare_places = setting.workcell.compare_places  # before a step begins
         # Whether somebody elsewhere is to take a seat, order or answer, and nothing moves until then.
         self.is_awaiting_person: Callable[[], bool] = lambda: False
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
@@ -108,7 +108,7 @@ class Engine:
     def run_step(self, key: StepKey) -> Record:
         """Run one step. Raises PRO-001 if it is refused; errors of the step propagate."""
         with suppress(RonnaError):  # an arm that reports no joints is where the journal has it
-            self.compare_place()
+            self.compare_places()
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))

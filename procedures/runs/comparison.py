@@ -175,7 +175,7 @@ def compare_devices(
             )
     if not only_leaving:
         _compare_cameras(engine, comparison)
-    workcell.compare_place()  # it may have been jogged meanwhile
+    workcell.compare_places()  # it may have been jogged meanwhile
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 

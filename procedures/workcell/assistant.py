@@ -9,30 +9,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import (
-    ArmHistory,
     ArmLog,
-    ArmPlace,
     Insertion,
     MotionKind,
-    PlaceKind,
-    stands_at,
 )
-from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
 from procedures.workcell.motions import PlannedMotion
-from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tools import CarriedTool, Sides, calibrated_arm
+from procedures.workcell.supervised_arm import SupervisedArm
+from procedures.workcell.tools import CarriedTool, Sides
 from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import HolderCalibration
-from ronna_hw.config import Calibrations
+from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, InsertsInstruments
 from ronna_hw.devices.contact import Insertion as ContactInsertion
@@ -48,7 +41,7 @@ AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the i
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
 
 
-class Assistant:
+class Assistant(SupervisedArm):
     """The assistant of a workcell."""
 
     def __init__(
@@ -71,53 +64,17 @@ class Assistant:
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        self._arm, self._log, self._record = arm, log, record
+        super().__init__(ASSISTANT, log, arm, record, drive, release)
         self.holder: HolderCalibration = holder
         self.base: Transform | None = None  # ROBOT <- base of the assistant, once it is known
-        self._computed = calibrated_arm(arm().kinematics, record)
         self._instrument_inside = instrument_inside
         self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
         self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
-        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release)
 
     @property
-    def arm(self) -> ArmView:
-        """Arm without the methods that move it."""
-        return ArmView(self._arm())
-
-    @property
-    def calibrated(self) -> CalibratedArm:
-        """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
-        if self._arm().kinematics is not self._computed.nominal:
-            self._computed = calibrated_arm(self._arm().kinematics, self._record)
-        return self._computed
-
-    @property
-    def place(self) -> ArmPlace:
-        """Journalled position of the arm."""
-        return self._log.history.place
-
-    @property
-    def history(self) -> ArmHistory:
-        """History of the arm, from the journal."""
-        return self._log.history
-
-    @property
-    def home_rad(self) -> JointVector:
-        """Joint angles at set-up, rad. Raises PRO-001 before set-up."""
-        if self._log.home_rad is None:
-            raise StepRefused("the assistant has no home position yet", action="Run set_up first.")
-        return self._log.home_rad
-
-    def set_home(self) -> JointVector:
-        """Make the present position home."""
-        home_rad = self._log.home_rad = self.joints_rad()
-        self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
-        return home_rad
-
-    def restore_home(self, home_rad: JointVector) -> None:
-        """Restore the home of a resumed run. Nothing moves."""
-        self._log.home_rad = home_rad
+    def carries(self) -> str:
+        """What the arm carries."""
+        return "the holder"
 
     def place_base(self, robot_from_base: Transform) -> None:
         """Take the base as known. The journal has it before either arm moves: the way out needs it."""
@@ -126,29 +83,11 @@ class Assistant:
             self._log.write(Entry.BASE, robot_from_base=pose.model_dump(mode="json"))
         self.base = robot_from_base
 
-    def compare_place(self) -> None:
-        """Compare the measured joints with home; see `Workcell.compare_place`."""
-        if self._log.home_rad is None:
-            return
-        joints_rad = self.joints_rad()
-        at_home = stands_at(joints_rad, self._log.home_rad)
-        if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
-            self.supervised.settled_home = False
-            self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
-
     def require_on_axis(self) -> None:
         """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""
         if (on := self.place.axis) is not None:
             flange = self.flange_pose(self.joints_rad(), on.arriving)
             on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
-
-    def joints_rad(self) -> JointVector:
-        """Measure the joint angles, rad."""
-        return self._arm().read_state().joints_rad
-
-    def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Return the flange in the assistant's base, by the arm's calibration."""
-        return self.calibrated.flange_pose(joints_rad, arrived)
 
     def flange_joints(self, flange: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for a flange pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
@@ -188,7 +127,7 @@ class Assistant:
         for motion in motions:
             for leg in motion.legs:
                 try:
-                    preview = self._arm().preview(leg, start_rad=at_rad)
+                    preview = self._arm.preview(leg, start_rad=at_rad)
                 except LimitError:
                     return False
                 if preview.refused is not None:
@@ -226,13 +165,7 @@ class Assistant:
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
         """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
-        return PlannedMotion(MotionKind.SETTLE, "the holder", joints_rad, (before, JointMove(joints_rad)))
-
-    def go_home(self) -> ArmReading:
-        """Move home, each joint arriving from the same side."""
-        home_rad = self.home_rad
-        legs = (JointMove(approach_joints(home_rad, ONE_SIDE)), JointMove(home_rad))
-        return self.supervised.carry_out(PlannedMotion(MotionKind.HOME, "the holder", home_rad, legs))
+        return PlannedMotion(MotionKind.SETTLE, self.carries, joints_rad, (before, JointMove(joints_rad)))
 
     def insert_motion(self, axis: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
         """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
@@ -270,7 +203,7 @@ class Assistant:
     @property
     def senses_force(self) -> bool:
         """Whether the arm senses the force on the instrument."""
-        arm = self._arm()
+        arm = self._arm
         return isinstance(arm, InsertsInstruments) and arm.senses_force
 
     def _along(
@@ -280,7 +213,7 @@ class Assistant:
         carried = CarriedTool(self.calibrated, flange_from_clamp)
         commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
         speed_mm_s = INSERTION_SPEED_MM_S if what is MotionKind.INSERT else WITHDRAWAL_SPEED_MM_S
-        share = min(1.0, speed_mm_s / self._arm().limits().line_speed_mm_s)
+        share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
         line = LineMove(commanded, flange_from_clamp, share)
         return PlannedMotion(what, "the instrument", _vector(clamp.translation_mm), (line,), axis=axis)
 

@@ -12,33 +12,29 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-from procedures.journal.errors import JournalNotWritable, StepRefused
+from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
-from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, approach_joints
 from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
     ArmLog,
-    ArmPlace,
     Insertion,
     MotionKind,
-    PlaceKind,
-    stands_at,
 )
 from procedures.workcell.arm_pair import ArmPair
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.device_views import ArmView, DeviceView
+from procedures.workcell.device_views import DeviceView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
-from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount, calibrated_arm
+from procedures.workcell.supervised_arm import SupervisedArm
+from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
@@ -53,11 +49,7 @@ from ronna_hw.vectors import JointVector
 D = TypeVar("D")
 
 
-def _never(_by: str) -> bool:
-    return False
-
-
-class Workcell:
+class Workcell(SupervisedArm):
     """An arm with its tool and devices. All tool poses are ROBOT <- TOOL of the mounted tool."""
 
     def __init__(
@@ -84,15 +76,12 @@ class Workcell:
         theatre.require("tracker", "stereo", *(f"robot.{role}" for role in roles))
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
-        self._computed = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
-        self._log = ArmLog(journal, theatre.clock, history)
         self._around_assistant: Surroundings | None = None  # robot frame
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
-        release: Callable[[str], bool] = _never
         if assistant is not None:
-            drive, release = partial(self._drive_one, MASTER), self._release_held
+            drive = partial(self._drive_one, MASTER)
             self.second = Assistant(
                 lambda: theatre.arms[ASSISTANT],
                 ArmLog(journal, theatre.clock, assistant),
@@ -101,8 +90,13 @@ class Workcell:
                 self._release_held,
                 lambda: self.instrument.inside,
             )
-        self.supervised = SupervisedMotion(
-            self._log, lambda: self._arm, self._require_allowed, drive, release
+        super().__init__(
+            "arm",
+            ArmLog(journal, theatre.clock, history),
+            lambda: theatre.arms[MASTER],
+            self.calibrations.arm,
+            drive,
+            self._release_held,
         )
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
@@ -115,23 +109,6 @@ class Workcell:
         self.on_look: Callable[[Look], None] = lambda _look: None
         self.on_stop_failed: Callable[[str], object] = lambda _failure: None
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
-
-    @property
-    def arm(self) -> ArmView:
-        """Arm without the methods that move it."""
-        return ArmView(self._arm)
-
-    @property
-    def _arm(self) -> RobotArm:
-        return self._theatre.arms[MASTER]
-
-    @property
-    def _calibrated(self) -> CalibratedArm:
-        """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
-        kinematics = self._arm.kinematics
-        if kinematics is not self._computed.nominal:
-            self._computed = calibrated_arm(kinematics, self.calibrations.arm)
-        return self._computed
 
     @property
     def stereo(self) -> StereoPair:
@@ -197,17 +174,9 @@ class Workcell:
 
     # Pose and place of the arm
 
-    def joints_rad(self) -> JointVector:
-        """Measure the joint angles, rad."""
-        return self._arm.read_state().joints_rad
-
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""
         return self._carried.pose(joints_rad or self.joints_rad(), arrived)
-
-    def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """Return the pose ROBOT <- FLANGE at joint angles, using the arm's calibration if there is one."""
-        return self._calibrated.flange_pose(joints_rad)
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
@@ -215,47 +184,33 @@ class Workcell:
 
     @property
     def _carried(self) -> CarriedTool:
-        return CarriedTool(self._calibrated, self.flange_from_tool)
-
-    @property
-    def home_rad(self) -> JointVector:
-        """Joint angles of the arm at set-up, rad. Raises PRO-001 before set-up."""
-        if self._log.home_rad is None:
-            raise StepRefused("the arm has no home position yet", action="Run set_up first.")
-        return self._log.home_rad
-
-    @property
-    def settled_home(self) -> bool:
-        """Whether the arm is at home with each joint having arrived from its usual side."""
-        return self.supervised.settled_home and self.place.is_home
-
-    def set_home(self) -> JointVector:
-        """Make the present position home, for parking and for detours when a direct path is not clear."""
-        home_rad = self._log.home_rad = self.joints_rad()
-        self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
-        return home_rad
+        return CarriedTool(self.calibrated, self.flange_from_tool)
 
     def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
         """Restore the arm's history, and any known home, in a resumed run. Nothing moves."""
         if home_rad is not None:
-            self._log.home_rad = home_rad
+            self.restore_home(home_rad)
         self._log.history = history
 
-    def compare_place(self) -> None:
-        """Compare the measured joints of each arm with home, and journal a place that the journal has not.
+    @property
+    def carries(self) -> str:
+        """What the arm carries."""
+        return f"the {self.tool}"
 
-        Somebody may have jogged one. Whether it left its axis is checked before the next motion along that.
-        Raises the arm's error if it reports no joints.
-        """
-        if self._log.home_rad is None:
-            return
-        joints_rad = self.joints_rad()
-        at_home = stands_at(joints_rad, self._log.home_rad)
-        if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
-            self.supervised.settled_home = False
-            self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
-        if self.second is not None:
-            self.second.compare_place()
+    @property
+    def supervised_arms(self) -> tuple[SupervisedArm, ...]:
+        """Every arm of the workcell, this one first."""
+        return (self,) if self.second is None else (self, self.second)
+
+    @property
+    def is_any_arm_out(self) -> bool:
+        """Whether an arm may be away from its home."""
+        return any(arm.place.is_out for arm in self.supervised_arms)
+
+    def compare_places(self) -> None:
+        """Compare where each arm is with the journal; see `compare_place`."""
+        for arm in self.supervised_arms:
+            arm.compare_place()
 
     def tracker_move(self, localization: str) -> TrackerMove:
         """Return how the tracker was moved since this localization, as far as it was followed."""
@@ -275,25 +230,10 @@ class Workcell:
 
     # Motion
 
-    @property
-    def history(self) -> ArmHistory:
-        """History of the arm and of the work through its guide, from the journal."""
-        return self._log.history
-
-    @property
-    def is_any_arm_out(self) -> bool:
-        """Whether an arm may be away from its home."""
-        return self.place.is_out or (self.second is not None and self.second.place.is_out)
-
-    @property
-    def place(self) -> ArmPlace:
-        """Journalled position of the arm, and whether an instrument may be inside."""
-        return self._log.history.place
-
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
         near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
-        self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
+        self.surroundings = self.calibrated.as_controller_sees(surroundings, near_rad)
         self._surround_master(self.surroundings)
 
     def _surround_master(self, surroundings: Surroundings) -> None:
@@ -405,7 +345,7 @@ class Workcell:
 
     def return_motion(self) -> PlannedMotion:
         """Return the motion that `return_home` would make."""
-        home = self._home_motion(self.home_rad)
+        home = self.home_motion()
         back = tuple(
             self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
             for joints_rad in reversed(self.history.trail)
@@ -433,10 +373,6 @@ class Workcell:
     def go(self, joints_rad: JointVector) -> ArmReading:
         """Move to joint angles, via home if the direct path is not clear. Raises ARM-007 if neither is."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
-
-    def go_home(self) -> ArmReading:
-        """Move home, each joint arriving from the same side so that small changes show there."""
-        return self.supervised.carry_out(self._home_motion(self.home_rad))
 
     def return_home(self) -> ArmReading:
         """Move home directly or, if that path is not clear, back the way the arm came."""
@@ -502,14 +438,11 @@ class Workcell:
         """Recover a faulted device without motion. After an arm fault, the tool must be checked again."""
         device = self._devices[role]
         device.recover(by)
-        if device is self._arm:
-            self.supervised.settled_home = False  # somebody may have jogged it
-            self.supervised.reset_confirmation()
-            if not self.place.is_on_axis:  # only the guide can be on an axis
-                self.mount.tool = MountedTool.UNKNOWN
-        elif self.second is not None and role == ASSISTANT:
-            self.second.supervised.settled_home = False
-            self.second.supervised.reset_confirmation()
+        for arm in self.supervised_arms:
+            if arm.drives(device):
+                arm.expect_jogging()
+        if device is self._arm and not self.place.is_on_axis:  # only the guide can be on an axis
+            self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""
@@ -532,13 +465,17 @@ class Workcell:
         for device in (self._arm, *second, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
-        self.supervised.reset_confirmation()
+        self._reset_confirmations()
 
     def stop(self) -> None:
         """Stop every arm as far as its link still permits. Never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
-        self.supervised.reset_confirmation()
+        self._reset_confirmations()
+
+    def _reset_confirmations(self) -> None:
+        for arm in self.supervised_arms:
+            arm.supervised.reset_confirmation()
 
     def close(self) -> None:
         """Close all connections, the arm's first. Never raises."""
@@ -556,21 +493,15 @@ class Workcell:
                 (on or axis).check_on_axis(pose)
 
     def _joint_motion(self, what: MotionKind, *legs: JointMove, via_home: bool = False) -> PlannedMotion:
-        direct = PlannedMotion(what, f"the {self.tool}", legs[-1].target_rad, legs)
+        direct = PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
         if not via_home or self._log.home_rad is None:
             return direct
-        return replace(direct, replacement=(self._home_motion(self._log.home_rad), direct))
-
-    def _home_motion(self, home_rad: JointVector) -> PlannedMotion:
-        before = JointMove(approach_joints(home_rad, ONE_SIDE))
-        return self._joint_motion(MotionKind.HOME, before, JointMove(home_rad))
+        return replace(direct, replacement=(self.home_motion(), direct))
 
     def _line_motion(
         self, what: MotionKind, pose: Transform, line: LineMove, axis: Insertion | None = None
     ) -> PlannedMotion:
-        return PlannedMotion(
-            what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis
-        )
+        return PlannedMotion(what, self.carries, tuple(pose.translation_mm.tolist()), (line,), axis=axis)
 
     def _commanded_pose(
         self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None

@@ -197,7 +197,7 @@ class _Replay:
         self._engine = Engine(replace(replay_input.order, steps=steps), Case(folder), setting, journal)
         self._stops = _RecordedStops(self._operator, setting.workcell)
         self._engine.checkpoint.guards.append(self._stops)
-        self._engine.compare_place = lambda: None  # what was measured between steps is in the journal
+        self._engine.compare_places = lambda: None  # what was measured between steps is in the journal
 
     def run(self) -> Iterator[ReplayedRecord]:
         """Replay every section of the run in order."""

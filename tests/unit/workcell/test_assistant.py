@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from math import radians
 from types import SimpleNamespace
 from typing import cast
@@ -11,7 +12,9 @@ from ideal_arm import Controller, IdealArm
 from recording_cell import RecordingCell
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import YES, Topic
 from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.errors import TipOffAxis
@@ -39,7 +42,7 @@ def arm() -> IdealArm:
 def second(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) -> Assistant:
     """An assistant that holds an instrument in the guide, where its clamp stands now."""
     monkeypatch.setattr(
-        "procedures.workcell.assistant.calibrated_arm", lambda nominal, _: CalibratedArm(nominal)
+        "procedures.workcell.supervised_arm.calibrated_arm", lambda nominal, _: CalibratedArm(nominal)
     )
     across = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
     clamp = PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=across)
@@ -93,6 +96,20 @@ def test_an_assistant_that_was_jogged_is_where_its_joints_say(second: Assistant,
     second.compare_place()  # led out and home by hand
     assert second.place.is_home
     assert not second.place.is_on_axis
+
+
+@pytest.mark.hazard(59)
+def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
+    second: Assistant, cell: RecordingCell
+) -> None:
+    checkpoint = Checkpoint(lambda _question: YES, lambda _state, _reason: nullcontext(), CLOCK)
+    cell.workcell.second = second
+    second.supervised.ask_before(checkpoint, lambda _question: YES)
+    second.supervised.confirm(Topic.RETREAT, "retreat", [])
+    cell.workcell.stop()
+    second.supervised.ask_before(checkpoint, lambda _question: "no")
+    with pytest.raises(NotConfirmed, match="first motion"):
+        second.supervised.carry_out(second.withdraw_motion())
 
 
 def test_where_the_assistant_stands_outlasts_the_program(second: Assistant, cell: RecordingCell) -> None:

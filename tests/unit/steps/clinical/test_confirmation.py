@@ -334,7 +334,7 @@ def test_the_look_waits_for_the_arm_to_be_home(tmp_path: Path) -> None:
     engine = cell.begin(confirmation.STEP)
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.2, *others)
-    engine.compare_place()  # as before any step: somebody has jogged it
+    engine.compare_places()  # as before any step: somebody has jogged it
     key = engine.order.find(f"confirmation:{FIRST}")
     (unmet,) = confirmation.STEP.preconditions(engine.context(key))
     assert unmet.startswith("the arm is not home")

@@ -1,0 +1,145 @@
+"""An arm of the workcell: place and home by the journal, calibrated kinematics, supervised motion.
+
+What holds for one arm holds for each: the workcell's own, which carries the tools, and the assistant.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from procedures.journal.errors import StepRefused
+from procedures.journal.journal import Entry
+from procedures.strategies.strategy import ONE_SIDE, approach_joints
+from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, MotionKind, PlaceKind, stands_at
+from procedures.workcell.device_views import ArmView
+from procedures.workcell.motions import PlannedMotion
+from procedures.workcell.supervised_motion import SupervisedMotion
+from procedures.workcell.tools import Sides, calibrated_arm
+from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibration import ArmCalibration
+from ronna_hw.devices import Device, JointMove, Motion, RobotArm
+from ronna_hw.devices.readings import ArmReading
+from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
+
+
+class SupervisedArm(ABC):
+    """One arm, with its history in the journal."""
+
+    def __init__(
+        self,
+        name: str,
+        log: ArmLog,
+        arm: Callable[[], RobotArm],
+        record: ArmCalibration | None,
+        drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
+        release: Callable[[str], bool] = lambda _by: False,
+    ) -> None:
+        """Name the arm as messages do; `record` is its calibration, the others as in `SupervisedMotion`."""
+        self._name, self._log, self._open, self._record = name, log, arm, record
+        self._computed = calibrated_arm(arm().kinematics, record)
+        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release)
+
+    @property
+    @abstractmethod
+    def carries(self) -> str:
+        """What the arm carries, as questions name it."""
+
+    @abstractmethod
+    def _require_allowed(self, motion: PlannedMotion) -> None:
+        """Raise the reason against a motion, if there is one."""
+
+    @property
+    def arm(self) -> ArmView:
+        """Arm without the methods that move it."""
+        return ArmView(self._arm)
+
+    @property
+    def _arm(self) -> RobotArm:
+        return self._open()
+
+    @property
+    def calibrated(self) -> CalibratedArm:
+        """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
+        kinematics = self._arm.kinematics
+        if kinematics is not self._computed.nominal:
+            self._computed = calibrated_arm(kinematics, self._record)
+        return self._computed
+
+    def joints_rad(self) -> JointVector:
+        """Measure the joint angles, rad."""
+        return self._arm.read_state().joints_rad
+
+    def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Return the flange in the arm's base, by its calibration if there is one; see `Sides`."""
+        return self.calibrated.flange_pose(joints_rad, arrived)
+
+    # Place and home
+
+    @property
+    def history(self) -> ArmHistory:
+        """History of the arm and of the work done with it, from the journal."""
+        return self._log.history
+
+    @property
+    def place(self) -> ArmPlace:
+        """Journalled position of the arm, and whether an instrument may be inside."""
+        return self._log.history.place
+
+    @property
+    def home_rad(self) -> JointVector:
+        """Joint angles at set-up, rad. Raises PRO-001 before set-up."""
+        if self._log.home_rad is None:
+            raise StepRefused(f"the {self._name} has no home position yet", action="Run set_up first.")
+        return self._log.home_rad
+
+    @property
+    def settled_home(self) -> bool:
+        """Whether the arm is at home with each joint having arrived from its usual side."""
+        return self.supervised.settled_home and self.place.is_home
+
+    def set_home(self) -> JointVector:
+        """Make the present position home, for parking and for detours when a direct path is not clear."""
+        home_rad = self._log.home_rad = self.joints_rad()
+        self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
+        return home_rad
+
+    def restore_home(self, home_rad: JointVector) -> None:
+        """Restore the home of a resumed run. Nothing moves."""
+        self._log.home_rad = home_rad
+
+    def compare_place(self) -> None:
+        """Compare the measured joints with home, and journal the place if the journal disagrees.
+
+        Somebody may have jogged the arm. Whether it left its axis is checked before the next motion along
+        that. Raises the arm's error if it reports no joints.
+        """
+        if self._log.home_rad is None:
+            return
+        joints_rad = self.joints_rad()
+        at_home = stands_at(joints_rad, self._log.home_rad)
+        if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
+            self.supervised.settled_home = False
+            self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
+
+    def drives(self, device: Device) -> bool:
+        """Return whether this is the arm that the device moves."""
+        return device is self._arm
+
+    def expect_jogging(self) -> None:
+        """Allow for somebody having jogged the arm: it has to settle anew, and to be confirmed anew."""
+        self.supervised.settled_home = False
+        self.supervised.reset_confirmation()
+
+    # Motion home
+
+    def home_motion(self) -> PlannedMotion:
+        """Return the motion that `go_home` would make."""
+        home_rad = self.home_rad
+        legs = (JointMove(approach_joints(home_rad, ONE_SIDE)), JointMove(home_rad))
+        return PlannedMotion(MotionKind.HOME, self.carries, home_rad, legs)
+
+    def go_home(self) -> ArmReading:
+        """Move home, each joint arriving from the same side so that small changes show there."""
+        return self.supervised.carry_out(self.home_motion())
