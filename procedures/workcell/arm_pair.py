@@ -299,5 +299,16 @@ class ArmPair:
                 arm.stop(StopKind.LINK, STOP_LIMIT_S)
 
 
+class ReplayedPair(ArmPair):
+    """Pair of stand-ins: what stopped an arm is in its answers, and nothing comes close."""
+
+    def surround(self, role: str, surroundings: Surroundings) -> None:
+        """Do nothing."""
+
+    def move(self, role: str, motion: Driven, *, with_instrument: bool = False) -> ArmReading:
+        """Return the recorded end of the motion."""
+        return motion.drive(self._arms[role])
+
+
 def _other(role: str) -> str:
     return ASSISTANT if role == MASTER else MASTER

@@ -22,7 +22,8 @@ from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Sides
-from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
+from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
@@ -39,6 +40,17 @@ POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodi
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
+
+
+def holder_bodies(holder: HolderCalibration, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Part, ...]:
+    """Return the bodies of an empty holder, flange frame, its clamp shifted as the ball was found."""
+    middle = _vector(_clamp_of(holder, shift_mm).translation_mm)
+    post = Capsule((0.0, 0.0, 0.0), holder.flange_from_ball_mm, POST_MM)
+    return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
+
+
+def _clamp_of(holder: HolderCalibration, shift_mm: Vector3) -> Transform:
+    return holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL).displace(shift_mm)
 
 
 class Assistant(SupervisedArm):
@@ -102,8 +114,7 @@ class Assistant(SupervisedArm):
     @property
     def flange_from_clamp(self) -> Transform:
         """Pose FLANGE <- clamp by the record, shifted as the ball was found beside its own."""
-        drawn = self.holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL)
-        return drawn.displace(self.shift_mm)
+        return _clamp_of(self.holder, self.shift_mm)
 
     def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the clamp in the robot frame."""
@@ -136,6 +147,15 @@ class Assistant(SupervisedArm):
                     at_rad = leg.target_rad
         return True
 
+    def rests_clear(self, joints_rad: JointVector, around: Surroundings) -> bool:
+        """Return whether the arm, with what it holds, keeps its margin where it rests.
+
+        A path is checked leniently where it begins: there, bodies that are too close may stay so.
+        """
+        surroundings = self.surroundings(around)
+        gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
+        return not (gaps_mm < surroundings.margin_mm).any()
+
     def shift_tool(self, flange_from_ball_mm: Sequence[float]) -> None:
         """Shift clamp and ball on the flange by what the ball was found beside its record."""
         found = zip(flange_from_ball_mm, self.holder.flange_from_ball_mm, strict=True)
@@ -148,13 +168,12 @@ class Assistant(SupervisedArm):
     @property
     def tool(self) -> tuple[Part, ...]:
         """Bodies of the holder, and of the instrument while one is held, flange frame."""
+        bodies = holder_bodies(self.holder, self.shift_mm)
+        if not self._tip_mm:
+            return bodies
         clamp = self.flange_from_clamp
         middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, self._tip_mm))
-        post = Capsule((0.0, 0.0, 0.0), self.holder.flange_from_ball_mm, POST_MM)
-        parts = [Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM))]
-        if self._tip_mm:
-            parts.append(Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
-        return tuple(parts)
+        return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
     # Motion
 
