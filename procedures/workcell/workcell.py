@@ -76,7 +76,7 @@ class Workcell(SupervisedArm):
         theatre.require("tracker", "stereo", *(f"robot.{role}" for role in roles))
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
-        self._around_assistant: Surroundings | None = None  # robot frame
+        self._around_assistant: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
@@ -255,18 +255,21 @@ class Workcell(SupervisedArm):
                 self._surround_master(self.surroundings)
         self._pair.place_assistant(base)
 
-    def surround_assistant(self, surroundings: Surroundings) -> None:
-        """Set what surrounds the assistant, in the robot frame; its tool is its own."""
+    def surround_assistant(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
+        """Set what surrounds the assistant, in the robot frame; its tool is its own.
+
+        Clearance is exact near `near_rad`, by default home.
+        """
         second = self._require_second()
         assert self._pair is not None, "where the assistant stands is known first"
-        self._around_assistant = surroundings
-        self._pair.surround(ASSISTANT, second.surroundings(surroundings))
+        self._around_assistant = surroundings, near_rad
+        self._pair.surround(ASSISTANT, second.surroundings(surroundings, near_rad))
 
     def hold_instrument(self, tip_mm: float) -> None:
         """Take an instrument as held by the assistant, its tip this far beyond the clamp; 0 for none."""
         self._require_second().hold_instrument(tip_mm)
         if self._around_assistant is not None:
-            self.surround_assistant(self._around_assistant)
+            self.surround_assistant(*self._around_assistant)
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
@@ -289,8 +292,10 @@ class Workcell(SupervisedArm):
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
             )
         if role == ASSISTANT and motion.axis is not None:
-            limit_N = self._theatre.file.procedure.insertion_force_N
-            driven = self._require_second().watch_force(leg, motion, limit_N)
+            second, limit_N = self._require_second(), self._theatre.file.procedure.insertion_force_N
+            if second.has_passed(leg, motion):
+                return self._theatre.arms[ASSISTANT].read_state()
+            driven = second.watch_force(leg, motion, limit_N)
             return self._pair.move(role, driven, with_instrument=True)
         return self._pair.move(role, leg)
 

@@ -102,7 +102,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
                 _look_at_guide(context, stage, rest, work_so_far)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.done_statement} at {trajectory}")
-        withdraw_assistant(context)
+        withdraw_assistant(context, work_so_far.stop)
         context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
     send_assistant_home(context)
     if work_so_far.finished_before:

@@ -56,7 +56,9 @@ class KnownBases(StepResult, kind="base_to_base"):
     robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker, by the master's turned frame.")
     flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
-    error_mm: float = Field(description="The same after the looks at the ball.")
+    error_mm: float = Field(
+        description="Standard error, 3-D, with which the tools of both arms meet there, by the ball."
+    )
     apart_mm: float = Field(description="How far tracker and stereo head disagree there.")
     scatter_mm: float = Field(description="Of the looks at the ball, per axis.")
     frame_looks: tuple[int, int] = Field(description="Looks at the frames of master and assistant.")
