@@ -28,7 +28,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, InsertsInstruments
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, InsertsInstruments
 from ronna_hw.devices.contact import Insertion as ContactInsertion
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
@@ -80,6 +80,7 @@ class Assistant(SupervisedArm):
         self.base: Transform | None = None  # ROBOT <- base of the assistant, once it is known
         self._instrument_inside = instrument_inside
         self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
+        self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
         self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
 
     @property
@@ -229,11 +230,11 @@ class Assistant(SupervisedArm):
         beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(leg.target)
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 
-    def watch_force(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Motion | ContactInsertion:
-        """Return a leg as the arm is to drive it: an insertion is stopped by its force limit, if sensed."""
+    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> ContactInsertion | None:
+        """Return a leg as an insertion that its force limit stops; None for others, or if none is sensed."""
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
-            return leg
+            return None
         return ContactInsertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
 
     @property

@@ -19,7 +19,8 @@ from procedures.workcell.tools import Sides, calibrated_arm
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
-from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.lifecycle import RUNNING
+from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -70,6 +71,15 @@ class SupervisedArm(ABC):
     def joints_rad(self) -> JointVector:
         """Measure the joint angles, rad."""
         return self._arm.read_state().joints_rad
+
+    @property
+    def streaming(self) -> bool:
+        """Whether the arm's set-point stream is running. Otherwise it cannot be moved."""
+        return self._arm.observe().state in RUNNING
+
+    def link_statistics(self) -> LinkStatistics:
+        """Return the statistics of the arm's link since it was last activated."""
+        return self._arm.link_statistics()
 
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange in the arm's base, by its calibration if there is one; see `Sides`."""

@@ -39,7 +39,7 @@ from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
-from ronna_hw.devices.readings import ArmReading, LinkStatistics
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
@@ -295,8 +295,10 @@ class Workcell(SupervisedArm):
             second, limit_N = self._require_second(), self._theatre.file.procedure.insertion_force_N
             if second.has_passed(leg, motion):
                 return self._theatre.arms[ASSISTANT].read_state()
-            driven = second.watch_force(leg, motion, limit_N)
-            return self._pair.move(role, driven, with_instrument=True)
+            if (insertion := second.force_limited(leg, motion, limit_N)) is not None:
+                second.inserted = self._pair.insert(role, insertion)
+                return second.inserted.reading
+            return self._pair.move(role, leg, with_instrument=True)
         return self._pair.move(role, leg)
 
     def _release_held(self, by: str) -> bool:
@@ -454,15 +456,6 @@ class Workcell(SupervisedArm):
         seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
-
-    @property
-    def streaming(self) -> bool:
-        """Whether the arm's correction stream is running. Otherwise the workcell cannot move the arm."""
-        return self._arm.observe().state in RUNNING
-
-    def link_statistics(self) -> LinkStatistics:
-        """Return the robot link's statistics since the arm was last activated."""
-        return self._arm.link_statistics()
 
     def rest(self) -> None:
         """Stop the arm's correction stream and the cameras, for a tool change or a parked arm."""

@@ -18,6 +18,7 @@ from procedures.operator.question import YES, Task, Topic
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, find_axis, guide_pose, surround_at_guide
+from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import Insertion
@@ -38,7 +39,7 @@ LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
-def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
+def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
     """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
     workcell, second, trajectory = context.workcell, context.workcell.second, context.trajectory
     assert second is not None
@@ -63,8 +64,8 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
     )
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     second.settle(start_rad, axis.arriving)
-    _require_coaxial(context, second, axis, known.head_shift_mm)
-    _require_seen_coaxial(context, second, known)
+    off_axis = _require_coaxial(context, second, axis, known.head_shift_mm)
+    seen_apart = _require_seen_coaxial(context, second, known)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     second.insert(second.axis_in_base(axis), _guided_stretch(context, stop))
@@ -83,6 +84,16 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
             got=f"{gap_mm:.2f} mm",
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
+    off_axis_mm, off_axis_rad = off_axis
+    seen_apart_mm, seen_apart_rad = seen_apart
+    return AssistedInsertion(
+        off_axis_mm=off_axis_mm,
+        off_axis_rad=off_axis_rad,
+        seen_apart_mm=seen_apart_mm,
+        seen_apart_rad=seen_apart_rad,
+        peak_force_N=None if second.inserted is None else second.inserted.peak_force_N,
+        gap_mm=max(0.0, gap_mm),
+    )
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -144,8 +155,8 @@ def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
 
 def _require_coaxial(
     context: StepContext, second: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
-) -> None:
-    """Raise PRO-007 unless the instrument is coaxial with the bore, by the joints of both arms."""
+) -> tuple[float, float]:
+    """Return how far (mm, rad) the instrument is off the bore by the joints of both arms. Raises PRO-007."""
     guide = guide_pose(context, head_shift_mm)
     clamp = guide.inverse() @ second.clamp_pose(second.joints_rad(), axis.arriving)
     turned_rad = math.acos(min(1.0, float(clamp.rotation_matrix[2, 2])))
@@ -162,10 +173,13 @@ def _require_coaxial(
         f"at {context.trajectory} the instrument is {off_mm:.2f} mm and {math.degrees(turned_rad):.2f} deg "
         "from the axis of the guide, by the joints of both arms"
     )
+    return off_mm, turned_rad
 
 
-def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownBases) -> None:
-    """Raise PRO-007 if the tracker sees the frames of both arms elsewhere than the joints have them."""
+def _require_seen_coaxial(
+    context: StepContext, second: Assistant, known: KnownBases
+) -> tuple[float, float] | tuple[None, None]:
+    """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007."""
     workcell, room = context.workcell, room_watch(context)
     read, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
     frames = [room.as_localized(one) for one in read]
@@ -174,7 +188,7 @@ def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownB
     if master is None or assistant is None:
         hidden = names[0] if master is None else names[1]
         context.find(f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count")
-        return
+        return None, None
     assert second.base is not None
     flange = second.base @ second.flange_pose(second.joints_rad())
     by_joints = (flange @ known.flange_from_frame.transform).rigid
@@ -194,6 +208,7 @@ def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownB
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
         f"and {math.degrees(turned_rad):.2f} deg"
     )
+    return apart_mm, turned_rad
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:
