@@ -210,11 +210,25 @@ class Assistant:
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
         return PlannedMotion(MotionKind.SETTLE, "the holder", joints_rad, (before, JointMove(joints_rad)))
 
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """Move straight to joint angles, on the way to others."""
+        return self.supervised.carry_out(self.go_motion(joints_rad))
+
+    def go_motion(self, joints_rad: JointVector, what: MotionKind = MotionKind.GO) -> PlannedMotion:
+        """Return the motion that `go` would make."""
+        return PlannedMotion(what, "the holder", joints_rad, (JointMove(joints_rad),))
+
     def go_home(self) -> ArmReading:
-        """Move home, each joint arriving from the same side."""
+        """Move home, each joint arriving from the same side; back the way it came if that is not clear."""
+        return self.supervised.carry_out_with_detour(self.home_motion())
+
+    def home_motion(self) -> PlannedMotion:
+        """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
         legs = (JointMove(approach_joints(home_rad, ONE_SIDE)), JointMove(home_rad))
-        return self.supervised.carry_out(PlannedMotion(MotionKind.HOME, "the holder", home_rad, legs))
+        home = PlannedMotion(MotionKind.HOME, "the holder", home_rad, legs)
+        back = tuple(self.go_motion(one, MotionKind.BACK) for one in reversed(self.history.trail))
+        return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
 
     def insert_motion(
         self, axis: Insertion, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
