@@ -66,11 +66,12 @@ class BaseToBase:
 
 
 class BasesByFrames(NamedTuple):
-    """Bases by the tracker, with poses (4, 4) of the tracker and of the assistant's frame on its flange."""
+    """Bases by the tracker, with poses (4, 4) of the tracker and of both frames on their flanges."""
 
     bases: BaseToBase
     robot_from_tracker: Array
-    flange_from_frame: Array
+    flange_from_master_frame: Array
+    flange_from_frame: Array  # of the assistant
 
 
 def bases_by_frames(
@@ -98,7 +99,9 @@ def bases_by_frames(
     both[:6, :6], both[6:, 6:] = first.covariance[6:, 6:], second.covariance[6:, 6:]
     covariance = slope @ both @ slope.T
     covariance[3:, 3:] += np.eye(3) * (bias_mm**2 + sum(error**2 for error in arms_error_mm) / 3.0)
-    return BasesByFrames(BaseToBase(bases, covariance), z_master, second.flange_from_marker)
+    return BasesByFrames(
+        BaseToBase(bases, covariance), z_master, first.flange_from_marker, second.flange_from_marker
+    )
 
 
 @dataclass(frozen=True)

@@ -188,8 +188,8 @@ class ArmPair:
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
         live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
-        near = live.distance(joints[MASTER], joints[ASSISTANT])
-        if near.distance_mm < APART_MM:
+        near = live.find_near(joints[MASTER], joints[ASSISTANT], APART_MM)
+        if near is not None:
             words = f"the arms are {near.distance_mm:.1f} mm apart, {near.first} and {near.second}"
             return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
         return None

@@ -180,7 +180,15 @@ class Assistant(SupervisedArm):
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
         """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
-        return PlannedMotion(MotionKind.SETTLE, self.carries, joints_rad, (before, JointMove(joints_rad)))
+        return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
+
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """Move straight to joint angles, on the way to others."""
+        return self.supervised.carry_out(self.go_motion(joints_rad))
+
+    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
+        """Return the motion that `go` would make."""
+        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
 
     def insert_motion(
         self, axis: Insertion, near_rad: JointVector | None = None, guided: GuidedStretch | None = None

@@ -338,7 +338,7 @@ class Workcell(SupervisedArm):
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` would make."""
-        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), via_home=True)
+        return self._via_home(self.joint_motion(MotionKind.GO, JointMove(joints_rad)))
 
     def settle_motion(
         self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
@@ -346,18 +346,10 @@ class Workcell(SupervisedArm):
         """Return the motion that `settle` would make."""
         onto = JointMove(joints_rad)
         if arriving is None:
-            return self._joint_motion(MotionKind.STEP, onto)
+            return self.joint_motion(MotionKind.STEP, onto)
         back = JointMove(approach_joints(joints_rad, arriving))
-        return self._joint_motion(MotionKind.SETTLE, back, onto, via_home=allow_detour)
-
-    def return_motion(self) -> PlannedMotion:
-        """Return the motion that `return_home` would make."""
-        home = self.home_motion()
-        back = tuple(
-            self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
-            for joints_rad in reversed(self.history.trail)
-        )
-        return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
+        onto_from_side = self.joint_motion(MotionKind.SETTLE, back, onto)
+        return self._via_home(onto_from_side) if allow_detour else onto_from_side
 
     def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
@@ -380,10 +372,6 @@ class Workcell(SupervisedArm):
     def go(self, joints_rad: JointVector) -> ArmReading:
         """Move to joint angles, via home if the direct path is not clear. Raises ARM-007 if neither is."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
-
-    def return_home(self) -> ArmReading:
-        """Move home directly or, if that path is not clear, back the way the arm came."""
-        return self.supervised.carry_out_with_detour(self.return_motion())
 
     def park(self, subject: str = "park the arm") -> ArmReading:
         """Return home once the operator has confirmed it. Raises PRO-002."""
@@ -490,9 +478,9 @@ class Workcell(SupervisedArm):
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
-    def _joint_motion(self, what: MotionKind, *legs: JointMove, via_home: bool = False) -> PlannedMotion:
-        direct = PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
-        if not via_home or self._log.home_rad is None:
+    def _via_home(self, direct: PlannedMotion) -> PlannedMotion:
+        """Return a motion that may lead via home if its direct path is not clear."""
+        if self._log.home_rad is None:
             return direct
         return replace(direct, replacement=(self.home_motion(), direct))
 

@@ -23,7 +23,7 @@ from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import Insertion
 from procedures.workcell.assistant import AT_GUIDE, GUIDED_SPEED_MM_S, Assistant, GuidedStretch
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.text import format_against_limit
@@ -52,17 +52,19 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     known = _require_bases(context)
     second.shift_tool(known.flange_from_ball_mm)
     surround_holder(context, stop.read_mm)
-    axis, start_rad = find_axis(context, second, stop, known)
+    axis, start_rad, via_rad = find_axis(context, second, stop, known)
     workcell.start()
     second.supervised.confirm(
         Topic.APPROACH,
         f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
         f"{axis.travel_mm:.0f} mm along the bore, in it at up to {GUIDED_SPEED_MM_S:g} mm/s, from "
         f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests there",
-        [second.settle_motion(start_rad, axis.arriving)],
+        [*map(second.go_motion, via_rad), second.settle_motion(start_rad, axis.arriving)],
         trajectory,
     )
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
+    for joints_rad in via_rad:
+        second.go(joints_rad)
     second.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, second, axis, known.head_shift_mm)
     seen_apart = _require_seen_coaxial(context, second, known)
@@ -143,7 +145,7 @@ def send_assistant_home(context: StepContext) -> None:
         return
     if second.place.is_out:
         workcell.hold_instrument(0.0)
-        second.go_home()
+        second.return_home()
     workcell.touch({})
 
 
@@ -195,7 +197,8 @@ def _require_seen_coaxial(
     turn = known.robot_from_tracker.transform.rigid.rotation
     # From the master's frame: the tracker's smooth error is much the same for both.
     seen_mm = turn.apply(assistant.translation_mm - master.translation_mm)
-    held_mm = by_joints.translation - robot_from_marker(workcell, workcell.joints_rad()).translation_mm
+    by_master = workcell.flange_pose(workcell.joints_rad()) @ known.flange_from_master_frame.transform
+    held_mm = by_joints.translation - by_master.translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
     turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
     _require_within(

@@ -167,7 +167,7 @@ class BaseMeasurement:
             ),
             second.holder.frame,
         )
-        second.go_home()
+        second.return_home()
         return found, other
 
     def _turn(
@@ -245,7 +245,7 @@ class BaseMeasurement:
                 got=f"{len(heads)}; {', '.join(sorted(set(reasons)))}",
             )
         cell.return_home()
-        second.go_home()
+        second.return_home()
         return fit()
 
     def _look_from_around(

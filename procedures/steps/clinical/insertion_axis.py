@@ -29,11 +29,19 @@ from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.assistant import Assistant
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
 TURN_STEP_RAD = math.radians(15.0)
+
+
+class Approach(NamedTuple):
+    """Axis in the robot frame, the joints at its start, and those on the way there from home, if any."""
+
+    axis: Insertion
+    start_rad: JointVector
+    via_rad: tuple[JointVector, ...]
 
 
 class _Candidate(NamedTuple):
@@ -53,10 +61,8 @@ def guide_pose(context: StepContext, head_shift_mm: Vector3) -> Transform:
     return pose.displace(pose.rotation_matrix @ np.asarray(head_shift_mm))
 
 
-def find_axis(
-    context: StepContext, second: Assistant, stop: DepthStop, known: KnownBases
-) -> tuple[Insertion, JointVector]:
-    """Return the clamp's axis in the robot frame, and the joints at its start. Raises PLAN-007."""
+def find_axis(context: StepContext, second: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
+    """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
     turns = _list_turns(context, stop, known.head_shift_mm)
     found = _list_reached(second, turns, known)
     here_rad, in_sight = second.joints_rad(), 0
@@ -68,9 +74,12 @@ def find_axis(
         surround_at_guide(context, one.held_rad)
         onto = second.settle_motion(one.start_rad, one.axis.arriving)
         along = second.insert_motion(second.axis_in_base(one.axis), one.start_rad)
-        blocked = second.explain_blocked([onto, along], here_rad)
-        if not blocked:
-            return one.axis, one.start_rad
+        blocked = second.explain_blocked([along], one.start_rad)
+        ways = () if blocked else _list_ways(second.home_rad, one.start_rad)
+        for via_rad in ways:
+            way = [*map(second.go_motion, via_rad), onto]
+            if not (blocked := second.explain_blocked(way, here_rad)):
+                return Approach(one.axis, one.start_rad, via_rad)
         in_the_way.append(blocked)
     raise NotReachable(
         f"the assistant cannot bring the instrument into the guide at {context.trajectory}: of "
@@ -141,6 +150,13 @@ def _list_reached(second: Assistant, axes: Sequence[Insertion], known: KnownBase
             axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
             found.append(_Candidate(rank, axis, start_rad, at_end))
     return found
+
+
+def _list_ways(home_rad: JointVector, start_rad: JointVector) -> tuple[tuple[JointVector, ...], ...]:
+    """List ways from home: straight, or drawn back as at home until the base is turned, or the wrist too."""
+    _, two, three, four, five, six = home_rad
+    first, _, _, *wrist = start_rad
+    return (), ((first, two, three, four, five, six),), (joint_vector((first, two, three, *wrist)),)
 
 
 def _hides_head(context: StepContext, one: _Candidate) -> bool:
