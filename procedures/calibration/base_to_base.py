@@ -35,7 +35,8 @@ LEAST_SCATTER_MM = 0.005  # no pair of arms is better
 LARGEST_SCATTER_MM = 0.3  # per axis: two calibrated arms show 0.08, uncalibrated ones 0.5
 OUTLIER_CHI2 = float(chdtri(3, 0.001))
 MOST_OUTLIERS = 0.1
-LARGEST_ERROR_MM = 0.1  # standard, of the bases in the region: beyond, the postures differ too little
+LARGEST_ERROR_MM = 0.1  # standard, of where both tools meet
+LARGEST_ERROR_RAD = float(np.radians(0.1))  # standard, of the bases: beyond, the postures differ too little
 # The smooth error of the tracker is not equal over the region: share of its stated 0.25 mm that remains.
 REGION_BIAS_MM = 0.08
 AGREE_CHI2 = float(chdtri(3, 0.001))
@@ -65,11 +66,12 @@ class BaseToBase:
 
 
 class BasesByFrames(NamedTuple):
-    """Bases by the tracker, with poses (4, 4) of the tracker and of the assistant's frame on its flange."""
+    """Bases by the tracker, with poses (4, 4) of the tracker and of both frames on their flanges."""
 
     bases: BaseToBase
     robot_from_tracker: Array
-    flange_from_frame: Array
+    flange_from_master_frame: Array
+    flange_from_frame: Array  # of the assistant
 
 
 def bases_by_frames(
@@ -97,7 +99,9 @@ def bases_by_frames(
     both[:6, :6], both[6:, 6:] = first.covariance[6:, 6:], second.covariance[6:, 6:]
     covariance = slope @ both @ slope.T
     covariance[3:, 3:] += np.eye(3) * (bias_mm**2 + sum(error**2 for error in arms_error_mm) / 3.0)
-    return BasesByFrames(BaseToBase(bases, covariance), z_master, second.flange_from_marker)
+    return BasesByFrames(
+        BaseToBase(bases, covariance), z_master, first.flange_from_marker, second.flange_from_marker
+    )
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,9 @@ class BallLooks:
 class BallFit:
     """Bases refined by the ball, and how well all looks agree.
 
-    `head_shift_mm` (3,) is where the head's tool centre really is, along the axes of its tool frame;
+    `error_mm` is the 3-D standard error with which the head meets the ball in postures like those of the
+    looks. Bases, ball and tool centre belong together: an error of one that the others make up for does not
+    count. `head_shift_mm` (3,) is where the head's tool centre really is, along the axes of its tool frame;
     `misses_mm` (m, 3) are in the robot frame; `used` (m,) marks the inliers.
     """
 
@@ -139,11 +145,7 @@ class BallFit:
     misses_mm: Array
     used: NDArray[np.bool_]
     region_mm: Array
-
-    @property
-    def error_mm(self) -> float:
-        """Standard error of the bases in the region of the looks, 3-D."""
-        return self.bases.error_mm(self.region_mm)
+    error_mm: float
 
 
 def refine_bases(
@@ -179,6 +181,8 @@ def refine_bases(
         scatter_mm = max(float(np.sqrt(np.sum(misses[used] ** 2) / freedom)), LEAST_SCATTER_MM)
         used = np.sum(misses**2, axis=1) < OUTLIER_CHI2 * scatter_mm**2
     _require_fit(scatter_mm, used)
+    slopes = slopes[used]
+    meet_mm2 = np.einsum("mai,ij,maj->m", slopes, covariance, slopes)
     fit = BallFit(
         bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=np.float64)),
         flange_from_ball_mm=ball,
@@ -188,12 +192,16 @@ def refine_bases(
         misses_mm=misses,
         used=used,
         region_mm=looks.region_mm,
+        error_mm=float(np.sqrt(meet_mm2.mean())),
     )
-    if fit.error_mm > LARGEST_ERROR_MM:
+    turned_rad = float(np.sqrt(np.trace(covariance[:3, :3])))
+    if fit.error_mm > LARGEST_ERROR_MM or turned_rad > LARGEST_ERROR_RAD:
+        turned_deg, largest_deg = np.degrees(turned_rad), np.degrees(LARGEST_ERROR_RAD)
         raise DegeneratePoses(
             "the looks at the ball leave the bases too uncertain",
-            limit=f"{LARGEST_ERROR_MM:g} mm",
-            got=f"{format_against_limit(fit.error_mm, LARGEST_ERROR_MM, 2)} mm",
+            limit=f"{LARGEST_ERROR_MM:g} mm, {largest_deg:g} deg",
+            got=f"{format_against_limit(fit.error_mm, LARGEST_ERROR_MM, 2)} mm, "
+            f"{format_against_limit(turned_deg, largest_deg, 2)} deg",
             action="Have the assistant hold the ball in more postures, farther apart.",
         )
     require_agreement(coarse, fit, head_error_mm)

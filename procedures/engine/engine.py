@@ -270,7 +270,7 @@ class Engine:
             if second is not None and second.place.is_out:
                 workcell.start()
                 workcell.hold_instrument(0.0)
-                second.go_home()
+                second.return_home()
                 workcell.touch({})
             workcell.compare_place()
             if not workcell.place.is_home:

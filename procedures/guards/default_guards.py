@@ -14,6 +14,7 @@ from procedures.guards.tracker_guards import HeadInSight, LineOfSight
 from procedures.journal.free_space import LEAST_FREE_BYTES, describe_shortage
 from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
+from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.clock import Clock
 from ronna_hw.config import TheatreFile, read_theatre_file
 from ronna_hw.devices.lifecycle import RUNNING
@@ -43,6 +44,7 @@ def case_guards(
         DiskSpace(folder),
         WallClock(find),
         ArmLink(workcell),
+        *([] if workcell.second is None else [ArmLink(workcell.second, "robot link of the assistant")]),
         ToolStillMounted(workcell, doubt_tool),
         LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
     )
@@ -71,16 +73,16 @@ def sight_guard(engine: Engine, void: Void) -> HeadInSight:
 
 @dataclass
 class ArmLink:
-    """Guard for the robot link: a fresh arm pose, and few late or lost cycles since the last check."""
+    """Guard for the link of one arm: a fresh arm pose, and few late or lost cycles since the last check."""
 
-    workcell: Workcell
+    monitored: SupervisedArm
     name: str = "robot link"
     _since: LinkStatistics | None = None
     _verdict: str | None = None
 
     def unmet(self) -> str | None:
         """Describe a stale pose or a bad link."""
-        seen = self.workcell.arm.observe()
+        seen = self.monitored.arm.observe()
         if seen.state not in RUNNING:  # motions report a fault themselves
             self._since = self._verdict = None
             return None
@@ -92,7 +94,7 @@ class ArmLink:
         return self._quality()
 
     def _quality(self) -> str | None:
-        now = self.workcell.link_statistics()
+        now = self.monitored.link_statistics()
         since = self._since
         if since is None or now.cycles < since.cycles:
             self._since = now

@@ -12,9 +12,9 @@ def millimetres(value_mm: float | None) -> str:
     return NOT_KNOWN if value_mm is None else f"{value_mm:.3f}"
 
 
-def degrees(value_rad: float) -> str:
+def degrees(value_rad: float | None) -> str:
     """Format an angle in degrees with three decimals."""
-    return f"{math.degrees(value_rad):.3f}"
+    return NOT_KNOWN if value_rad is None else f"{math.degrees(value_rad):.3f}"
 
 
 def tenths(value: float | None) -> str:

@@ -287,9 +287,13 @@ def _second_reading(
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
     """Return the robot link health of each stream, labelled with the mounted tool."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
-    retreats = (stored.result.link for stored in reading.standing(Retreated))
-    looks = (stored.result.link for stored in reading.standing(ConfirmedTarget))
-    return [*changes, *(("guide", link) for link in (*retreats, *looks) if link is not None)]
+    ends: list[tuple[LinkHealth | None, LinkHealth | None]] = [
+        (one.result.link, one.result.assistant_link) for one in reading.standing(Retreated)
+    ]
+    ends += [(one.result.link, one.result.assistant_link) for one in reading.standing(ConfirmedTarget)]
+    guides = [("guide", link) for link, _ in ends if link is not None]
+    holders = [("holder of the assistant", link) for _, link in ends if link is not None]
+    return [*changes, *guides, *holders]
 
 
 def _host_time(reading: RunReading, place: int) -> str:
@@ -330,6 +334,10 @@ def _template() -> Any:
         finalize=_without_controls,
     )
     environment.filters.update(
-        mm=numbers.millimetres, tenths=numbers.tenths, um=numbers.micrometres, s=numbers.seconds
+        mm=numbers.millimetres,
+        degrees=numbers.degrees,
+        tenths=numbers.tenths,
+        um=numbers.micrometres,
+        s=numbers.seconds,
     )
     return environment.get_template(TEMPLATE)

@@ -78,7 +78,11 @@ class Insertion:
     @property
     def start(self) -> Transform:
         """Pose ROBOT <- TOOL on the axis where the approach begins."""
-        return back_along_axis(self.held, self.travel_mm)
+        return self.pose_at(0.0)
+
+    def pose_at(self, travel_mm: float) -> Transform:
+        """Return the pose ROBOT <- TOOL on the axis at this distance from the start of the approach."""
+        return back_along_axis(self.held, self.travel_mm - travel_mm)
 
     def travel_from_start_mm(self, tool: Transform) -> float:
         """Return how far (mm) a pose ROBOT <- TOOL is along the axis; negative before the approach."""

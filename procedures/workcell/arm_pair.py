@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
 from ronna_hw.arm.clearance.arm_pair import (
@@ -30,6 +30,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
+from ronna_hw.devices.contact import Inserted, InsertsInstruments
 from ronna_hw.devices.contact import Insertion as ContactInsertion
 from ronna_hw.devices.lifecycle import RUNNING, require_person
 from ronna_hw.devices.readings import ArmReading, Validity
@@ -46,7 +47,7 @@ STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a me
 STOP_LIMIT_S = 5.0  # host time
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
 ROLES = (MASTER, ASSISTANT)
-Driven = Motion | ContactInsertion
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class ArmPair:
                 raise BothArmsHalted(f"the {role} is not ready", got=f"it is {arm.state}")
         self.halted = None
 
-    def move(self, role: str, motion: Driven, *, with_instrument: bool = False) -> ArmReading:
+    def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
         """Move one arm while the other rests, and return the settled reading.
 
         `with_instrument` allows an instrument in the guide, which this motion moves along its axis.
@@ -117,7 +118,15 @@ class ArmPair:
         """
         with self._under_way(with_instrument=with_instrument):
             self._at_rest_rad = {_other(role): self._surround_with_other(role)}
-            return self._drive({role: motion})[role]
+            return self._drive({role: motion.drive})[role]
+
+    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+        """Have one arm insert an instrument while the other rests. Raises as `move`, and as that arm."""
+        arm = self._arms[role]
+        assert isinstance(arm, InsertsInstruments), "an arm that inserts"
+        with self._under_way(with_instrument=True):
+            self._at_rest_rad = {_other(role): self._surround_with_other(role)}
+            return self._drive({role: lambda _: arm.insert(insertion)})[role]
 
     def _surround_with_other(self, role: str) -> JointVector:
         """Surround an arm with the other one, where it rests; return the joints of that."""
@@ -139,7 +148,7 @@ class ArmPair:
             require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S)
             for role, arm in self._arms.items():
                 arm.surround(self._around[role])
-            return self._drive(motions)
+            return self._drive({role: motion.drive for role, motion in motions.items()})
 
     def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
         """Bring both arms to rest and hold them there; never raises."""
@@ -179,8 +188,8 @@ class ArmPair:
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
         live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
-        near = live.distance(joints[MASTER], joints[ASSISTANT])
-        if near.distance_mm < APART_MM:
+        near = live.find_near(joints[MASTER], joints[ASSISTANT], APART_MM)
+        if near is not None:
             words = f"the arms are {near.distance_mm:.1f} mm apart, {near.first} and {near.second}"
             return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
         return None
@@ -200,8 +209,8 @@ class ArmPair:
             self._live, self._expected, self._at_rest_rad = None, {}, {}
             self._moving.release()
 
-    def _drive(self, motions: Mapping[str, Driven]) -> Mapping[str, ArmReading]:
-        """Drive the motions, watched, and return the settled readings once all have ended."""
+    def _drive(self, motions: Mapping[str, Callable[[RobotArm], R]]) -> Mapping[str, R]:
+        """Drive the motions, watched, and return what each returns once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
             if state not in RUNNING:
@@ -209,12 +218,12 @@ class ArmPair:
         self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
         self.watch()
         self._require_released()
-        readings: dict[str, ArmReading] = {}
+        ends: dict[str, R] = {}
         errors: dict[str, Exception] = {}
 
-        def drive(role: str, motion: Driven) -> None:
+        def drive(role: str, motion: Callable[[RobotArm], R]) -> None:
             try:
-                readings[role] = motion.drive(self._arms[role])
+                ends[role] = motion(self._arms[role])
             except Exception as error:
                 errors[role] = error
 
@@ -244,7 +253,7 @@ class ArmPair:
             self._refuse(next(iter(errors.values()), None))
         for error in errors.values():
             raise error
-        return readings
+        return ends
 
     def _require_released(self) -> None:
         if self.halted is not None:
@@ -305,9 +314,15 @@ class ReplayedPair(ArmPair):
     def surround(self, role: str, surroundings: Surroundings) -> None:
         """Do nothing."""
 
-    def move(self, role: str, motion: Driven, *, with_instrument: bool = False) -> ArmReading:
+    def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
         """Return the recorded end of the motion."""
         return motion.drive(self._arms[role])
+
+    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+        """Return the recorded end of the insertion."""
+        arm = self._arms[role]
+        assert isinstance(arm, InsertsInstruments), "an arm that inserts"
+        return arm.insert(insertion)
 
 
 def _other(role: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
@@ -19,7 +20,7 @@ from procedures.workcell.arm_history import (
     MotionKind,
 )
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
-from procedures.workcell.motions import PlannedMotion
+from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Sides
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
@@ -28,7 +29,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, InsertsInstruments
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, InsertsInstruments
 from ronna_hw.devices.contact import Insertion as ContactInsertion
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
@@ -40,6 +41,16 @@ POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodi
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
+# Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
+# stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
+GUIDED_SPEED_MM_S = 15.0
+
+
+class GuidedStretch(NamedTuple):
+    """Part of the way from the start of an axis in which the tip is inside the guide, or off the skin."""
+
+    start_mm: float
+    end_mm: float
 
 
 def holder_bodies(holder: HolderCalibration, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Part, ...]:
@@ -81,6 +92,7 @@ class Assistant(SupervisedArm):
         self.base: Transform | None = None  # ROBOT <- base of the assistant, once it is known
         self._instrument_inside = instrument_inside
         self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
+        self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
         self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
 
     @property
@@ -105,11 +117,15 @@ class Assistant(SupervisedArm):
         """Return the joints for a flange pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.calibrated.compensate(flange, near, arriving).joints_rad
 
-    def surroundings(self, around: Surroundings) -> Surroundings:
-        """Return surroundings given in the robot frame for the assistant, with the tool that it carries."""
+    def surroundings(self, around: Surroundings, near_rad: JointVector | None = None) -> Surroundings:
+        """Return surroundings given in the robot frame for the assistant, with the tool that it carries.
+
+        They are exact near `near_rad`, by default home; see `CalibratedArm.as_controller_sees`.
+        """
         assert self.base is not None
         to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
-        return replace(around.moved(to_base), tool=self.tool)
+        seen = self.calibrated.as_controller_sees(around.moved(to_base), near_rad or self.home_rad)
+        return replace(seen, tool=self.tool)
 
     @property
     def flange_from_clamp(self) -> Transform:
@@ -132,27 +148,26 @@ class Assistant(SupervisedArm):
         assert self.base is not None
         return replace(axis, held=self.base.inverse() @ axis.held)
 
-    def is_clear(self, motions: Sequence[PlannedMotion], start_rad: JointVector) -> bool:
-        """Return whether motions one after the other are possible and clear; nothing moves."""
-        at_rad = start_rad
+    def explain_blocked(self, motions: Sequence[PlannedMotion], start_rad: JointVector) -> str:
+        """Explain why motions one after the other are not possible or not clear, or return ''."""
+        at_rad, arm = start_rad, self._arm
         for motion in motions:
             for leg in motion.legs:
                 try:
-                    preview = self._arm.preview(leg, start_rad=at_rad)
-                except LimitError:
-                    return False
-                if preview.refused is not None:
-                    return False
-                if isinstance(leg, JointMove):
-                    at_rad = leg.target_rad
-        return True
+                    refused = arm.preview(leg, start_rad=at_rad).refused
+                    at_rad = joints_after(arm.kinematics, leg, at_rad)
+                except LimitError as error:
+                    return error.meaning
+                if refused is not None:
+                    return f"{refused.first} at {refused.second}"
+        return ""
 
     def rests_clear(self, joints_rad: JointVector, around: Surroundings) -> bool:
         """Return whether the arm, with what it holds, keeps its margin where it rests.
 
         A path is checked leniently where it begins: there, bodies that are too close may stay so.
         """
-        surroundings = self.surroundings(around)
+        surroundings = self.surroundings(around, joints_rad)
         gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
         return not (gaps_mm < surroundings.margin_mm).any()
 
@@ -184,39 +199,69 @@ class Assistant(SupervisedArm):
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
         """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
-        return PlannedMotion(MotionKind.SETTLE, self.carries, joints_rad, (before, JointMove(joints_rad)))
+        return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
 
-    def insert_motion(self, axis: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """Move straight to joint angles, on the way to others."""
+        return self.supervised.carry_out(self.go_motion(joints_rad))
+
+    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
+        """Return the motion that `go` would make."""
+        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
+
+    def insert_motion(
+        self, axis: Insertion, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
+    ) -> PlannedMotion:
         """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
-        return self._along(MotionKind.INSERT, axis.held, axis, near_rad)
+        slow, legs = INSERTION_SPEED_MM_S, []
+        if guided is not None and not self.senses_force:
+            legs = [
+                self._line(axis, guided.start_mm, slow, near_rad),
+                self._line(axis, guided.end_mm, GUIDED_SPEED_MM_S, near_rad),
+            ]
+        return self._along(MotionKind.INSERT, axis, *legs, self._line(axis, axis.travel_mm, slow, near_rad))
 
-    def insert(self, axis: Insertion) -> ArmReading:
-        """Lead the instrument straight along the axis to the held pose of the clamp."""
-        return self.supervised.carry_out(self.insert_motion(axis))
+    def insert(self, axis: Insertion, guided: GuidedStretch | None = None) -> ArmReading:
+        """Lead the instrument straight along the axis to the held pose of the clamp, faster where guided."""
+        return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
-    def withdraw_motion(self) -> PlannedMotion:
+    def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
         """Return the motion that `withdraw` would make. Raises PRO-014 on no axis."""
         axis = self.place.axis
         if axis is None:
             raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
-        return self._along(MotionKind.WITHDRAW, axis.start, axis)
+        legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
+        last_mm_s = GUIDED_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
+        return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
 
-    def withdraw(self) -> ArmReading:
+    def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
-        return self.supervised.carry_out(self.withdraw_motion())
+        return self.supervised.carry_out(self.withdraw_motion(guided))
 
-    def retreat(self) -> None:
+    def retreat(self, guided: GuidedStretch | None = None) -> None:
         """Withdraw the instrument once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
-        motion = self.withdraw_motion()
+        motion = self.withdraw_motion(guided)
         subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
-        self.withdraw()
+        self.withdraw(guided)
 
-    def watch_force(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Motion | ContactInsertion:
-        """Return a leg as the arm is to drive it: an insertion is stopped by its force limit, if sensed."""
+    def has_passed(self, leg: Motion, motion: PlannedMotion) -> bool:
+        """Return whether the instrument is beyond a leg of its way, as when it was stopped on a later one.
+
+        It never goes back to where a leg ends.
+        """
+        axis = motion.axis
+        if axis is None or leg is motion.legs[-1] or not isinstance(leg, LineMove):
+            return False
+        clamp = self._arm.kinematics.flange_pose(self.joints_rad()) @ self.flange_from_clamp
+        beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(leg.target)
+        return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
+
+    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> ContactInsertion | None:
+        """Return a leg as an insertion that its force limit stops; None for others, or if none is sensed."""
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
-            return leg
+            return None
         return ContactInsertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
 
     @property
@@ -225,16 +270,19 @@ class Assistant(SupervisedArm):
         arm = self._arm
         return isinstance(arm, InsertsInstruments) and arm.senses_force
 
-    def _along(
-        self, what: MotionKind, clamp: Transform, axis: Insertion, near_rad: JointVector | None = None
-    ) -> PlannedMotion:
-        flange_from_clamp = self.flange_from_clamp
+    def _line(
+        self, axis: Insertion, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
+    ) -> LineMove:
+        """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
+        clamp, flange_from_clamp = axis.pose_at(travel_mm), self.flange_from_clamp
         carried = CarriedTool(self.calibrated, flange_from_clamp)
         commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
-        speed_mm_s = INSERTION_SPEED_MM_S if what is MotionKind.INSERT else WITHDRAWAL_SPEED_MM_S
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
-        line = LineMove(commanded, flange_from_clamp, share)
-        return PlannedMotion(what, "the instrument", _vector(clamp.translation_mm), (line,), axis=axis)
+        return LineMove(commanded, flange_from_clamp, share)
+
+    def _along(self, what: MotionKind, axis: Insertion, *legs: LineMove) -> PlannedMotion:
+        end = axis.held if what is MotionKind.INSERT else axis.start
+        return PlannedMotion(what, "the instrument", _vector(end.translation_mm), legs, axis=axis)
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
         """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""

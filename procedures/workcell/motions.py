@@ -15,6 +15,7 @@ from procedures.operator.question import ReadBack
 from procedures.workcell.arm_history import Insertion, MotionKind
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
@@ -22,7 +23,7 @@ from ronna_hw.vectors import JointVector
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """Motion of the workcell from the arm's present position. All legs but the last are joint moves.
+    """Motion of the workcell from the arm's present position: joint moves, or lines along one axis.
 
     If its first leg is not clear, any motions of `replacement` replace it. They are separate
     motions, so that the journal has the arm's actual way.
@@ -183,14 +184,21 @@ def collect_facts(
 def _facts(
     arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
 ) -> tuple[MotionFacts, JointVector]:
-    """Return the facts of one motion, and the joints after its last joint move."""
+    """Return the facts of one motion, and the joints at its end."""
     travel_mm, previews = 0.0, []
     for leg in legs:
         previews.append(arm.preview(leg, start_rad=at_rad))
         travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
-        if isinstance(leg, JointMove):
-            at_rad = leg.target_rad
+        at_rad = joints_after(arm.kinematics, leg, at_rad)
     return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), at_rad
+
+
+def joints_after(kinematics: Kinematics, leg: Motion, start_rad: JointVector) -> JointVector:
+    """Return the joints at the end of a leg from `start_rad` on. Raises as `Kinematics.solve_branch`."""
+    if isinstance(leg, JointMove):
+        return leg.target_rad
+    flange = leg.target if leg.flange_from_tool is None else leg.target @ leg.flange_from_tool.inverse()
+    return kinematics.solve_branch(Pose.from_transform(flange), kinematics.branch_of(start_rad), start_rad)
 
 
 def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
@@ -19,7 +20,8 @@ from procedures.workcell.tools import Sides, calibrated_arm
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
-from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.lifecycle import RUNNING
+from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -70,6 +72,15 @@ class SupervisedArm(ABC):
     def joints_rad(self) -> JointVector:
         """Measure the joint angles, rad."""
         return self._arm.read_state().joints_rad
+
+    @property
+    def streaming(self) -> bool:
+        """Whether the arm's set-point stream is running. Otherwise it cannot be moved."""
+        return self._arm.observe().state in RUNNING
+
+    def link_statistics(self) -> LinkStatistics:
+        """Return the statistics of the arm's link since it was last activated."""
+        return self._arm.link_statistics()
 
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange in the arm's base, by its calibration if there is one; see `Sides`."""
@@ -140,12 +151,27 @@ class SupervisedArm(ABC):
 
     # Motion home
 
+    def joint_motion(self, what: MotionKind, *legs: JointMove) -> PlannedMotion:
+        """Return a motion by joint moves, with what the arm carries."""
+        return PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
+
     def home_motion(self) -> PlannedMotion:
         """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
-        legs = (JointMove(approach_joints(home_rad, ONE_SIDE)), JointMove(home_rad))
-        return PlannedMotion(MotionKind.HOME, self.carries, home_rad, legs)
+        before = JointMove(approach_joints(home_rad, ONE_SIDE))
+        return self.joint_motion(MotionKind.HOME, before, JointMove(home_rad))
+
+    def return_motion(self) -> PlannedMotion:
+        """Return the motion that `return_home` would make."""
+        home = self.home_motion()
+        trail = reversed(self.history.trail)
+        back = tuple(self.joint_motion(MotionKind.BACK, JointMove(joints_rad)) for joints_rad in trail)
+        return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
 
     def go_home(self) -> ArmReading:
         """Move home, each joint arriving from the same side so that small changes show there."""
         return self.supervised.carry_out(self.home_motion())
+
+    def return_home(self) -> ArmReading:
+        """Move home directly or, if that path is not clear, back the way the arm came."""
+        return self.supervised.carry_out_with_detour(self.return_motion())

@@ -39,7 +39,7 @@ from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
-from ronna_hw.devices.readings import ArmReading, LinkStatistics
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
@@ -78,7 +78,7 @@ class Workcell(SupervisedArm):
         theatre.require("tracker", "stereo", *(f"robot.{role}" for role in roles))
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
-        self._around_assistant: Surroundings | None = None  # robot frame
+        self._around_assistant: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self._make_pair = pair
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
@@ -252,23 +252,26 @@ class Workcell(SupervisedArm):
                 self._surround_master(self.surroundings)
         self._pair.place_assistant(base)
 
-    def surround_assistant(self, surroundings: Surroundings) -> None:
-        """Set what surrounds the assistant, in the robot frame; its tool is its own."""
+    def surround_assistant(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
+        """Set what surrounds the assistant, in the robot frame; its tool is its own.
+
+        Clearance is exact near `near_rad`, by default home.
+        """
         second = self._require_second()
         assert self._pair is not None, "where the assistant stands is known first"
-        self._around_assistant = surroundings
-        self._pair.surround(ASSISTANT, second.surroundings(surroundings))
+        self._around_assistant = surroundings, near_rad
+        self._pair.surround(ASSISTANT, second.surroundings(surroundings, near_rad))
 
     def hold_instrument(self, tip_mm: float) -> None:
         """Take an instrument as held by the assistant, its tip this far beyond the clamp; 0 for none."""
         self._require_second().hold_instrument(tip_mm)
         if self._around_assistant is not None:
-            self.surround_assistant(self._around_assistant)
+            self.surround_assistant(*self._around_assistant)
 
     def assistant_rests_clear(self, joints_rad: JointVector) -> bool:
         """Return whether the assistant, with what it holds, keeps its margin at these joints."""
         assert self._around_assistant is not None, "what surrounds the assistant is known first"
-        return self._require_second().rests_clear(joints_rad, self._around_assistant)
+        return self._require_second().rests_clear(joints_rad, self._around_assistant[0])
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
@@ -291,9 +294,13 @@ class Workcell(SupervisedArm):
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
             )
         if role == ASSISTANT and motion.axis is not None:
-            limit_N = self._theatre.file.procedure.insertion_force_N
-            driven = self._require_second().watch_force(leg, motion, limit_N)
-            return self._pair.move(role, driven, with_instrument=True)
+            second, limit_N = self._require_second(), self._theatre.file.procedure.insertion_force_N
+            if second.has_passed(leg, motion):
+                return self._theatre.arms[ASSISTANT].read_state()
+            if (insertion := second.force_limited(leg, motion, limit_N)) is not None:
+                second.inserted = self._pair.insert(role, insertion)
+                return second.inserted.reading
+            return self._pair.move(role, leg, with_instrument=True)
         return self._pair.move(role, leg)
 
     def _release_held(self, by: str) -> bool:
@@ -333,7 +340,7 @@ class Workcell(SupervisedArm):
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` would make."""
-        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), via_home=True)
+        return self._via_home(self.joint_motion(MotionKind.GO, JointMove(joints_rad)))
 
     def settle_motion(
         self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
@@ -341,18 +348,10 @@ class Workcell(SupervisedArm):
         """Return the motion that `settle` would make."""
         onto = JointMove(joints_rad)
         if arriving is None:
-            return self._joint_motion(MotionKind.STEP, onto)
+            return self.joint_motion(MotionKind.STEP, onto)
         back = JointMove(approach_joints(joints_rad, arriving))
-        return self._joint_motion(MotionKind.SETTLE, back, onto, via_home=allow_detour)
-
-    def return_motion(self) -> PlannedMotion:
-        """Return the motion that `return_home` would make."""
-        home = self.home_motion()
-        back = tuple(
-            self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
-            for joints_rad in reversed(self.history.trail)
-        )
-        return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
+        onto_from_side = self.joint_motion(MotionKind.SETTLE, back, onto)
+        return self._via_home(onto_from_side) if allow_detour else onto_from_side
 
     def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
@@ -375,10 +374,6 @@ class Workcell(SupervisedArm):
     def go(self, joints_rad: JointVector) -> ArmReading:
         """Move to joint angles, via home if the direct path is not clear. Raises ARM-007 if neither is."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
-
-    def return_home(self) -> ArmReading:
-        """Move home directly or, if that path is not clear, back the way the arm came."""
-        return self.supervised.carry_out_with_detour(self.return_motion())
 
     def park(self, subject: str = "park the arm") -> ArmReading:
         """Return home once the operator has confirmed it. Raises PRO-002."""
@@ -452,15 +447,6 @@ class Workcell(SupervisedArm):
         self.on_look(seen)
         return seen
 
-    @property
-    def streaming(self) -> bool:
-        """Whether the arm's correction stream is running. Otherwise the workcell cannot move the arm."""
-        return self._arm.observe().state in RUNNING
-
-    def link_statistics(self) -> LinkStatistics:
-        """Return the robot link's statistics since the arm was last activated."""
-        return self._arm.link_statistics()
-
     def rest(self) -> None:
         """Stop the arm's correction stream and the cameras, for a tool change or a parked arm."""
         second = () if self.second is None else (self._theatre.arms[ASSISTANT],)
@@ -494,9 +480,9 @@ class Workcell(SupervisedArm):
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
-    def _joint_motion(self, what: MotionKind, *legs: JointMove, via_home: bool = False) -> PlannedMotion:
-        direct = PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
-        if not via_home or self._log.home_rad is None:
+    def _via_home(self, direct: PlannedMotion) -> PlannedMotion:
+        """Return a motion that may lead via home if its direct path is not clear."""
+        if self._log.home_rad is None:
             return direct
         return replace(direct, replacement=(self.home_motion(), direct))
 

@@ -33,11 +33,6 @@ class Insertion:
     speed_mm_s: float = INSERTION_SPEED_MM_S
     force_limit_N: float | None = None
 
-    def drive(self, arm: object) -> ArmReading:
-        """Execute the motion with `InsertsInstruments.insert`."""
-        assert isinstance(arm, InsertsInstruments), "an arm that inserts"
-        return arm.insert(self).reading
-
 
 @dataclass(frozen=True)
 class Inserted:

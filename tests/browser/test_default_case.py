@@ -7,6 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
+import pytest
 from case_results import measured, targets
 from console_clicks import answer, answer_until, await_next, run_by_clicks, run_to, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
@@ -26,6 +27,7 @@ def mount(case: OperatedCase, number: str) -> None:
     subprocess.run(line, check=True, capture_output=True)
 
 
+@pytest.mark.slow  # minutes; a mini case by clicks is for every submission
 def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_or_console(
     start: OperatedCases, page: Any
 ) -> None:

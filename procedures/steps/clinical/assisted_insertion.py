@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
@@ -19,33 +18,28 @@ from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
-from procedures.steps.clinical.base_postures import FLANGE_ONWARDS, working_joints
 from procedures.steps.clinical.base_to_base import KnownBases
-from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot
-from procedures.steps.clinical.room import ExpectedSight, room_watch
-from procedures.steps.clinical.surroundings import planning_scene_of
+from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, find_axis, guide_pose, surround_at_guide
+from procedures.steps.clinical.results import AssistedInsertion
+from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.assistant import AT_GUIDE, Assistant
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
+from procedures.workcell import Insertion
+from procedures.workcell.assistant import AT_GUIDE, GUIDED_SPEED_MM_S, Assistant, GuidedStretch
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
-from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
-from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.vectors import joint_vector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
 # Between the frames of both arms, by the tracker and by the joints: three standard errors of the bases by the
 # tracker alone (0.3 mm) and of its angles. Coarse, but of another kind than the joints.
 SEEN_APART_MM, SEEN_APART_RAD = 1.0, math.radians(0.5)
-ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
-PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
+MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
+OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
-TURN_STEP_RAD = math.radians(15.0)
 # Of the assistant's frame at home, between two looks: three standard errors with the repeatability of an arm
 # and the tracker's drift. Less than the instrument has play before it presses on the guide.
 STOOD_MM = 0.5
@@ -53,7 +47,7 @@ LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
-def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
+def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
     """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
     workcell, second, trajectory = context.workcell, context.workcell.second, context.trajectory
     assert second is not None
@@ -69,23 +63,25 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
     workcell.hold_instrument(stop.read_mm)
-    axis, start_rad = _find_axis(context, second, stop, known.head_shift_mm)
+    axis, start_rad, via_rad = find_axis(context, second, stop, known)
     workcell.start()
     second.supervised.confirm(
         Topic.APPROACH,
         f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
-        f"{axis.travel_mm:.0f} mm along the bore at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests "
-        "there",
-        [second.settle_motion(start_rad, axis.arriving)],
+        f"{axis.travel_mm:.0f} mm along the bore, in it at up to {GUIDED_SPEED_MM_S:g} mm/s, from "
+        f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests there",
+        [*map(second.go_motion, via_rad), second.settle_motion(start_rad, axis.arriving)],
         trajectory,
     )
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
+    for joints_rad in via_rad:
+        second.go(joints_rad)
     second.settle(start_rad, axis.arriving)
-    _require_coaxial(context, second, axis, known.head_shift_mm)
-    _require_seen_coaxial(context, second, known, stood=stood)
+    off_axis = _require_coaxial(context, second, axis, known.head_shift_mm)
+    seen_apart = _require_seen_coaxial(context, second, known, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
-    second.insert(second.axis_in_base(axis))
+    second.insert(second.axis_in_base(axis), _guided_stretch(context, stop))
     task = Task(
         SEATED,
         f"look whether the depth stop rests on the guide at {trajectory}",
@@ -101,6 +97,16 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> None:
             got=f"{gap_mm:.2f} mm",
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
+    off_axis_mm, off_axis_rad = off_axis
+    seen_apart_mm, seen_apart_rad = seen_apart
+    return AssistedInsertion(
+        off_axis_mm=off_axis_mm,
+        off_axis_rad=off_axis_rad,
+        seen_apart_mm=seen_apart_mm,
+        seen_apart_rad=seen_apart_rad,
+        peak_force_N=None if second.inserted is None else second.inserted.peak_force_N,
+        gap_mm=max(0.0, gap_mm),
+    )
 
 
 def _present_holder(context: StepContext, second: Assistant) -> None:
@@ -152,15 +158,15 @@ def surround_holder(context: StepContext, tip_mm: float) -> None:
     assert second is not None
     workcell.hold_instrument(tip_mm)
     workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
-    _surround(context)
+    surround_at_guide(context, second.joints_rad())
 
 
-def withdraw_assistant(context: StepContext) -> None:
+def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
     """Have the assistant lead the instrument straight out, once the operator confirms it."""
     second = context.workcell.second
     if second is not None and second.place.is_on_axis:
         context.workcell.start()
-        second.retreat()
+        second.retreat(_guided_stretch(context, stop))
 
 
 def send_assistant_home(context: StepContext) -> None:
@@ -170,83 +176,21 @@ def send_assistant_home(context: StepContext) -> None:
         return
     if second.place.is_out:
         workcell.hold_instrument(0.0)
-        second.go_home()
+        second.return_home()
     workcell.touch({})
 
 
-def _guide_pose(context: StepContext, head_shift_mm: tuple[float, float, float]) -> Transform:
-    """Return the guide as the stereo head has seen its mount: the shift belongs to both."""
-    workcell = context.workcell
-    axis = workcell.place.axis
-    pose = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
-    return pose.displace(pose.rotation_matrix @ np.asarray(head_shift_mm))
-
-
-def _find_axis(
-    context: StepContext, second: Assistant, stop: DepthStop, head_shift_mm: tuple[float, float, float]
-) -> tuple[Insertion, JointVector]:
-    """Return the clamp's axis in the robot frame, and the joints at its start. Raises PLAN-007."""
-    guide, bore = _guide_pose(context, head_shift_mm), context.workcell.tools.guide.bore
-    top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
-    travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
-    axes = []
-    for step in range(round(2.0 * math.pi / TURN_STEP_RAD)):
-        turn = guide.rigid.rotation * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD])
-        held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
-        axes.append(Insertion(context.trajectory, held, travel_mm))
-    assert second.base is not None
-    to_base = second.base.inverse()
-    onto_flange = second.flange_from_clamp.inverse()
-    near = working_joints(second, [to_base @ one.held @ onto_flange for one in axes])
-    found: list[tuple[int, float, Insertion, JointVector]] = []
-    for one in axes:
-        try:
-            at_start = second.clamp_joints(one.start, near)
-            at_end = second.clamp_joints(one.held, at_start)
-            signs = tuple(1 if end >= begin else -1 for begin, end in zip(at_start, at_end, strict=True))
-            start_rad = second.clamp_joints(one.start, near, signs)
-        except LimitError:
-            continue
-        # Near the postures of the ball: what the arms err there is part of the bases.
-        away_rad = float(
-            (FLANGE_ONWARDS.inv() * (to_base @ one.held @ onto_flange).rigid.rotation).magnitude()
-        )
-        way_rad = max(abs(a - b) for a, b in zip(start_rad, second.home_rad, strict=True))
-        turned_rad = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True))
-        axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
-        found.append((round(away_rad / TURN_STEP_RAD), way_rad + turned_rad, axis, start_rad))
-    here_rad, in_sight = second.joints_rad(), 0
-    for _, _, axis, start_rad in sorted(found, key=lambda one: one[:2]):
-        if _hides_head(context, second, axis, start_rad):
-            continue
-        in_sight += 1
-        onto = second.settle_motion(start_rad, axis.arriving)
-        along = second.insert_motion(second.axis_in_base(axis), start_rad)
-        if second.is_clear([onto, along], here_rad):
-            return axis, start_rad
-    raise NotReachable(
-        f"the assistant cannot bring the instrument into the guide at {context.trajectory}: "
-        f"of {len(axes)} turns about its axis {len(found)} are in reach, {in_sight} of them leave the head "
-        "in view of the tracker, and none of those is clear",
-        action="Place the assistant's cart elsewhere and localize again, or start a run without --dual.",
-    )
-
-
-def _hides_head(context: StepContext, second: Assistant, axis: Insertion, start_rad: JointVector) -> bool:
-    """Return whether both arms, with the assistant on this axis, hide the head from the tracker."""
-    workcell = context.workcell
-    assert workcell.surroundings is not None
-    expected = ExpectedSight(context, room_watch(context), workcell.surroundings)
-    here_rad = workcell.joints_rad()
-    held_rad = second.clamp_joints(axis.held, start_rad)
-    return any(expected.hidden_at(here_rad, at_rad) for at_rad in (start_rad, held_rad))
+def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
+    """Return where the bore leads the instrument and its tip is off the skin."""
+    bore_mm = context.workcell.tools.guide.bore.length_mm
+    return GuidedStretch(ABOVE_GUIDE_MM + MOUTH_MM, ABOVE_GUIDE_MM + bore_mm + stop.standoff_mm - OFF_SKIN_MM)
 
 
 def _require_coaxial(
     context: StepContext, second: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
-) -> None:
-    """Raise PRO-007 unless the instrument is coaxial with the bore, by the joints of both arms."""
-    guide = _guide_pose(context, head_shift_mm)
+) -> tuple[float, float]:
+    """Return how far (mm, rad) the instrument is off the bore by the joints of both arms. Raises PRO-007."""
+    guide = guide_pose(context, head_shift_mm)
     clamp = guide.inverse() @ second.clamp_pose(second.joints_rad(), axis.arriving)
     turned_rad = math.acos(min(1.0, float(clamp.rotation_matrix[2, 2])))
     bore = context.workcell.tools.guide.bore
@@ -262,6 +206,7 @@ def _require_coaxial(
         f"at {context.trajectory} the instrument is {off_mm:.2f} mm and {math.degrees(turned_rad):.2f} deg "
         "from the axis of the guide, by the joints of both arms"
     )
+    return off_mm, turned_rad
 
 
 def _has_stood(context: StepContext, second: Assistant, known: KnownBases) -> bool:
@@ -293,8 +238,10 @@ def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
     return [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names]
 
 
-def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownBases, *, stood: bool) -> None:
-    """Raise PRO-007 if the tracker sees the frames of both arms elsewhere than the joints have them.
+def _require_seen_coaxial(
+    context: StepContext, second: Assistant, known: KnownBases, *, stood: bool
+) -> tuple[float, float] | tuple[None, None]:
+    """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007.
 
     Where it does not see both, the joints alone count, provided that the assistant's cart has `stood`.
     """
@@ -313,14 +260,15 @@ def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownB
             f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; at home "
             "it has just seen the assistant where it stood"
         )
-        return
+        return None, None
     assert second.base is not None
     flange = second.base @ second.flange_pose(second.joints_rad())
     by_joints = (flange @ known.flange_from_frame.transform).rigid
     turn = known.robot_from_tracker.transform.rigid.rotation
     # From the master's frame: the tracker's smooth error is much the same for both.
     seen_mm = turn.apply(assistant.translation_mm - master.translation_mm)
-    held_mm = by_joints.translation - robot_from_marker(workcell, workcell.joints_rad()).translation_mm
+    by_master = workcell.flange_pose(workcell.joints_rad()) @ known.flange_from_master_frame.transform
+    held_mm = by_joints.translation - by_master.translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
     turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
     _require_within(
@@ -333,6 +281,7 @@ def _require_seen_coaxial(context: StepContext, second: Assistant, known: KnownB
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
         f"and {math.degrees(turned_rad):.2f} deg"
     )
+    return apart_mm, turned_rad
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:
@@ -345,18 +294,6 @@ def _require_within(found: tuple[float, float], limit: tuple[float, float], what
         got=f"{format_against_limit(found[0], limit[0], 2)} mm, {math.degrees(found[1]):.2f} deg",
         action=action,
     )
-
-
-def _surround(context: StepContext) -> None:
-    """Surround the assistant with the patient, leaving the corridor of this trajectory open."""
-    workcell = context.workcell
-    robot_from_ct = context.result_among(RegisteredRobot, lambda made: made[-1] if made else None)
-    by = (
-        context.result(Correspondence).robot_from_ct if robot_from_ct is None else robot_from_ct.robot_from_ct
-    )
-    trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
-    guide = workcell.flange_from(MountedTool.GUIDE)
-    workcell.surround_assistant(planning_scene_of(context).with_guide(by.transform, guide, trajectory))
 
 
 def _parts_at_bore(context: StepContext) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from procedures.steps.clinical.assisted_insertion import (
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
 from procedures.steps.clinical.work_progress import (
     STAGES,
@@ -69,6 +70,9 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
         description="Largest displacement of the guide after a stage; none where no push was seen and the "
         "tracker did not see the guide after each. One that was released before is a finding."
     )
+    assisted: AssistedInsertion | None = Field(
+        default=None, description="Insertion by the assistant; none by hand or on an earlier visit."
+    )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
     )
@@ -102,7 +106,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
                 _look_at_guide(context, stage, rest, work_so_far)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.done_statement} at {trajectory}")
-        withdraw_assistant(context)
+        withdraw_assistant(context, work_so_far.stop)
         context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
     send_assistant_home(context)
     if work_so_far.finished_before:
@@ -119,6 +123,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             too_deep_mm=too_deep_mm,
             depth_stop=work_so_far.stop,
             pushed_mm=work_so_far.pushed_mm if work_so_far.watched or pushed else None,
+            assisted=work_so_far.assisted,
             done_before=work_so_far.before,
         ),
         summary=f"instrument within {error_mm:.2f} mm of where it was sent"
@@ -156,7 +161,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     stages.record_begin(trajectory, stage.task)
     assisted = stage is STAGES[-1] and context.workcell.second is not None
     if assisted:
-        insert_with_assistant(context, stop)
+        work_so_far.assisted = insert_with_assistant(context, stop)
     else:
         context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
     question = Question(

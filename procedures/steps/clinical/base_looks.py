@@ -6,9 +6,11 @@ One arm moves at a time, and only where the other leaves it a way; what is out o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +35,9 @@ from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.base_postures import (
     FRAME_LOOKS,
     POSTURES,
+    face_along,
     flange_of,
+    order_by_travel,
     plan_ball_postures,
     plan_turns,
     turn_towards,
@@ -62,11 +66,20 @@ FRAMES = 12  # of the tracker, averaged per look at a frame
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
 FRAMES_FROM_ENTRY_MM = (0.0, -200.0, 300.0)
-BALL_ABOVE_GUIDE_MM = 80.0
-LOOKS_PER_POSTURE = 3
+BALL_ABOVE_GUIDE_MM = 60.0
+LEAST_POSTURES = 5
+LOOKS_PER_POSTURE = 2
 LOOKS_TRIED = 6  # for a posture: an arm stands in the way of the other in many
-HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(22.0), math.radians(50.0)
-ENOUGH_MM = 0.095  # stated error at which no more looks are taken
+HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(15.0), math.radians(30.0)
+ENOUGH_MM = 0.08  # stated error at which no more looks are taken
+
+
+class _Mover(NamedTuple):
+    """One of the arms, as it is moved and read for a look."""
+
+    joints_rad: Callable[[], JointVector]
+    settle: Callable[[JointVector], object]
+    flange: Callable[[], Transform]
 
 
 class BaseMeasurement:
@@ -77,7 +90,7 @@ class BaseMeasurement:
         self._cell, self._clock = context.workcell, context.setting.clock
         robot_from_ct = context.result(Correspondence).robot_from_ct.transform
         plan = context.result(CheckedPlan)
-        entries, tops = [], []
+        entries, tops, ways = [], [], []
         for name in context.result(CheckedPaths).targets:
             planned = plan.trajectory(name)
             entry, target = robot_from_ct.apply([planned.entry_mm, planned.target_mm])
@@ -85,7 +98,9 @@ class BaseMeasurement:
             stop_mm = depth_stop_mm(plan.plan, planned, self._cell.tools.guide.bore)
             entries.append(entry)
             tops.append(target + stop_mm * outwards)
+            ways.append(outwards)
         self._frames_mm = np.mean(entries, axis=0) + FRAMES_FROM_ENTRY_MM
+        self._outwards = np.mean(ways, axis=0)
         self._ball_mm = np.mean(tops, axis=0) + BALL_ABOVE_GUIDE_MM * np.array((0.0, 0.0, 1.0))
 
     def around(self) -> Surroundings:
@@ -126,8 +141,11 @@ class BaseMeasurement:
                 for one in plan_turns(reference, self._frames_mm, marker_mm)
             ),
             lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
-            lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
-            lambda: cell.flange_pose(cell.joints_rad()),
+            _Mover(
+                cell.joints_rad,
+                lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
+                lambda: cell.flange_pose(cell.joints_rad()),
+            ),
             frame.tool,
         )
         cell.return_home()
@@ -137,44 +155,41 @@ class BaseMeasurement:
         home = second.flange_pose(second.home_rad).rigid.rotation
         facing = (home * drawn.rigid.rotation).as_matrix()[:, 2]
         towards = turn_towards(facing, from_base.translation_mm - frames_mm) * home
+        turns = [flange_of(one.pose) for one in plan_turns(towards, frames_mm, drawn.translation_mm)]
+        near = working_joints(second, turns[:FRAME_LOOKS])
         other = self._turn(
-            (
-                partial(second.flange_joints, flange_of(one.pose), second.home_rad, ONE_SIDE)
-                for one in plan_turns(towards, frames_mm, drawn.translation_mm)
-            ),
+            (partial(second.flange_joints, one, near, ONE_SIDE) for one in turns),
             lambda at: explain_hidden_frame(
                 from_base, second.flange_pose(at) @ drawn, second.arm.kinematics, at
             ),
-            second.settle,
-            lambda: second.flange_pose(second.joints_rad(), ONE_SIDE),
+            _Mover(
+                second.joints_rad, second.settle, lambda: second.flange_pose(second.joints_rad(), ONE_SIDE)
+            ),
             second.holder.frame,
         )
-        second.go_home()
+        second.return_home()
         return found, other
 
     def _turn(
         self,
-        plan: Iterator[Callable[[], JointVector]],
+        plan: Iterable[Callable[[], JointVector]],
         explain_hidden: Callable[[JointVector], str],
-        settle: Callable[[JointVector], object],
-        flange: Callable[[], Transform],
+        arm: _Mover,
         frame: str,
     ) -> PosePairs:
         flanges: list[Array] = []
         seen: list[Array] = []
         reasons: list[str] = []
-        for wanted in plan:
-            if len(seen) == FRAME_LOOKS:
-                break
-            if not self._reach(wanted, settle, reasons, explain_hidden):
-                continue
+        for _ in self._visit(_list_possible(plan, reasons, explain_hidden), FRAME_LOOKS, arm, reasons):
             pose = mean_pose(self._read(FRAMES), frame, FRAMES // 2)
             if pose is None:
                 reasons.append(f"{frame} not in view")
                 continue
-            flanges.append(flange().as_matrix())
+            flanges.append(arm.flange().as_matrix())
             seen.append(pose.as_matrix())
             self._context.progress(len(seen) / FRAME_LOOKS / 4.0, f"turning the frame {frame}")
+            if len(seen) == FRAME_LOOKS:
+                break
         if len(seen) < LEAST_FRAME_LOOKS:
             raise PosesOutOfReach(
                 f"too few poses show the frame {frame}",
@@ -189,90 +204,100 @@ class BaseMeasurement:
         ball_mm = second.holder.flange_from_ball_mm
         base = self._base()
         cell.sensors.read_around_tool(self._context.setting.settings.servo_area_px)
-        postures = plan_ball_postures(base, self._ball_mm, ball_mm)
-        reference = cell.tool_pose(cell.home_rad).rigid.rotation
+        inwards = -base.inverse().rotation_matrix @ self._outwards
+        reference = face_along(second.flange_from_clamp.rotation_matrix[:, 2], inwards)
+        postures = plan_ball_postures(reference, base, self._ball_mm, ball_mm)
         near = working_joints(second, postures)
         heads: list[Array] = []
-        places, flanges = [], []
+        places: list[Array] = []
+        flanges: list[Array] = []
         reasons: list[str] = []
-        fit: BallFit | None = None
         held = 0
-        for number, posture in enumerate(postures):
-            wanted = partial(second.flange_joints, posture, near, ONE_SIDE)
-            if not self._reach(wanted, second.settle, reasons):
-                continue
-            flange = second.flange_pose(second.joints_rad(), ONE_SIDE)
-            there_mm = (base @ flange).apply(ball_mm)
-            looks = plan_poses_about(
-                reference,
-                there_mm,
-                LOOKS_TRIED,
-                number * LOOKS_TRIED,
-                tilt_rad=HEAD_TILT_RAD,
-                turn_rad=HEAD_TURN_RAD,
-            )
-            before = len(heads)
-            for look in looks:
-                if len(heads) == before + LOOKS_PER_POSTURE:
-                    break
-                at = partial(cell.joints_at, look.pose, cell.home_rad, ONE_SIDE)
-                if not self._reach(
-                    at, lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True), reasons
-                ):
-                    continue
-                seen = cell.look()
-                if seen.point is None:
-                    reasons.append(seen.reason)
-                    continue
-                heads.append(cell.tool_pose(arrived=ONE_SIDE).as_matrix())
-                places.append(seen.point.position_mm)
+
+        def fit() -> BallFit:
+            looks = BallLooks(np.array(heads), np.array(places), np.array(flanges))
+            return refine_bases(coarse, looks, ball_mm, head_error_mm)
+
+        plan = (partial(second.flange_joints, one, near, ONE_SIDE) for one in postures)
+        arm = _Mover(
+            second.joints_rad, second.settle, lambda: second.flange_pose(second.joints_rad(), ONE_SIDE)
+        )
+        for _ in self._visit(_list_possible(plan, reasons), POSTURES, arm, reasons):
+            flange, before = arm.flange(), len(heads)
+            for pose, ball_in_head_mm in self._look_from_around(
+                (base @ flange).apply(ball_mm), held, reasons
+            ):
+                heads.append(pose.as_matrix())
+                places.append(ball_in_head_mm)
                 flanges.append(flange.as_matrix())
             held += len(heads) > before
             share = 0.5 + min(held / POSTURES, 1.0) / 2.0
             self._context.progress(share, "looking at the ball")
-            if held >= POSTURES:
-                with suppress(DegeneratePoses):
-                    fit = refine_bases(
-                        coarse,
-                        BallLooks(np.array(heads), np.array(places), np.array(flanges)),
-                        ball_mm,
-                        head_error_mm,
-                    )
-                if fit is not None and fit.error_mm <= ENOUGH_MM:
+            if len(heads) < LEAST_BALL_LOOKS or held < LEAST_POSTURES:
+                continue
+            with suppress(DegeneratePoses):
+                if fit().error_mm <= ENOUGH_MM:
                     break
-        if fit is None:
-            if len(heads) < LEAST_BALL_LOOKS:
-                raise PosesOutOfReach(
-                    "too few looks at the ball of the assistant",
-                    expected=f"{POSTURES * LOOKS_PER_POSTURE}",
-                    got=f"{len(heads)}; {', '.join(sorted(set(reasons)))}",
-                )
-            looks_taken = BallLooks(np.array(heads), np.array(places), np.array(flanges))
-            fit = refine_bases(coarse, looks_taken, ball_mm, head_error_mm)
+        if len(heads) < LEAST_BALL_LOOKS:
+            raise PosesOutOfReach(
+                "too few looks at the ball of the assistant",
+                expected=f"{POSTURES * LOOKS_PER_POSTURE}",
+                got=f"{len(heads)}; {', '.join(sorted(set(reasons)))}",
+            )
         cell.return_home()
-        second.go_home()
-        return fit
+        second.return_home()
+        return fit()
 
-    def _reach(
-        self,
-        wanted: Callable[[], JointVector],
-        settle: Callable[[JointVector], object],
-        reasons: list[str],
-        explain_hidden: Callable[[JointVector], str] = lambda _joints: "",
-    ) -> bool:
-        """Move there unless it is of no use; return whether it was possible. Raises what trips an arm."""
-        try:
-            joints_rad = wanted()
-            if explain_hidden(joints_rad):
-                reasons.append("hidden from the tracker")
-                return False
-            settle(joints_rad)
-        except (LimitError, NotClear) as error:
-            if Lifecycle.FAULT in (self._cell.arm.state, self._second.arm.state):
-                raise
-            reasons.append(f"{error.code} ({error.meaning})")
-            return False
-        return True
+    def _look_from_around(
+        self, ball_mm: Array, number: int, reasons: list[str]
+    ) -> Iterator[tuple[Transform, Array]]:
+        """Look at the ball where it is held; yield the pose ROBOT <- TOOL of the head and the ball in TOOL.
+
+        Ways past the assistant are tried first, those via home only if none of them is clear.
+        """
+        cell, looks = self._cell, 0
+        reference = cell.tool_pose(cell.home_rad).rigid.rotation
+        around = plan_poses_about(
+            reference,
+            ball_mm,
+            LOOKS_TRIED,
+            number * LOOKS_TRIED,
+            tilt_rad=HEAD_TILT_RAD,
+            turn_rad=HEAD_TURN_RAD,
+        )
+        for allow_detour in (False, True):
+            plan = (partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE) for one in around)
+            settle = partial(cell.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
+            arm = _Mover(cell.joints_rad, settle, lambda: cell.flange_pose(cell.joints_rad()))
+            for _ in self._visit(_list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
+                seen = cell.look()
+                if seen.point is None:
+                    reasons.append(seen.reason)
+                    continue
+                yield cell.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
+                looks += 1
+                if looks == LOOKS_PER_POSTURE:
+                    return
+            if looks:
+                return
+
+    def _visit(
+        self, possible: Iterator[JointVector], at_once: int, arm: _Mover, reasons: list[str]
+    ) -> Iterator[None]:
+        """Move to postures, `at_once` of them ordered for a short way; yield after each arrival.
+
+        Leaves out those that are not clear. Raises what trips an arm.
+        """
+        while batch := tuple(islice(possible, at_once)):
+            for joints_rad in order_by_travel(arm.joints_rad(), batch):
+                try:
+                    arm.settle(joints_rad)
+                except (LimitError, NotClear) as error:
+                    if Lifecycle.FAULT in (self._cell.arm.state, self._second.arm.state):
+                        raise
+                    reasons.append(f"{error.code} ({error.meaning})")
+                else:
+                    yield
 
     def _read(self, count: int) -> list[TrackerFrame]:
         return read_frames_at_rest(self._cell.tracker, self._clock, count=count)[0]
@@ -280,6 +305,24 @@ class BaseMeasurement:
     def _base(self) -> Transform:
         assert self._second.base is not None
         return self._second.base
+
+
+def _list_possible(
+    plan: Iterable[Callable[[], JointVector]],
+    reasons: list[str],
+    explain_hidden: Callable[[JointVector], str] = lambda _joints: "",
+) -> Iterator[JointVector]:
+    """Yield the planned joints that are in reach and, where that counts, in the tracker's view."""
+    for wanted in plan:
+        try:
+            joints_rad = wanted()
+        except LimitError as error:
+            reasons.append(f"{error.code} ({error.meaning})")
+            continue
+        if explain_hidden(joints_rad):
+            reasons.append("hidden from the tracker")
+        else:
+            yield joints_rad
 
 
 def between_bases(matrix: Array) -> Transform:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_poses_about
+from procedures.calibration.pose_set import PlannedLook, plan_poses_about
 from procedures.workcell.assistant import Assistant
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
@@ -18,64 +18,72 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
-FRAME_LOOKS, SPARE = 12, 12  # planned poses for each wanted one: an arm hides its own frame in most of them
+FRAME_LOOKS, SPARE = 8, 18  # planned poses for each wanted one: an arm hides its own frame in most of them
 MOST_FACING_RAD = math.radians(35.0)  # turn of the assistant's frame towards the tracker
 FRAME_TILT_RAD, FRAME_TURN_RAD = math.radians(30.0), math.radians(60.0)
-BALL_SPREAD_MM = np.array((60.0, 60.0, 50.0))  # either way, of the ball's places
+BALL_SPREAD_MM = np.array((40.0, 40.0, 60.0))  # either way, of the ball's places
 PLACES_SEED = 49
-BALL_TILT_RAD, BALL_TURN_RAD = math.radians(35.0), math.radians(60.0)
+# Close to the posture with the instrument: what the arms err there is part of the bases, the ways are short.
+BALL_TILT_RAD, BALL_TURN_RAD = math.radians(20.0), math.radians(30.0)
 POSTURES = 6  # of the assistant with its ball
 MOST_POSTURES = 48  # that are tried: an arm stands in the way of the other in many
+OUT_OF_REACH_RAD = 2.0 * math.pi  # a pose out of reach counts as a way as long
 FLANGE_ONWARDS = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # instrument down
 
 
-def plan_turns(reference: Rotation, place_mm: ArrayLike, frame_mm: ArrayLike) -> list[PlannedLook]:
-    """Plan turns of a frame at a place; each set of `FRAME_LOOKS` is spread evenly and ordered by itself."""
-    sets = (
-        plan_poses_about(
-            reference,
-            place_mm,
-            FRAME_LOOKS,
-            number * FRAME_LOOKS,
-            tilt_rad=FRAME_TILT_RAD,
-            turn_rad=FRAME_TURN_RAD,
-            offset_mm=frame_mm,
-        )
-        for number in range(SPARE)
+def plan_turns(reference: Rotation, place_mm: ArrayLike, frame_mm: ArrayLike) -> tuple[PlannedLook, ...]:
+    """Plan turns of a frame at a place; the first ones of any number are spread evenly."""
+    return plan_poses_about(
+        reference,
+        place_mm,
+        FRAME_LOOKS * SPARE,
+        tilt_rad=FRAME_TILT_RAD,
+        turn_rad=FRAME_TURN_RAD,
+        offset_mm=frame_mm,
     )
-    return [look for one in sets for look in order_by_orientation(one)]
 
 
-def turn_towards(facing: ArrayLike, wanted: ArrayLike) -> Rotation:
-    """Return the turn of a direction (3,) towards another, by `MOST_FACING_RAD` at most."""
+def turn_towards(facing: ArrayLike, wanted: ArrayLike, most_rad: float = MOST_FACING_RAD) -> Rotation:
+    """Return the turn of a direction (3,) towards another, by `most_rad` at most."""
     one, other = (np.asarray(way, dtype=float) / np.linalg.norm(way) for way in (facing, wanted))
     axis = np.cross(one, other)
     sine = float(np.linalg.norm(axis))
     if not sine:
         return Rotation.identity()
     angle_rad = math.atan2(sine, float(one @ other))
-    return Rotation.from_rotvec(axis / sine * min(angle_rad, MOST_FACING_RAD))
+    return Rotation.from_rotvec(axis / sine * min(angle_rad, most_rad))
 
 
-def plan_ball_postures(base: Transform, middle_mm: ArrayLike, ball_mm: ArrayLike) -> list[Transform]:
+def face_along(instrument: ArrayLike, inwards: ArrayLike) -> Rotation:
+    """Return the flange with the instrument along an axis, turned least from `FLANGE_ONWARDS`.
+
+    `instrument` (3,) is its direction in the flange frame, `inwards` (3,) that of the axis in the base.
+    """
+    held, wanted = FLANGE_ONWARDS.apply(instrument), np.asarray(inwards, dtype=float)
+    return turn_towards(held, wanted, math.pi) * FLANGE_ONWARDS
+
+
+def plan_ball_postures(
+    reference: Rotation, base: Transform, middle_mm: ArrayLike, ball_mm: ArrayLike
+) -> list[Transform]:
     """Plan poses of the assistant's flange, in its base, that hold the ball about a place of the robot frame.
 
-    Each set of `POSTURES` is spread evenly and ordered by itself.
+    They are turned about `reference`, in which it will hold the instrument.
     """
-    planned = [
-        plan_poses_about(
-            FLANGE_ONWARDS,
-            base.inverse().apply(middle_mm + beside_mm),
-            1,
-            number,
-            tilt_rad=BALL_TILT_RAD,
-            turn_rad=BALL_TURN_RAD,
-            offset_mm=ball_mm,
-        )[0]
+    return [
+        flange_of(
+            plan_poses_about(
+                reference,
+                base.inverse().apply(middle_mm + beside_mm),
+                1,
+                number,
+                tilt_rad=BALL_TILT_RAD,
+                turn_rad=BALL_TURN_RAD,
+                offset_mm=ball_mm,
+            )[0].pose
+        )
         for number, beside_mm in enumerate(spread_places(MOST_POSTURES))
     ]
-    sets = (planned[first : first + POSTURES] for first in range(0, MOST_POSTURES, POSTURES))
-    return [flange_of(posture.pose) for one in sets for posture in order_by_orientation(one)]
 
 
 def spread_places(count: int) -> Array:
@@ -85,18 +93,42 @@ def spread_places(count: int) -> Array:
 
 
 def working_joints(second: Assistant, flanges: Sequence[Transform]) -> JointVector:
-    """Return joints in the branch in which the assistant reaches most of these poses of its flange."""
-    one, two, three, four, five, six = second.home_rad
+    """Return joints in the branch in which the assistant reaches these poses of its flange by short ways.
 
-    def reached(near: JointVector) -> int:
-        count = 0
+    In the other one, its wrist turns by whole turns where a joint comes to the end of its range.
+    """
+
+    def way_rad(near: JointVector) -> float:
+        way = 0.0
         for flange in flanges:
-            with suppress(LimitError):
-                second.flange_joints(flange, near)
-                count += 1
-        return count
+            try:
+                way += travel_rad(second.flange_joints(flange, near), second.home_rad)
+            except LimitError:
+                way += OUT_OF_REACH_RAD
+        return way
 
-    return max((second.home_rad, (one, two, three, four, -five, six)), key=reached)
+    return min(wrist_branches(second), key=way_rad)
+
+
+def wrist_branches(second: Assistant) -> tuple[JointVector, JointVector]:
+    """Return joints in both branches of the wrist, of which each pose leaves the choice."""
+    one, two, three, four, five, six = second.home_rad
+    return second.home_rad, (one, two, three, four, -five, six)
+
+
+def travel_rad(start_rad: JointVector, end_rad: JointVector) -> float:
+    """Return by how much the joint turns that turns most: it decides how long a motion takes."""
+    return max(abs(end - start) for start, end in zip(start_rad, end_rad, strict=True))
+
+
+def order_by_travel(start_rad: JointVector, postures: Sequence[JointVector]) -> list[JointVector]:
+    """Sort postures so that each is the one nearest to the previous one."""
+    here_rad, left, ordered = start_rad, list(postures), []
+    while left:
+        here_rad = min(left, key=partial(travel_rad, here_rad))
+        left.remove(here_rad)
+        ordered.append(here_rad)
+    return ordered
 
 
 def flange_of(pose: Transform) -> Transform:

@@ -54,9 +54,12 @@ class KnownBases(StepResult, kind="base_to_base"):
 
     robot_from_base: FramedPose = Field(description="Pose robot <- base of the assistant.")
     robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker, by the master's turned frame.")
+    flange_from_master_frame: FramedPose = Field(description="Pose flange <- frame of the master, as found.")
     flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
-    error_mm: float = Field(description="The same after the looks at the ball.")
+    error_mm: float = Field(
+        description="Standard error, 3-D, with which the tools of both arms meet there, by the ball."
+    )
     apart_mm: float = Field(description="How far tracker and stereo head disagree there.")
     scatter_mm: float = Field(description="Of the looks at the ball, per axis.")
     frame_looks: tuple[int, int] = Field(description="Looks at the frames of master and assistant.")
@@ -109,6 +112,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         KnownBases(
             robot_from_base=FramedPose.of(_robot_from_base(fit.bases)),
             robot_from_tracker=FramedPose.of(_of_tracker(by_frames.robot_from_tracker)),
+            flange_from_master_frame=FramedPose.of(_on_flange(by_frames.flange_from_master_frame)),
             flange_from_frame=FramedPose.of(_on_flange(by_frames.flange_from_frame)),
             by_frames_mm=by_frames_mm,
             error_mm=error_mm,

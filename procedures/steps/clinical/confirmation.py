@@ -16,7 +16,7 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.positioning import REFUSALS
-from procedures.steps.clinical.results import ConfirmedTarget, link_health
+from procedures.steps.clinical.results import ConfirmedTarget, assistant_link_health, link_health
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.room import ROOM_READS, doubt, list_unconfirmed_targets, room_watch, void_moved
 from procedures.steps.clinical.surroundings import READS
@@ -36,7 +36,8 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.mount.check(MountedTool.GUIDE)
     targets_remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
     guide = _check_guide(context, targets_remain)
-    link = link_health(context) if context.workcell.streaming else None
+    link = link_health(context, context.workcell) if context.workcell.streaming else None
+    other = assistant_link_health(context)
     context.workcell.rest()  # it may have been the last target
     look = _check_room(context, targets_remain)
     base = SeenUnchanged.base(None)
@@ -47,7 +48,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     unchanged = look.in_place and not look.by_frame and guide.unchanged
     in_doubt = () if unchanged else list_unconfirmed_targets(context)
     return Outcome(
-        ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link),
+        ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link, assistant_link=other),
         summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),
     )
 

@@ -19,6 +19,7 @@ from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult, Values
 from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
+from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.calibration import Numbers3
 
 Array = NDArray[np.float64]
@@ -199,11 +200,32 @@ class LinkHealth(Values):
         return self
 
 
-def link_health(context: StepContext) -> LinkHealth:
-    """Return the health of the robot link; call this just before the stream ends."""
-    statistics = asdict(context.workcell.link_statistics())
+def link_health(context: StepContext, arm: SupervisedArm) -> LinkHealth:
+    """Return the health of an arm's link; call this just before its stream ends."""
+    statistics = asdict(arm.link_statistics())
     fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)
+
+
+def assistant_link_health(context: StepContext) -> LinkHealth | None:
+    """Return the health of the assistant's link, or None without one, or before it streams."""
+    second = context.workcell.second
+    return link_health(context, second) if second is not None and second.streaming else None
+
+
+class AssistedInsertion(Values):
+    """Insertion of the instrument by the assistant, as it was watched."""
+
+    off_axis_mm: NonNegativeFloat = Field(description="Over the guide, from its axis, by the joints of both.")
+    off_axis_rad: NonNegativeFloat = Field(description="Angle to that axis.")
+    seen_apart_mm: NonNegativeFloat | None = Field(
+        description="Over the guide, between tracker and joints; none if a frame was hidden."
+    )
+    seen_apart_rad: NonNegativeFloat | None = Field(description="Angle between these.")
+    peak_force_N: NonNegativeFloat | None = Field(
+        description="Largest change of the force on the way in; none if the arm senses none."
+    )
+    gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
 
 
 class ConfirmedTarget(StepResult, kind="confirmation"):
@@ -212,6 +234,9 @@ class ConfirmedTarget(StepResult, kind="confirmation"):
     seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
     in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")
     link: LinkHealth | None = Field(description="Health of the robot link over the gauge; none if unused.")
+    assistant_link: LinkHealth | None = Field(
+        default=None, description="Health of the assistant's link; none without one."
+    )
 
     def confirms(self, subject: Subject) -> bool:
         """Whether a subject was found unchanged."""

@@ -10,7 +10,7 @@ from procedures.journal.results import Numbers6, StepResult
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.results import LinkHealth, link_health
+from procedures.steps.clinical.results import LinkHealth, assistant_link_health, link_health
 from procedures.steps.conditions import needs_insertion_or_withdrawal
 
 
@@ -19,6 +19,9 @@ class Retreated(StepResult, kind="retreat", version=2):
 
     joints_rad: Numbers6 = Field(description="Measured joints at home.")
     link: LinkHealth = Field(description="Health of the robot link when it was closed.")
+    assistant_link: LinkHealth | None = Field(
+        default=None, description="Health of the assistant's link; none without one."
+    )
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
@@ -32,9 +35,9 @@ def run(context: StepContext) -> Outcome[Retreated]:
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     reached = workcell.park()
-    link = link_health(context)
+    link, other = link_health(context, workcell), assistant_link_health(context)
     workcell.rest()
-    return Outcome(Retreated(joints_rad=reached.joints_rad, link=link), "parked")
+    return Outcome(Retreated(joints_rad=reached.joints_rad, link=link, assistant_link=other), "parked")
 
 
 STEP = StepSpec(

@@ -36,7 +36,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
         or not workcell.place.is_home
     ):
         _park(context)  # else an exchange was begun, and not ended
-    link = link_health(context)
+    link = link_health(context, context.workcell)
     mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,

@@ -15,6 +15,7 @@ from procedures.operator.question import NO, YES, Task, Topic
 from procedures.planning.guide import depth_stop_mm
 from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, stage_answer
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.conditions import require_recent
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
 from ronna_hw.wire import room_tasks
@@ -65,6 +66,7 @@ class WorkProgress:
     watched: bool = True
     pushed_mm: float = 0.0
     stop_read_s: float | None = None
+    assisted: AssistedInsertion | None = None  # unless a hand inserts the instrument
 
     @property
     def finished_before(self) -> bool:

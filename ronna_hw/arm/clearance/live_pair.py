@@ -1,7 +1,8 @@
 """Distance between two arms as they are now, for the watch of their motions.
 
 It shares no formula with the planning of paths (`arm_pair`): links come from the closed form of each arm, and
-distances are the scalar ones.
+distances are the scalar ones. They are measured again only once the arms may have moved far enough towards
+each other to reach the limit, by the levers of their joints as in `live_watch`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,21 @@ class LivePair:
         self._first, self._second = first, second
         to_first = first.base.inverse()
         self._to_first = to_first.compose(second.base)
+        self._measured: tuple[JointVector, JointVector, float] | None = None  # postures and distance
+
+    def find_near(
+        self, first_rad: JointVector, second_rad: JointVector, limit_mm: float
+    ) -> ArmDistance | None:
+        """Return the distance between the arms in these postures if it is below a limit, else None."""
+        if self._measured is not None:
+            first_before, second_before, apart_mm = self._measured
+            moved_mm = _moved_mm(self._first, first_before, first_rad)
+            moved_mm += _moved_mm(self._second, second_before, second_rad)
+            if apart_mm - moved_mm >= limit_mm:
+                return None
+        found = self.distance(first_rad, second_rad)
+        self._measured = first_rad, second_rad, found.distance_mm
+        return found if found.distance_mm < limit_mm else None
 
     def distance(self, first_rad: JointVector, second_rad: JointVector) -> ArmDistance:
         """Return the distance between the arms in these postures."""
@@ -39,6 +55,12 @@ class LivePair:
                 if apart < found.distance_mm:
                     found = ArmDistance(apart, name, other_name)
         return found
+
+
+def _moved_mm(arm: PlacedArm, before_rad: JointVector, after_rad: JointVector) -> float:
+    """Return an upper bound on how far any point of the arm's axes has moved."""
+    turns = zip(arm.levers_mm, before_rad, after_rad, strict=True)
+    return sum(lever_mm * abs(after - before) for lever_mm, before, after in turns)
 
 
 def _bodies(arm: PlacedArm, joints_rad: JointVector) -> list[tuple[Segment, float, str]]:

@@ -28,16 +28,17 @@ from sim.world.scene.parts import (
 # base as for that of a master of its model.
 CART_FROM_HEAD_MM, CART_TURN_DEG = (-130.0, -700.0), 90.0
 PARKED_MM, PARKED_DEG, FLOOR_DEG = 25.0, 3.0, 0.3  # by hand, on a floor that is not quite level; one sigma
-# Behind the flange, on the side away from the holder; it faces back along the flange's axis.
-FRAME_MM = (70.0, 0.0, -80.0)
-FRAME_TURN = rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
+# Beside the flange, away from the instrument; it faces back along that, so that a tracker above sees it at
+# whatever turn the instrument is led into the guide.
+FRAME_MM = (-90.0, 90.0, -20.0)
+FRAME_TURN = rotation_towards((-1.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
 # The post also carries the clamp, across: the instrument points along the flange's x axis.
 CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
 BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
-# The flange down, drawn back from the patient.
-KR6_HOME_DEG = (0.0, -120.0, 145.0, 0.0, 65.0, 0.0)
-UR_HOME_DEG = (-15.0, -75.0, -105.0, -90.0, 90.0, -90.0)
+# The flange down, drawn back from the patient, the frame where the master at home does not hide it.
+KR6_HOME_DEG = (-32.0, -120.0, 145.0, 0.0, 65.0, 0.0)
+UR_HOME_DEG = (33.0, -75.0, -105.0, -90.0, 90.0, 90.0)
 HOMES_DEG = {ArmChoice.KR6: KR6_HOME_DEG, ArmChoice.UR5: UR_HOME_DEG, ArmChoice.UR5E: UR_HOME_DEG}
 CLAMP = "clamp of the assistant"  # noise key
 

@@ -257,7 +257,7 @@ def test_an_insertion_that_meets_its_force_limit_holds_and_latches_nothing(maste
     target = Transform.of(Frame.ROBOT, Frame.TOOL)
     insertion = Insertion(target, Transform.of(Frame.FLANGE, Frame.TOOL), force_limit_N=15.0)
     with pytest.raises(ForceLimitExceeded):
-        pair.move(ASSISTANT, insertion, with_instrument=True)
+        pair.insert(ASSISTANT, insertion)
     assert pressing.state is Lifecycle.HOLD
     assert pair.halted is None
     pressing.close()

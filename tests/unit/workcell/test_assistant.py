@@ -16,14 +16,16 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
 from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
-from procedures.workcell.assistant import Assistant
+from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.errors import TipOffAxis
+from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
+from ronna_hw.devices import LineMove
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.assistant import KR6_HOME_DEG
 
@@ -144,3 +146,45 @@ def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     second.hold_instrument(170.0)
     assert not second.rests_clear(home_rad, Surroundings())
     assert second.rests_clear(turned_rad, Surroundings())
+
+
+GUIDED = GuidedStretch(22.0, 60.0)
+
+
+def travels_mm(second: Assistant, motion: PlannedMotion) -> list[float]:
+    axis = second.place.axis
+    assert axis is not None
+    return [axis.travel_from_start_mm(cast("LineMove", leg).target) for leg in motion.legs]
+
+
+def test_the_instrument_is_led_slowly_to_the_guide_and_from_off_the_skin_on(second: Assistant) -> None:
+    axis = second.place.axis
+    assert axis is not None
+    motion = second.insert_motion(axis, guided=GUIDED)
+    assert travels_mm(second, motion) == pytest.approx([22.0, 60.0, TRAVEL_MM], abs=1e-6)
+    slow, guided, into_head = (leg.speed_fraction for leg in motion.legs)
+    assert slow == into_head < guided
+
+
+def test_an_arm_that_senses_force_watches_it_all_the_way_at_one_speed(
+    second: Assistant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Assistant, "senses_force", True)
+    axis = second.place.axis
+    assert axis is not None
+    assert travels_mm(second, second.insert_motion(axis, guided=GUIDED)) == pytest.approx(
+        [TRAVEL_MM], abs=1e-6
+    )
+
+
+def test_an_insertion_goes_on_from_where_it_was_stopped_and_never_back(
+    second: Assistant, arm: IdealArm
+) -> None:
+    axis = second.place.axis
+    assert axis is not None
+    motion = second.insert_motion(axis, guided=GUIDED)
+    assert [second.has_passed(leg, motion) for leg in motion.legs] == [True, True, False]
+    arm.controller.joints_rad = second.clamp_joints(axis.pose_at(40.0), second.joints_rad())
+    assert [second.has_passed(leg, motion) for leg in motion.legs] == [True, False, False]
+    out = second.withdraw_motion(GUIDED)
+    assert [second.has_passed(leg, out) for leg in out.legs] == [True, False]

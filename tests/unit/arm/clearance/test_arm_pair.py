@@ -28,6 +28,20 @@ def test_the_live_distance_is_the_planned_one(assistant: str) -> None:
             assert live.distance(*postures).distance_mm < 1e-3
 
 
+def test_the_watch_finds_every_approach_although_it_does_not_measure_every_time() -> None:
+    pair = PairOfArms(4)
+    live, measured = LivePair(pair.master, pair.assistant), LivePair(pair.master, pair.assistant)
+    here, there = ([pair.posture(arm.bodies.arm) for arm in (pair.master, pair.assistant)] for _ in range(2))
+    limit_mm = 300.0
+    for share in np.linspace(0.0, 1.0, 200):
+        now = [
+            tuple(np.add(np.multiply(a, 1.0 - share), np.multiply(b, share)))
+            for a, b in zip(here, there, strict=True)
+        ]
+        near = live.find_near(*now, limit_mm)
+        assert (near is not None) == (measured.distance(*now).distance_mm < limit_mm)
+
+
 def test_an_arm_at_rest_is_as_far_from_the_other_as_the_obstacles_made_of_it() -> None:
     pair = PairOfArms(2)
     moving, resting = (pair.posture(arm.bodies.arm) for arm in (pair.master, pair.assistant))
