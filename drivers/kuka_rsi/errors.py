@@ -232,9 +232,7 @@ class ControllerNotReady(RefusedError):
     """Operating mode, drives, emergency stop, guard or an active message prevent motion."""
 
     code = "EKI-007"
-    action = (
-        f"Release the emergency stop, close the guard, select EXT (T1 needs allow_t1); then {ACKNOWLEDGE}."
-    )
+    action = f"Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in Python: allow_t1); then {ACKNOWLEDGE}."
 
 
 class CommandRefused(DeviceError):
