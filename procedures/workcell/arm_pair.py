@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn, TypeVar
 
@@ -84,6 +84,9 @@ class ArmPair:
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
         self._live: LivePair | None = None
         self.halted: Halt | None = None
+        self.reading: Callable[[], AbstractContextManager[None]] = (
+            nullcontext  # held by the thread that moves
+        )
 
     def surround(self, role: str, surroundings: Surroundings) -> None:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
@@ -223,7 +226,8 @@ class ArmPair:
 
         def drive(role: str, motion: Callable[[RobotArm], R]) -> None:
             try:
-                ends[role] = motion(self._arms[role])
+                with self.reading() if len(motions) == 1 else nullcontext():
+                    ends[role] = motion(self._arms[role])
             except Exception as error:
                 errors[role] = error
 

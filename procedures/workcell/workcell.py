@@ -8,6 +8,7 @@ nothing moves at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -80,6 +81,7 @@ class Workcell(SupervisedArm):
         self._theatre = theatre
         self._around_assistant: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self._make_pair = pair
+        self.reading: Callable[[], AbstractContextManager[None]] = nullcontext  # see `ArmPair`
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
@@ -248,6 +250,7 @@ class Workcell(SupervisedArm):
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
             self._pair = self._make_pair(arms, base, clock, lambda: self.instrument.inside)
+            self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
         self._pair.place_assistant(base)
