@@ -79,8 +79,8 @@ class Engine:
         self.is_awaiting_person: Callable[[], bool] = lambda: False
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
-        if setting.workcell.second is not None:
-            setting.workcell.second.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
+        if setting.workcell.assistant is not None:
+            setting.workcell.assistant.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 
     @property
     def upcoming(self) -> StepKey | None:
@@ -261,16 +261,16 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            if (second := workcell.second) is not None:
-                second.compare_place()
-                if second.place.is_on_axis:
+            if (assistant := workcell.assistant) is not None:
+                assistant.compare_place()
+                if assistant.place.is_on_axis:
                     workcell.start()
-                    second.retreat()
+                    assistant.retreat()
             self.questions.request_instrument_removal()
-            if second is not None and second.place.is_out:
+            if assistant is not None and assistant.place.is_out:
                 workcell.start()
                 workcell.hold_instrument(0.0)
-                second.return_home()
+                assistant.return_home()
                 workcell.touch({})
             workcell.compare_place()
             if not workcell.place.is_home:

@@ -44,7 +44,7 @@ def case_guards(
         DiskSpace(folder),
         WallClock(find),
         ArmLink(workcell),
-        *([] if workcell.second is None else [ArmLink(workcell.second, "robot link of the assistant")]),
+        *([] if workcell.assistant is None else [ArmLink(workcell.assistant, "robot link of the assistant")]),
         ToolStillMounted(workcell, doubt_tool),
         LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
     )

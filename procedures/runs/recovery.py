@@ -143,12 +143,12 @@ def _restore_arm(
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
     workcell.restore_history(previous.arm, set_up.home_rad)
-    if (second := workcell.second) is not None and set_up.assistant_home_rad is not None:
-        second.restore_home(set_up.assistant_home_rad)
-        if (base := second.history.base) is not None:  # also if void by now: from there the way out begins
+    if (assistant := workcell.assistant) is not None and set_up.assistant_home_rad is not None:
+        assistant.restore_home(set_up.assistant_home_rad)
+        if (base := assistant.history.base) is not None:  # also if void by now: from there the way out begins
             workcell.place_assistant(base)
         if (known := _last_bases(engine)) is not None:
-            second.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
+            assistant.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -181,20 +181,22 @@ def _restore_arm(
 def _compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
     """Compare where the assistant is with the journal; refuse a way out that nobody can check."""
     workcell = engine.setting.workcell
-    if (second := workcell.second) is None:
+    if (assistant := workcell.assistant) is None:
         return
     try:
-        second.require_on_axis()
+        assistant.require_on_axis()
     except TipOffAxis as problem:
-        assert second.place.axis is not None
-        comparison.add_difference("the assistant", f"on the axis of {second.place.axis.trajectory}", problem)
-    if second.base is None and workcell.is_any_arm_out:
+        assert assistant.place.axis is not None
+        comparison.add_difference(
+            "the assistant", f"on the axis of {assistant.place.axis.trajectory}", problem
+        )
+    if assistant.history.base is None and workcell.is_any_arm_out:
         comparison.refuse(
             "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
             "arms home with their pendants, one at a time"
         )
     was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
-    if was_home and second.place.is_out:
+    if was_home and assistant.place.is_out:
         comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
 
 
@@ -306,14 +308,14 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = []
-    second = workcell.second
-    if second is not None and (axis := second.place.axis) is not None:
+    assistant = workcell.assistant
+    if assistant is not None and (axis := assistant.place.axis) is not None:
         first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
     if (place := engine.instrument_in) is not None:
         first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
     if (current_trajectory := workcell.place.trajectory) is not None:
         first.append(f"the guide retreats from {current_trajectory} along its axis")
-    if second is not None and second.place.is_out:
+    if assistant is not None and assistant.place.is_out:
         first.append("the assistant goes home")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
         first.append("the arm goes home the way it came")
@@ -338,7 +340,7 @@ def _key_of(record: Record) -> StepKey:
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    if (second := workcell.second) is not None and second.place.is_out:
+    if (assistant := workcell.assistant) is not None and assistant.place.is_out:
         engine.retreat_home()  # the assistant first: it may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()

@@ -51,10 +51,10 @@ def surround(engine: Engine) -> None:
     """
     workcell, keys = engine.setting.workcell, engine.order.sequence
     _surround_guide_or_head(engine, keys)
-    second = workcell.second
-    if second is None or not second.place.is_out:
+    assistant = workcell.assistant
+    if assistant is None or not assistant.place.is_out:
         return
-    trajectory = second.place.trajectory or workcell.place.trajectory
+    trajectory = assistant.place.trajectory or workcell.place.trajectory
     if trajectory is None:  # it showed its ball, with nothing in its clamp; or somebody has jogged it
         _surround_assistant(engine, keys)
         return
@@ -66,7 +66,7 @@ def surround(engine: Engine) -> None:
 def _surround_assistant(engine: Engine, keys: Sequence[StepKey]) -> None:
     """Set the bodies around an assistant on no axis: the head as first found."""
     workcell, found = engine.setting.workcell, engine.case.find(Correspondence, None)
-    if found is None or workcell.second is None or workcell.second.base is None:
+    if found is None or workcell.assistant is None or workcell.assistant.history.base is None:
         return
     over = next(key for key in keys if key.name == Relocalization.kind)
     head = workcell.flange_from(MountedTool.STEREO_HEAD)

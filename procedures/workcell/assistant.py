@@ -19,7 +19,7 @@ from procedures.workcell.arm_history import (
     Insertion,
     MotionKind,
 )
-from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
+from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Sides
@@ -43,7 +43,7 @@ AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the i
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
 # Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
-GUIDED_SPEED_MM_S = 15.0
+BORE_SPEED_MM_S = 15.0
 
 
 class GuidedStretch(NamedTuple):
@@ -89,7 +89,6 @@ class Assistant(SupervisedArm):
             )
         super().__init__(ASSISTANT, log, arm, record, drive, release)
         self.holder: HolderCalibration = holder
-        self.base: Transform | None = None  # ROBOT <- base of the assistant, once it is known
         self._instrument_inside = instrument_inside
         self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
@@ -100,12 +99,20 @@ class Assistant(SupervisedArm):
         """What the arm carries."""
         return "the holder"
 
+    @property
+    def base(self) -> Transform:
+        """Pose ROBOT <- base of the assistant, by the journal. Raises DUAL-003 before it is known."""
+        if self.history.base is None:
+            raise OtherArmUnknown(
+                "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
+            )
+        return self.history.base
+
     def place_base(self, robot_from_base: Transform) -> None:
         """Take the base as known. The journal has it before either arm moves: the way out needs it."""
         known, pose = self._log.history.base, FramedPose.of(robot_from_base)
         if known is None or pose != FramedPose.of(known):
             self._log.write(Entry.BASE, robot_from_base=pose.model_dump(mode="json"))
-        self.base = robot_from_base
 
     def require_on_axis(self) -> None:
         """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""
@@ -122,7 +129,6 @@ class Assistant(SupervisedArm):
 
         They are exact near `near_rad`, by default home; see `CalibratedArm.as_controller_sees`.
         """
-        assert self.base is not None
         to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
         seen = self.calibrated.as_controller_sees(around.moved(to_base), near_rad or self.home_rad)
         return replace(seen, tool=self.tool)
@@ -134,18 +140,15 @@ class Assistant(SupervisedArm):
 
     def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the clamp in the robot frame."""
-        assert self.base is not None
         return self.base @ self.flange_pose(joints_rad, arrived) @ self.flange_from_clamp
 
     def clamp_joints(self, clamp: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for a clamp in the robot frame. Raises ARM-001 to ARM-003."""
-        assert self.base is not None
         flange = self.base.inverse() @ clamp @ self.flange_from_clamp.inverse()
         return self.flange_joints(flange, near, arriving)
 
     def axis_in_base(self, axis: Insertion) -> Insertion:
         """Return an axis given in the robot frame in that of the assistant's base."""
-        assert self.base is not None
         return replace(axis, held=self.base.inverse() @ axis.held)
 
     def explain_blocked(self, motions: Sequence[PlannedMotion], start_rad: JointVector) -> str:
@@ -217,7 +220,7 @@ class Assistant(SupervisedArm):
         if guided is not None and not self.senses_force:
             legs = [
                 self._line(axis, guided.start_mm, slow, near_rad),
-                self._line(axis, guided.end_mm, GUIDED_SPEED_MM_S, near_rad),
+                self._line(axis, guided.end_mm, BORE_SPEED_MM_S, near_rad),
             ]
         return self._along(MotionKind.INSERT, axis, *legs, self._line(axis, axis.travel_mm, slow, near_rad))
 
@@ -231,7 +234,7 @@ class Assistant(SupervisedArm):
         if axis is None:
             raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
         legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
-        last_mm_s = GUIDED_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
+        last_mm_s = BORE_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
 
     def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:

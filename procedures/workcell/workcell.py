@@ -83,11 +83,11 @@ class Workcell(SupervisedArm):
         self._make_pair = pair
         self.reading: Callable[[], AbstractContextManager[None]] = nullcontext  # see `ArmPair`
         self._pair: ArmPair | None = None
-        self.second: Assistant | None = None
+        self.assistant: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
         if assistant is not None:
             drive = partial(self._drive_one, MASTER)
-            self.second = Assistant(
+            self.assistant = Assistant(
                 lambda: theatre.arms[ASSISTANT],
                 ArmLog(journal, theatre.clock, assistant),
                 self.calibrations,
@@ -128,14 +128,14 @@ class Workcell(SupervisedArm):
     @property
     def devices(self) -> Mapping[str, DeviceView]:
         """Devices by role, in connection order; additional devices as `device.NAME`."""
-        second = {} if self.second is None else {ASSISTANT: self.second.arm}
-        return {**self._devices, "arm": self.arm, **second}
+        assistant = {} if self.assistant is None else {ASSISTANT: self.assistant.arm}
+        return {**self._devices, "arm": self.arm, **assistant}
 
     @property
     def _devices(self) -> dict[str, Device]:
         others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
         arms: dict[str, Device] = {"arm": self._arm}
-        if self.second is not None:
+        if self.assistant is not None:
             arms[ASSISTANT] = self._theatre.arms[ASSISTANT]
         return {"tracker": self._theatre.tracker, **arms, "stereo": self.stereo, **others}
 
@@ -199,7 +199,7 @@ class Workcell(SupervisedArm):
     @property
     def supervised_arms(self) -> tuple[SupervisedArm, ...]:
         """Every arm of the workcell, this one first."""
-        return (self,) if self.second is None else (self, self.second)
+        return (self,) if self.assistant is None else (self, self.assistant)
 
     @property
     def is_any_arm_out(self) -> bool:
@@ -244,9 +244,9 @@ class Workcell(SupervisedArm):
 
     def place_assistant(self, robot_from_base: Transform) -> None:
         """Take the assistant's base as known: from now on either arm may move, watched with the other."""
-        second = self._require_second()
+        assistant = self._require_assistant()
         base = Pose.from_matrix(robot_from_base.as_matrix().tolist())
-        second.place_base(robot_from_base)
+        assistant.place_base(robot_from_base)
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
             self._pair = self._make_pair(arms, base, clock, lambda: self.instrument.inside)
@@ -260,21 +260,21 @@ class Workcell(SupervisedArm):
 
         Clearance is exact near `near_rad`, by default home.
         """
-        second = self._require_second()
+        assistant = self._require_assistant()
         assert self._pair is not None, "where the assistant stands is known first"
         self._around_assistant = surroundings, near_rad
-        self._pair.surround(ASSISTANT, second.surroundings(surroundings, near_rad))
+        self._pair.surround(ASSISTANT, assistant.surroundings(surroundings, near_rad))
 
     def hold_instrument(self, tip_mm: float) -> None:
         """Take an instrument as held by the assistant, its tip this far beyond the clamp; 0 for none."""
-        self._require_second().hold_instrument(tip_mm)
+        self._require_assistant().hold_instrument(tip_mm)
         if self._around_assistant is not None:
             self.surround_assistant(*self._around_assistant)
 
     def assistant_rests_clear(self, joints_rad: JointVector) -> bool:
         """Return whether the assistant, with what it holds, keeps its margin at these joints."""
         assert self._around_assistant is not None, "what surrounds the assistant is known first"
-        return self._require_second().rests_clear(joints_rad, self._around_assistant[0])
+        return self._require_assistant().rests_clear(joints_rad, self._around_assistant[0])
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
@@ -286,10 +286,10 @@ class Workcell(SupervisedArm):
         if self._pair is not None and self._pair.halted is not None:
             self._pair.acknowledge(by)
 
-    def _require_second(self) -> Assistant:
-        if self.second is None:
+    def _require_assistant(self) -> Assistant:
+        if self.assistant is None:
             raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
-        return self.second
+        return self.assistant
 
     def _drive_one(self, role: str, leg: Motion, motion: PlannedMotion) -> ArmReading:
         if self._pair is None:
@@ -297,12 +297,12 @@ class Workcell(SupervisedArm):
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
             )
         if role == ASSISTANT and motion.axis is not None:
-            second, limit_N = self._require_second(), self._theatre.file.procedure.insertion_force_N
-            if second.has_passed(leg, motion):
+            assistant, limit_N = self._require_assistant(), self._theatre.file.procedure.insertion_force_N
+            if assistant.has_passed(leg, motion):
                 return self._theatre.arms[ASSISTANT].read_state()
-            if (insertion := second.force_limited(leg, motion, limit_N)) is not None:
-                second.inserted = self._pair.insert(role, insertion)
-                return second.inserted.reading
+            if (insertion := assistant.force_limited(leg, motion, limit_N)) is not None:
+                assistant.inserted = self._pair.insert(role, insertion)
+                return assistant.inserted.reading
             return self._pair.move(role, leg, with_instrument=True)
         return self._pair.move(role, leg)
 
@@ -326,7 +326,7 @@ class Workcell(SupervisedArm):
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
-        arms = (self._arm,) if self.second is None else (self._arm, self._theatre.arms[ASSISTANT])
+        arms = (self._arm,) if self.assistant is None else (self._arm, self._theatre.arms[ASSISTANT])
         if self._arm.state is Lifecycle.CONFIGURED and not self._starts_still(arms):
             self.instrument.require_out("start the arm")
         self.supervised.start((*arms, self.stereo) if cameras else arms)
@@ -337,7 +337,7 @@ class Workcell(SupervisedArm):
         Starting an unverified controller moves every axis. The assistant can only lead its instrument out
         once both arms are started.
         """
-        if self.second is None or not self.second.place.is_on_axis:
+        if self.assistant is None or not self.assistant.place.is_on_axis:
             return False
         return not any(isinstance(arm, ConfirmedStart) and arm.to_confirm is not None for arm in arms)
 
@@ -452,8 +452,8 @@ class Workcell(SupervisedArm):
 
     def rest(self) -> None:
         """Stop the arm's correction stream and the cameras, for a tool change or a parked arm."""
-        second = () if self.second is None else (self._theatre.arms[ASSISTANT],)
-        for device in (self._arm, *second, self.stereo):
+        assistant = () if self.assistant is None else (self._theatre.arms[ASSISTANT],)
+        for device in (self._arm, *assistant, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self._reset_confirmations()
@@ -506,5 +506,5 @@ class Workcell(SupervisedArm):
             raise GuideHeldAtEntry(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
 
     def _require_assistant_off_axis(self, what: str) -> None:
-        if self.second is not None and self.second.place.is_on_axis:
+        if self.assistant is not None and self.assistant.place.is_on_axis:
             raise InstrumentInGuide(f"{what}: the assistant is on the axis of the guide")

@@ -211,8 +211,8 @@ class _Replay:
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
             workcell, before = self._engine.setting.workcell, self._run.journal[:begin]
             workcell.restore_history(arm_history(before))
-            if workcell.second is not None:
-                workcell.second.restore_history(arm_history(before, ASSISTANT))
+            if workcell.assistant is not None:
+                workcell.assistant.restore_history(arm_history(before, ASSISTANT))
             self._operator.begin(following)
             self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])

@@ -24,7 +24,7 @@ from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import Insertion
-from procedures.workcell.assistant import AT_GUIDE, GUIDED_SPEED_MM_S, Assistant, GuidedStretch
+from procedures.workcell.assistant import AT_GUIDE, BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
@@ -49,39 +49,39 @@ NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may
 
 def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
     """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
-    workcell, second, trajectory = context.workcell, context.workcell.second, context.trajectory
-    assert second is not None
-    if second.place.is_on_axis:  # halted on its way earlier
+    workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
+    assert assistant is not None
+    if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
-        second.retreat()
+        assistant.retreat()
     context.request_instrument_removal()
     known = _require_bases(context)
-    second.shift_tool(known.flange_from_ball_mm)
-    stood = _has_stood(context, second, known)
+    assistant.shift_tool(known.flange_from_ball_mm)
+    stood = _has_stood(context, assistant, known)
     surround_holder(context, stop.read_mm)
-    _present_holder(context, second)
+    _present_holder(context, assistant)
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
     workcell.hold_instrument(stop.read_mm)
-    axis, start_rad, via_rad = find_axis(context, second, stop, known)
+    axis, start_rad, via_rad = find_axis(context, assistant, stop, known)
     workcell.start()
-    second.supervised.confirm(
+    assistant.supervised.confirm(
         Topic.APPROACH,
         f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
-        f"{axis.travel_mm:.0f} mm along the bore, in it at up to {GUIDED_SPEED_MM_S:g} mm/s, from "
+        f"{axis.travel_mm:.0f} mm along the bore, in it at up to {BORE_SPEED_MM_S:g} mm/s, from "
         f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests there",
-        [*map(second.go_motion, via_rad), second.settle_motion(start_rad, axis.arriving)],
+        [*map(assistant.go_motion, via_rad), assistant.settle_motion(start_rad, axis.arriving)],
         trajectory,
     )
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     for joints_rad in via_rad:
-        second.go(joints_rad)
-    second.settle(start_rad, axis.arriving)
-    off_axis = _require_coaxial(context, second, axis, known.head_shift_mm)
-    seen_apart = _require_seen_coaxial(context, second, known, stood=stood)
+        assistant.go(joints_rad)
+    assistant.settle(start_rad, axis.arriving)
+    off_axis = _require_coaxial(context, assistant, axis, known.head_shift_mm)
+    seen_apart = _require_seen_coaxial(context, assistant, known, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
-    second.insert(second.axis_in_base(axis), _guided_stretch(context, stop))
+    assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
     task = Task(
         SEATED,
         f"look whether the depth stop rests on the guide at {trajectory}",
@@ -104,14 +104,14 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         off_axis_rad=off_axis_rad,
         seen_apart_mm=seen_apart_mm,
         seen_apart_rad=seen_apart_rad,
-        peak_force_N=None if second.inserted is None else second.inserted.peak_force_N,
+        peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
         gap_mm=max(0.0, gap_mm),
     )
 
 
-def _present_holder(context: StepContext, second: Assistant) -> None:
+def _present_holder(context: StepContext, assistant: Assistant) -> None:
     """Turn the flange where the arm itself is in the way of the instrument in its holder. Raises PLAN-007."""
-    workcell, here_rad = context.workcell, second.joints_rad()
+    workcell, here_rad = context.workcell, assistant.joints_rad()
     steps = range(round(math.pi / LOADING_STEP_RAD) + 1)
     turns_rad = [side * step * LOADING_STEP_RAD for step in steps for side in (1, -1)]
     postures = [(*here_rad[:-1], here_rad[-1] + turn_rad) for turn_rad in turns_rad]
@@ -126,7 +126,7 @@ def _present_holder(context: StepContext, second: Assistant) -> None:
     if loading_rad != here_rad:
         workcell.start()
         context.progress(0.68, "the assistant turns its clamp to where the instrument is put in")
-        second.settle(loading_rad)
+        assistant.settle(loading_rad)
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -154,29 +154,29 @@ def surround_holder(context: StepContext, tip_mm: float) -> None:
 
     `tip_mm` is how far the instrument reaches beyond the clamp.
     """
-    workcell, second = context.workcell, context.workcell.second
-    assert second is not None
+    workcell, assistant = context.workcell, context.workcell.assistant
+    assert assistant is not None
     workcell.hold_instrument(tip_mm)
     workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
-    surround_at_guide(context, second.joints_rad())
+    surround_at_guide(context, assistant.joints_rad())
 
 
 def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
     """Have the assistant lead the instrument straight out, once the operator confirms it."""
-    second = context.workcell.second
-    if second is not None and second.place.is_on_axis:
+    assistant = context.workcell.assistant
+    if assistant is not None and assistant.place.is_on_axis:
         context.workcell.start()
-        second.retreat(_guided_stretch(context, stop))
+        assistant.retreat(_guided_stretch(context, stop))
 
 
 def send_assistant_home(context: StepContext) -> None:
     """Send the assistant home after the instrument was taken out of its holder."""
-    workcell, second = context.workcell, context.workcell.second
-    if second is None:
+    workcell, assistant = context.workcell, context.workcell.assistant
+    if assistant is None:
         return
-    if second.place.is_out:
+    if assistant.place.is_out:
         workcell.hold_instrument(0.0)
-        second.return_home()
+        assistant.return_home()
     workcell.touch({})
 
 
@@ -187,11 +187,11 @@ def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
 
 
 def _require_coaxial(
-    context: StepContext, second: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
+    context: StepContext, assistant: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Return how far (mm, rad) the instrument is off the bore by the joints of both arms. Raises PRO-007."""
     guide = guide_pose(context, head_shift_mm)
-    clamp = guide.inverse() @ second.clamp_pose(second.joints_rad(), axis.arriving)
+    clamp = guide.inverse() @ assistant.clamp_pose(assistant.joints_rad(), axis.arriving)
     turned_rad = math.acos(min(1.0, float(clamp.rotation_matrix[2, 2])))
     bore = context.workcell.tools.guide.bore
     ends = [clamp.inverse().apply((0.0, 0.0, z)) for z in (-bore.reach_mm - bore.length_mm, -bore.reach_mm)]
@@ -209,14 +209,14 @@ def _require_coaxial(
     return off_mm, turned_rad
 
 
-def _has_stood(context: StepContext, second: Assistant, known: KnownBases) -> bool:
+def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) -> bool:
     """Return whether the tracker sees the assistant, at home, where it stood when the bases were measured.
 
     Raises CAL-023 if it sees it elsewhere.
     """
-    if not second.place.is_home:
+    if not assistant.place.is_home:
         return False
-    (frame,) = _see_frames(context, second.holder.frame)
+    (frame,) = _see_frames(context, assistant.holder.frame)
     if frame is None:
         return False
     moved_mm = math.dist(frame.translation_mm, known.assistant_seen_mm)
@@ -239,17 +239,17 @@ def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
 
 
 def _require_seen_coaxial(
-    context: StepContext, second: Assistant, known: KnownBases, *, stood: bool
+    context: StepContext, assistant: Assistant, known: KnownBases, *, stood: bool
 ) -> tuple[float, float] | tuple[None, None]:
     """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007.
 
     Where it does not see both, the joints alone count, provided that the assistant's cart has `stood`.
     """
     workcell = context.workcell
-    names = workcell.calibrations.tracker_frame.tool, second.holder.frame
-    master, assistant = _see_frames(context, *names)
-    if master is None or assistant is None:
-        hidden = names[0] if master is None else names[1]
+    names = workcell.calibrations.tracker_frame.tool, assistant.holder.frame
+    on_master, on_assistant = _see_frames(context, *names)
+    if on_master is None or on_assistant is None:
+        hidden = names[0] if on_master is None else names[1]
         if not stood:
             raise GateFailed(
                 f"over {context.trajectory} the tracker does not see {hidden}, nor did it see the assistant "
@@ -261,16 +261,15 @@ def _require_seen_coaxial(
             "it has just seen the assistant where it stood"
         )
         return None, None
-    assert second.base is not None
-    flange = second.base @ second.flange_pose(second.joints_rad())
+    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad())
     by_joints = (flange @ known.flange_from_frame.transform).rigid
     turn = known.robot_from_tracker.transform.rigid.rotation
     # From the master's frame: the tracker's smooth error is much the same for both.
-    seen_mm = turn.apply(assistant.translation_mm - master.translation_mm)
+    seen_mm = turn.apply(on_assistant.translation_mm - on_master.translation_mm)
     by_master = workcell.flange_pose(workcell.joints_rad()) @ known.flange_from_master_frame.transform
     held_mm = by_joints.translation - by_master.translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
-    turned_rad = float((by_joints.rotation.inv() * turn * assistant.rigid.rotation).magnitude())
+    turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())
     _require_within(
         (apart_mm, turned_rad),
         (SEEN_APART_MM, SEEN_APART_RAD),

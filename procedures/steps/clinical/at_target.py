@@ -159,7 +159,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    assisted = stage is STAGES[-1] and context.workcell.second is not None
+    assisted = stage is STAGES[-1] and context.workcell.assistant is not None
     if assisted:
         work_so_far.assisted = insert_with_assistant(context, stop)
     else:

@@ -85,8 +85,8 @@ class _Mover(NamedTuple):
 class BaseMeasurement:
     """Looks at the frames of both arms and at the assistant's ball."""
 
-    def __init__(self, context: StepContext, second: Assistant) -> None:
-        self._context, self._second = context, second
+    def __init__(self, context: StepContext, assistant: Assistant) -> None:
+        self._context, self._assistant = context, assistant
         self._cell, self._clock = context.workcell, context.setting.clock
         robot_from_ct = context.result(Correspondence).robot_from_ct.transform
         plan = context.result(CheckedPlan)
@@ -113,7 +113,7 @@ class BaseMeasurement:
     def first_guess(self) -> Transform:
         """Return the base by one look at both frames at home, the assistant's as drawn."""
         frames = self._read(CAREFUL_FRAMES)
-        on_master, on_assistant = self._cell.calibrations.tracker_frame.tool, self._second.holder.frame
+        on_master, on_assistant = self._cell.calibrations.tracker_frame.tool, self._assistant.holder.frame
         seen = [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, on_assistant)]
         master, assistant = seen
         if master is None or assistant is None:
@@ -123,14 +123,14 @@ class BaseMeasurement:
                 expected="both arms home, their frames in view",
                 action="Clear the line of sight between tracker and both arms, then repeat the step.",
             )
-        flange = self._second.flange_pose(self._second.joints_rad())
-        drawn = self._second.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
+        flange = self._assistant.flange_pose(self._assistant.joints_rad())
+        drawn = self._assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
         by_master = robot_from_marker(self._cell, self._cell.joints_rad()) @ master.inverse()
         return between_bases((by_master @ assistant @ (flange @ drawn).inverse()).as_matrix())
 
     def look_at_frames(self) -> tuple[PosePairs, PosePairs]:
         """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010."""
-        cell, second = self._cell, self._second
+        cell, assistant = self._cell, self._assistant
         frame = cell.calibrations.tracker_frame
         marker_mm = frame.tool_from_marker.translation_mm
         reference = cell.tool_pose(cell.home_rad).rigid.rotation
@@ -150,24 +150,26 @@ class BaseMeasurement:
         )
         cell.return_home()
         base = self._base()
-        drawn = second.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
+        drawn = assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
         frames_mm, from_base = base.inverse().apply(self._frames_mm), base.inverse() @ tracker
-        home = second.flange_pose(second.home_rad).rigid.rotation
+        home = assistant.flange_pose(assistant.home_rad).rigid.rotation
         facing = (home * drawn.rigid.rotation).as_matrix()[:, 2]
         towards = turn_towards(facing, from_base.translation_mm - frames_mm) * home
         turns = [flange_of(one.pose) for one in plan_turns(towards, frames_mm, drawn.translation_mm)]
-        near = working_joints(second, turns[:FRAME_LOOKS])
+        near = working_joints(assistant, turns[:FRAME_LOOKS])
         other = self._turn(
-            (partial(second.flange_joints, one, near, ONE_SIDE) for one in turns),
+            (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in turns),
             lambda at: explain_hidden_frame(
-                from_base, second.flange_pose(at) @ drawn, second.arm.kinematics, at
+                from_base, assistant.flange_pose(at) @ drawn, assistant.arm.kinematics, at
             ),
             _Mover(
-                second.joints_rad, second.settle, lambda: second.flange_pose(second.joints_rad(), ONE_SIDE)
+                assistant.joints_rad,
+                assistant.settle,
+                lambda: assistant.flange_pose(assistant.joints_rad(), ONE_SIDE),
             ),
-            second.holder.frame,
+            assistant.holder.frame,
         )
-        second.return_home()
+        assistant.return_home()
         return found, other
 
     def _turn(
@@ -200,14 +202,14 @@ class BaseMeasurement:
 
     def look_at_ball(self, coarse: BaseToBase, head_error_mm: float) -> BallFit:
         """Look at the ball until the bases are known. Raises CAL-003, CAL-004, CAL-010, CAL-022."""
-        cell, second = self._cell, self._second
-        ball_mm = second.holder.flange_from_ball_mm
+        cell, assistant = self._cell, self._assistant
+        ball_mm = assistant.holder.flange_from_ball_mm
         base = self._base()
         cell.sensors.read_around_tool(self._context.setting.settings.servo_area_px)
         inwards = -base.inverse().rotation_matrix @ self._outwards
-        reference = face_along(second.flange_from_clamp.rotation_matrix[:, 2], inwards)
+        reference = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
         postures = plan_ball_postures(reference, base, self._ball_mm, ball_mm)
-        near = working_joints(second, postures)
+        near = working_joints(assistant, postures)
         heads: list[Array] = []
         places: list[Array] = []
         flanges: list[Array] = []
@@ -218,9 +220,11 @@ class BaseMeasurement:
             looks = BallLooks(np.array(heads), np.array(places), np.array(flanges))
             return refine_bases(coarse, looks, ball_mm, head_error_mm)
 
-        plan = (partial(second.flange_joints, one, near, ONE_SIDE) for one in postures)
+        plan = (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in postures)
         arm = _Mover(
-            second.joints_rad, second.settle, lambda: second.flange_pose(second.joints_rad(), ONE_SIDE)
+            assistant.joints_rad,
+            assistant.settle,
+            lambda: assistant.flange_pose(assistant.joints_rad(), ONE_SIDE),
         )
         for _ in self._visit(_list_possible(plan, reasons), POSTURES, arm, reasons):
             flange, before = arm.flange(), len(heads)
@@ -245,7 +249,7 @@ class BaseMeasurement:
                 got=f"{len(heads)}; {', '.join(sorted(set(reasons)))}",
             )
         cell.return_home()
-        second.return_home()
+        assistant.return_home()
         return fit()
 
     def _look_from_around(
@@ -293,7 +297,7 @@ class BaseMeasurement:
                 try:
                     arm.settle(joints_rad)
                 except (LimitError, NotClear) as error:
-                    if Lifecycle.FAULT in (self._cell.arm.state, self._second.arm.state):
+                    if Lifecycle.FAULT in (self._cell.arm.state, self._assistant.arm.state):
                         raise
                     reasons.append(f"{error.code} ({error.meaning})")
                 else:
@@ -303,8 +307,7 @@ class BaseMeasurement:
         return read_frames_at_rest(self._cell.tracker, self._clock, count=count)[0]
 
     def _base(self) -> Transform:
-        assert self._second.base is not None
-        return self._second.base
+        return self._assistant.base
 
 
 def _list_possible(

@@ -92,7 +92,7 @@ def spread_places(count: int) -> Array:
     return np.asarray(draws.uniform(-1.0, 1.0, (count, 3)) * BALL_SPREAD_MM)
 
 
-def working_joints(second: Assistant, flanges: Sequence[Transform]) -> JointVector:
+def working_joints(assistant: Assistant, flanges: Sequence[Transform]) -> JointVector:
     """Return joints in the branch in which the assistant reaches these poses of its flange by short ways.
 
     In the other one, its wrist turns by whole turns where a joint comes to the end of its range.
@@ -102,18 +102,18 @@ def working_joints(second: Assistant, flanges: Sequence[Transform]) -> JointVect
         way = 0.0
         for flange in flanges:
             try:
-                way += travel_rad(second.flange_joints(flange, near), second.home_rad)
+                way += travel_rad(assistant.flange_joints(flange, near), assistant.home_rad)
             except LimitError:
                 way += OUT_OF_REACH_RAD
         return way
 
-    return min(wrist_branches(second), key=way_rad)
+    return min(wrist_branches(assistant), key=way_rad)
 
 
-def wrist_branches(second: Assistant) -> tuple[JointVector, JointVector]:
+def wrist_branches(assistant: Assistant) -> tuple[JointVector, JointVector]:
     """Return joints in both branches of the wrist, of which each pose leaves the choice."""
-    one, two, three, four, five, six = second.home_rad
-    return second.home_rad, (one, two, three, four, -five, six)
+    one, two, three, four, five, six = assistant.home_rad
+    return assistant.home_rad, (one, two, three, four, -five, six)
 
 
 def travel_rad(start_rad: JointVector, end_rad: JointVector) -> float:

@@ -76,8 +76,8 @@ class KnownBases(StepResult, kind="base_to_base"):
 
 def run(context: StepContext) -> Outcome[KnownBases]:
     """Find the bases. Raises CAL-002 to CAL-004, CAL-010, CAL-015, CAL-022, PRO-002, and as `check_room`."""
-    workcell, second = context.workcell, context.workcell.second
-    assert second is not None, "this step belongs to a case with two arms"
+    workcell, assistant = context.workcell, context.workcell.assistant
+    assert assistant is not None, "this step belongs to a case with two arms"
     workcell.mount.check(MountedTool.STEREO_HEAD)
     check_room(context, "before the arms are measured against each other")
     context.confirm(
@@ -86,25 +86,25 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         "head. Nobody and nothing else may be within their reach",
         f"{2 * FRAME_LOOKS} looks at frames, {POSTURES * LOOKS_PER_POSTURE} at the ball",
     )
-    measuring = BaseMeasurement(context, second)
+    measuring = BaseMeasurement(context, assistant)
     workcell.place_assistant(measuring.first_guess())
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)
     workcell.surround_assistant(measuring.around())
-    master, assistant = measuring.look_at_frames()
+    master_looks, assistant_looks = measuring.look_at_frames()
     records = workcell.calibrations
     assert records.arm is not None
     assert records.assistant_arm is not None
     errors_mm = (records.arm.stated_error_mm, records.assistant_arm.stated_error_mm)
-    by_frames = bases_by_frames(master, assistant, errors_mm)
+    by_frames = bases_by_frames(master_looks, assistant_looks, errors_mm)
     coarse = by_frames.bases
     workcell.place_assistant(_robot_from_base(coarse))
     workcell.surround_assistant(measuring.around())
     fit = measuring.look_at_ball(coarse, ErrorSizes.stated(context.setting.settings, records.arm).tool_mm)
     workcell.place_assistant(_robot_from_base(fit.bases))
-    second.shift_tool(_numbers(fit.flange_from_ball_mm))
+    assistant.shift_tool(_numbers(fit.flange_from_ball_mm))
     workcell.surround_assistant(measuring.around())
-    seen = _see_platforms(context, second, context.result(GlobalLocalization).points_mm)
+    seen = _see_platforms(context, assistant, context.result(GlobalLocalization).points_mm)
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
     apart_mm = float(np.linalg.norm((coarse.robot_from_base @ there_mm)[:3] - fit.region_mm))
     error_mm, by_frames_mm = fit.error_mm, coarse.error_mm(fit.region_mm)
@@ -118,7 +118,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
             error_mm=error_mm,
             apart_mm=apart_mm,
             scatter_mm=fit.scatter_mm,
-            frame_looks=(master.count, assistant.count),
+            frame_looks=(master_looks.count, assistant_looks.count),
             ball_looks=len(fit.used),
             outliers=int((~fit.used).sum()),
             flange_from_ball_mm=_numbers(fit.flange_from_ball_mm),
@@ -137,14 +137,16 @@ def require_platforms_unmoved(context: StepContext) -> None:
 
     If one has moved, the bases are void and everything is localized again.
     """
-    second = context.workcell.second
+    assistant = context.workcell.assistant
     known = (
-        None if second is None else context.result_among(KnownBases, lambda made: made[-1] if made else None)
+        None
+        if assistant is None
+        else context.result_among(KnownBases, lambda made: made[-1] if made else None)
     )
-    if second is None or known is None:
+    if assistant is None or known is None:
         return
     before_mm = np.array(known.master_seen_mm)
-    now_mm, assistant_mm = _see_platforms(context, second, before_mm)
+    now_mm, assistant_mm = _see_platforms(context, assistant, before_mm)
     pairs = [
         (one, now_mm[nearest])
         for one in before_mm
@@ -171,7 +173,7 @@ def require_platforms_unmoved(context: StepContext) -> None:
         raise moved
 
 
-def _see_platforms(context: StepContext, second: Assistant, spheres_mm: object) -> tuple[Array, Array]:
+def _see_platforms(context: StepContext, assistant: Assistant, spheres_mm: object) -> tuple[Array, Array]:
     """Return the frame on the master with the known spheres (k, 3), and the assistant's frame, tracker frame.
 
     Both arms are home. Raises PRO-007 if a frame is not in view.
@@ -179,20 +181,22 @@ def _see_platforms(context: StepContext, second: Assistant, spheres_mm: object) 
     workcell = context.workcell
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
     on_master = workcell.calibrations.tracker_frame.tool
-    poses = {name: mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, second.holder.frame)}
+    poses = {
+        name: mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, assistant.holder.frame)
+    }
     if hidden := [name for name, pose in poses.items() if pose is None]:
         raise GateFailed(
             f"with both arms home, the tracker does not see the frame {hidden[0]}",
             action="Clear the line of sight between tracker and both arms, then repeat the step.",
         )
-    master, assistant = poses[on_master], poses[second.holder.frame]
-    assert master is not None
-    assert assistant is not None
+    master_frame, assistant_frame = poses[on_master], poses[assistant.holder.frame]
+    assert master_frame is not None
+    assert assistant_frame is not None
     expected = np.asarray(spheres_mm, dtype=float).reshape(-1, 3)
     strays = np.array([group.mean_mm for group in average_strays(frames).groups]).reshape(-1, 3)
     known = [one for one in strays if np.linalg.norm(expected - one, axis=1).min() < SAME_SPHERE_MM]
-    markers = master.apply(workcell.tracker.markers_mm[on_master])
-    return np.vstack([markers, *known]), assistant.translation_mm
+    markers = master_frame.apply(workcell.tracker.markers_mm[on_master])
+    return np.vstack([markers, *known]), assistant_frame.translation_mm
 
 
 def _robot_from_base(bases: BaseToBase) -> Transform:

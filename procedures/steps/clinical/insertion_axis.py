@@ -61,24 +61,24 @@ def guide_pose(context: StepContext, head_shift_mm: Vector3) -> Transform:
     return pose.displace(pose.rotation_matrix @ np.asarray(head_shift_mm))
 
 
-def find_axis(context: StepContext, second: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
+def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
     turns = _list_turns(context, stop, known.head_shift_mm)
-    found = _list_reached(second, turns, known)
-    here_rad, in_sight = second.joints_rad(), 0
+    found = _list_reached(assistant, turns, known)
+    here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
     for one in sorted(found, key=lambda one: one.rank):
         if _hides_head(context, one):
             continue
         in_sight += 1
         surround_at_guide(context, one.held_rad)
-        onto = second.settle_motion(one.start_rad, one.axis.arriving)
-        along = second.insert_motion(second.axis_in_base(one.axis), one.start_rad)
-        blocked = second.explain_blocked([along], one.start_rad)
-        ways = () if blocked else _list_ways(second.home_rad, one.start_rad)
+        onto = assistant.settle_motion(one.start_rad, one.axis.arriving)
+        along = assistant.insert_motion(assistant.axis_in_base(one.axis), one.start_rad)
+        blocked = assistant.explain_blocked([along], one.start_rad)
+        ways = () if blocked else _list_ways(assistant.home_rad, one.start_rad)
         for via_rad in ways:
-            way = [*map(second.go_motion, via_rad), onto]
-            if not (blocked := second.explain_blocked(way, here_rad)):
+            way = [*map(assistant.go_motion, via_rad), onto]
+            if not (blocked := assistant.explain_blocked(way, here_rad)):
                 return Approach(one.axis, one.start_rad, via_rad)
         in_the_way.append(blocked)
     raise NotReachable(
@@ -118,34 +118,33 @@ def _list_turns(context: StepContext, stop: DepthStop, head_shift_mm: Vector3) -
     return axes
 
 
-def _list_reached(second: Assistant, axes: Sequence[Insertion], known: KnownBases) -> list[_Candidate]:
+def _list_reached(assistant: Assistant, axes: Sequence[Insertion], known: KnownBases) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 
     First those over which the tracker can compare the frames of both arms, then those near the postures of
     the ball: what the arms err there is part of the bases.
     """
-    assert second.base is not None
-    tracker = second.base.inverse() @ known.robot_from_tracker.transform
+    tracker = assistant.base.inverse() @ known.robot_from_tracker.transform
     frame = known.flange_from_frame.transform
-    to_base, onto_flange = second.base.inverse(), second.flange_from_clamp.inverse()
+    to_base, onto_flange = assistant.base.inverse(), assistant.flange_from_clamp.inverse()
     inwards = (to_base @ axes[0].held).rotation_matrix[:, 2]
-    onwards = face_along(second.flange_from_clamp.rotation_matrix[:, 2], inwards)
+    onwards = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
     flanges = [to_base @ one.held @ onto_flange for one in axes]
     away_rad = [float((onwards.inv() * flange.rigid.rotation).magnitude()) for flange in flanges]
-    usual = working_joints(second, [flanges[int(np.argmin(away_rad))]])
+    usual = working_joints(assistant, [flanges[int(np.argmin(away_rad))]])
     found = []
-    for near in wrist_branches(second):
+    for near in wrist_branches(assistant):
         for one, away in zip(axes, away_rad, strict=True):
             try:
-                at_start = second.clamp_joints(one.start, near)
-                at_end = second.clamp_joints(one.held, at_start)
+                at_start = assistant.clamp_joints(one.start, near)
+                at_end = assistant.clamp_joints(one.held, at_start)
                 signs = tuple(1 if end >= begin else -1 for begin, end in zip(at_start, at_end, strict=True))
-                start_rad = second.clamp_joints(one.start, near, signs)
+                start_rad = assistant.clamp_joints(one.start, near, signs)
             except LimitError:
                 continue
-            marker = second.flange_pose(start_rad) @ frame
-            hidden = bool(explain_hidden_frame(tracker, marker, second.arm.kinematics, start_rad))
-            way_rad = travel_rad(second.home_rad, start_rad) + travel_rad(at_start, at_end)
+            marker = assistant.flange_pose(start_rad) @ frame
+            hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, start_rad))
+            way_rad = travel_rad(assistant.home_rad, start_rad) + travel_rad(at_start, at_end)
             rank = (hidden, near != usual, round(away / TURN_STEP_RAD), way_rad)
             axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
             found.append(_Candidate(rank, axis, start_rad, at_end))

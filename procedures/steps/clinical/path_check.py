@@ -216,7 +216,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
-        sights=() if workcell.second is None else room_watch(context).sights,  # to watch its insertion
+        sights=() if workcell.assistant is None else room_watch(context).sights,  # to watch its insertion
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(

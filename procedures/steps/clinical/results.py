@@ -209,8 +209,8 @@ def link_health(context: StepContext, arm: SupervisedArm) -> LinkHealth:
 
 def assistant_link_health(context: StepContext) -> LinkHealth | None:
     """Return the health of the assistant's link, or None without one, or before it streams."""
-    second = context.workcell.second
-    return link_health(context, second) if second is not None and second.streaming else None
+    assistant = context.workcell.assistant
+    return link_health(context, assistant) if assistant is not None and assistant.streaming else None
 
 
 class AssistedInsertion(Values):

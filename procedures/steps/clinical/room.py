@@ -82,15 +82,15 @@ class ExpectedSight:
 
         An assistant is where it is, or at `assistant_rad`.
         """
-        arm, second = self.context.workcell.arm.kinematics, self.context.workcell.second
+        arm, assistant = self.context.workcell.arm.kinematics, self.context.workcell.assistant
         for sight in self.watch.sights:
             seen = sight.seen(arm, self.surroundings, joints_rad)
-            if second is not None and second.base is not None:
+            if assistant is not None and assistant.history.base is not None:
                 from_base = replace(
-                    sight, robot_from_tracker=second.base.inverse() @ sight.robot_from_tracker
+                    sight, robot_from_tracker=assistant.base.inverse() @ sight.robot_from_tracker
                 )
-                there_rad = assistant_rad or second.joints_rad()
-                seen &= from_base.seen(second.arm.kinematics, Surroundings(tool=second.tool), there_rad)
+                there_rad = assistant_rad or assistant.joints_rad()
+                seen &= from_base.seen(assistant.arm.kinematics, Surroundings(tool=assistant.tool), there_rad)
             if int(seen.sum()) >= LEAST_POINTS:
                 return False
         return True

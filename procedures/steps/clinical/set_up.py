@@ -99,7 +99,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
     require_this_arm(calibrations.arm, identities["arm"].serial)
-    if workcell.second is not None:
+    if workcell.assistant is not None:
         master, assistant = identities["arm"], identities[ASSISTANT]
         require_two_arms((master.model, master.serial), (assistant.model, assistant.serial))
         require_this_arm(calibrations.assistant_arm, identities[ASSISTANT].serial)
@@ -121,7 +121,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             cell=context.setting.surroundings,
             settings=context.setting.settings,
             home_rad=workcell.set_home(),
-            assistant_home_rad=None if workcell.second is None else workcell.second.set_home(),
+            assistant_home_rad=None if workcell.assistant is None else workcell.assistant.set_home(),
         ),
         summary="; ".join(
             [", ".join(f"{role} {identity.model}" for role, identity in identities.items()), *notices]

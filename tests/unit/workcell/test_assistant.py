@@ -44,7 +44,7 @@ def arm() -> IdealArm:
 
 
 @pytest.fixture
-def second(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) -> Assistant:
+def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) -> Assistant:
     """An assistant that holds an instrument in the guide, where its clamp stands now."""
     monkeypatch.setattr(
         "procedures.workcell.supervised_arm.calibrated_arm", lambda nominal, _: CalibratedArm(nominal)
@@ -54,7 +54,7 @@ def second(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) 
     holder = SimpleNamespace(flange_from_clamp=clamp, flange_from_ball_mm=BALL_MM)
     records = SimpleNamespace(arm=True, assistant_arm=True, assistant_holder=holder)
     log = ArmLog(cell.journal, CLOCK, ArmHistory(ASSISTANT))
-    second = Assistant(
+    assistant = Assistant(
         lambda: arm,
         log,
         cast("Calibrations", records),
@@ -62,129 +62,129 @@ def second(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) 
         lambda _by: False,
         lambda: "T1",
     )
-    second.base = Transform.of(Frame.ROBOT, Frame.ROBOT)
-    held = second.clamp_pose(second.joints_rad())
+    assistant.place_base(Transform.of(Frame.ROBOT, Frame.ROBOT))
+    held = assistant.clamp_pose(assistant.joints_rad())
     axis = Insertion("T1", held, TRAVEL_MM)
     log.note(
         Entry.PLACED,
-        joints_rad=list(second.joints_rad()),
+        joints_rad=list(assistant.joints_rad()),
         at_home=False,
         trajectory="T1",
         axis=axis.as_plain(),
     )
-    return second
+    return assistant
 
 
-def test_a_retreat_begins_where_the_instrument_is(second: Assistant) -> None:
+def test_a_retreat_begins_where_the_instrument_is(assistant: Assistant) -> None:
     with pytest.raises(NotConfirmed):  # allowed, but no case is open
-        second.supervised.carry_out(second.withdraw_motion())
+        assistant.supervised.carry_out(assistant.withdraw_motion())
 
 
 @pytest.mark.hazard(59)
-def test_an_instrument_beside_its_axis_is_not_led_along_it(second: Assistant, arm: IdealArm) -> None:
+def test_an_instrument_beside_its_axis_is_not_led_along_it(assistant: Assistant, arm: IdealArm) -> None:
     first, *others = arm.controller.joints_rad
     arm.controller.joints_rad = (first + radians(1.0), *others)
     with pytest.raises(TipOffAxis, match="PRO-015: the assistant is not on the axis of T1"):
-        second.supervised.carry_out(second.withdraw_motion())
+        assistant.supervised.carry_out(assistant.withdraw_motion())
 
 
 @pytest.mark.hazard(59)
-def test_an_assistant_that_was_jogged_is_where_its_joints_say(second: Assistant, arm: IdealArm) -> None:
-    second.restore_home(IdealArm.kinematics.home_rad)
+def test_an_assistant_that_was_jogged_is_where_its_joints_say(assistant: Assistant, arm: IdealArm) -> None:
+    assistant.restore_home(IdealArm.kinematics.home_rad)
     first, *others = arm.controller.joints_rad
     arm.controller.joints_rad = (first + radians(20.0), *others)
-    second.compare_place()
-    assert second.place.is_on_axis
+    assistant.compare_place()
+    assert assistant.place.is_on_axis
     with pytest.raises(TipOffAxis, match="PRO-015"):
-        second.require_on_axis()
+        assistant.require_on_axis()
     arm.controller.joints_rad = IdealArm.kinematics.home_rad
-    second.compare_place()  # led out and home by hand
-    assert second.place.is_home
-    assert not second.place.is_on_axis
+    assistant.compare_place()  # led out and home by hand
+    assert assistant.place.is_home
+    assert not assistant.place.is_on_axis
 
 
 @pytest.mark.hazard(59)
 def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
-    second: Assistant, cell: RecordingCell
+    assistant: Assistant, cell: RecordingCell
 ) -> None:
     checkpoint = Checkpoint(lambda _question: YES, lambda _state, _reason: nullcontext(), CLOCK)
-    cell.workcell.second = second
-    second.supervised.ask_before(checkpoint, lambda _question: YES)
-    second.supervised.confirm(Topic.RETREAT, "retreat", [])
+    cell.workcell.assistant = assistant
+    assistant.supervised.ask_before(checkpoint, lambda _question: YES)
+    assistant.supervised.confirm(Topic.RETREAT, "retreat", [])
     cell.workcell.stop()
-    second.supervised.ask_before(checkpoint, lambda _question: "no")
+    assistant.supervised.ask_before(checkpoint, lambda _question: "no")
     with pytest.raises(NotConfirmed, match="first motion"):
-        second.supervised.carry_out(second.withdraw_motion())
+        assistant.supervised.carry_out(assistant.withdraw_motion())
 
 
-def test_where_the_assistant_stands_outlasts_the_program(second: Assistant, cell: RecordingCell) -> None:
+def test_where_the_assistant_stands_outlasts_the_program(assistant: Assistant, cell: RecordingCell) -> None:
     base = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(700.0, -500.0, 0.0))
-    second.place_base(base)
-    second.place_base(base)
+    assistant.place_base(base)
+    assistant.place_base(base)
     lines = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.BASE]
-    assert len(lines) == 1
+    assert len(lines) == 2  # the first is of the fixture
     known = arm_history(lines, ASSISTANT).base
     assert known is not None
     assert known.translation_mm == pytest.approx((700.0, -500.0, 0.0))
 
 
-def test_the_clamp_is_where_the_ball_was_found(second: Assistant) -> None:
-    before_mm = second.flange_from_clamp.translation_mm
-    second.shift_tool(FOUND_MM)
-    shift_mm = second.flange_from_clamp.translation_mm - before_mm
+def test_the_clamp_is_where_the_ball_was_found(assistant: Assistant) -> None:
+    before_mm = assistant.flange_from_clamp.translation_mm
+    assistant.shift_tool(FOUND_MM)
+    shift_mm = assistant.flange_from_clamp.translation_mm - before_mm
     assert shift_mm == pytest.approx((0.4, -0.3, 1.0))
 
 
 @pytest.mark.hazard(62)
 def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
-    second: Assistant, monkeypatch: pytest.MonkeyPatch
+    assistant: Assistant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
     home_rad = tuple(map(radians, KR6_HOME_DEG))
     turned_rad = (*home_rad[:-1], radians(60.0))
-    assert second.rests_clear(home_rad, Surroundings())
-    second.hold_instrument(170.0)
-    assert not second.rests_clear(home_rad, Surroundings())
-    assert second.rests_clear(turned_rad, Surroundings())
+    assert assistant.rests_clear(home_rad, Surroundings())
+    assistant.hold_instrument(170.0)
+    assert not assistant.rests_clear(home_rad, Surroundings())
+    assert assistant.rests_clear(turned_rad, Surroundings())
 
 
 GUIDED = GuidedStretch(22.0, 60.0)
 
 
-def travels_mm(second: Assistant, motion: PlannedMotion) -> list[float]:
-    axis = second.place.axis
+def travels_mm(assistant: Assistant, motion: PlannedMotion) -> list[float]:
+    axis = assistant.place.axis
     assert axis is not None
     return [axis.travel_from_start_mm(cast("LineMove", leg).target) for leg in motion.legs]
 
 
-def test_the_instrument_is_led_slowly_to_the_guide_and_from_off_the_skin_on(second: Assistant) -> None:
-    axis = second.place.axis
+def test_the_instrument_is_led_slowly_to_the_guide_and_from_off_the_skin_on(assistant: Assistant) -> None:
+    axis = assistant.place.axis
     assert axis is not None
-    motion = second.insert_motion(axis, guided=GUIDED)
-    assert travels_mm(second, motion) == pytest.approx([22.0, 60.0, TRAVEL_MM], abs=1e-6)
+    motion = assistant.insert_motion(axis, guided=GUIDED)
+    assert travels_mm(assistant, motion) == pytest.approx([22.0, 60.0, TRAVEL_MM], abs=1e-6)
     slow, guided, into_head = (leg.speed_fraction for leg in motion.legs)
     assert slow == into_head < guided
 
 
 def test_an_arm_that_senses_force_watches_it_all_the_way_at_one_speed(
-    second: Assistant, monkeypatch: pytest.MonkeyPatch
+    assistant: Assistant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Assistant, "senses_force", True)
-    axis = second.place.axis
+    axis = assistant.place.axis
     assert axis is not None
-    assert travels_mm(second, second.insert_motion(axis, guided=GUIDED)) == pytest.approx(
+    assert travels_mm(assistant, assistant.insert_motion(axis, guided=GUIDED)) == pytest.approx(
         [TRAVEL_MM], abs=1e-6
     )
 
 
 def test_an_insertion_goes_on_from_where_it_was_stopped_and_never_back(
-    second: Assistant, arm: IdealArm
+    assistant: Assistant, arm: IdealArm
 ) -> None:
-    axis = second.place.axis
+    axis = assistant.place.axis
     assert axis is not None
-    motion = second.insert_motion(axis, guided=GUIDED)
-    assert [second.has_passed(leg, motion) for leg in motion.legs] == [True, True, False]
-    arm.controller.joints_rad = second.clamp_joints(axis.pose_at(40.0), second.joints_rad())
-    assert [second.has_passed(leg, motion) for leg in motion.legs] == [True, False, False]
-    out = second.withdraw_motion(GUIDED)
-    assert [second.has_passed(leg, out) for leg in out.legs] == [True, False]
+    motion = assistant.insert_motion(axis, guided=GUIDED)
+    assert [assistant.has_passed(leg, motion) for leg in motion.legs] == [True, True, False]
+    arm.controller.joints_rad = assistant.clamp_joints(axis.pose_at(40.0), assistant.joints_rad())
+    assert [assistant.has_passed(leg, motion) for leg in motion.legs] == [True, False, False]
+    out = assistant.withdraw_motion(GUIDED)
+    assert [assistant.has_passed(leg, out) for leg in out.legs] == [True, False]
