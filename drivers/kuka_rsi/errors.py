@@ -232,7 +232,10 @@ class ControllerNotReady(RefusedError):
     """Operating mode, drives, emergency stop, guard or an active message prevent motion."""
 
     code = "EKI-007"
-    action = f"Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in Python: allow_t1); then {ACKNOWLEDGE}."
+    action = (
+        "Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in "
+        f"Python: allow_t1); then {ACKNOWLEDGE}."
+    )
 
 
 class CommandRefused(DeviceError):

@@ -184,6 +184,7 @@ def build_engine(
         latest=None if previous is None else previous.latest,
     )
     engine.checkpoint.beside = tape.beside
+    workcell.reading = tape.in_this_thread
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
     return engine
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn, TypeVar
 
@@ -84,6 +84,9 @@ class ArmPair:
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
         self._live: LivePair | None = None
         self.halted: Halt | None = None
+        self.reading: Callable[[], AbstractContextManager[None]] = (
+            nullcontext  # held by the thread that moves
+        )
 
     def surround(self, role: str, surroundings: Surroundings) -> None:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
@@ -223,7 +226,8 @@ class ArmPair:
 
         def drive(role: str, motion: Callable[[RobotArm], R]) -> None:
             try:
-                ends[role] = motion(self._arms[role])
+                with self.reading() if len(motions) == 1 else nullcontext():
+                    ends[role] = motion(self._arms[role])
             except Exception as error:
                 errors[role] = error
 
@@ -306,6 +310,23 @@ class ArmPair:
             logger(device=arm.name).error("may not be at rest: the stop failed", cause=error)
             with suppress(RonnaError):
                 arm.stop(StopKind.LINK, STOP_LIMIT_S)
+
+
+class ReplayedPair(ArmPair):
+    """Pair of stand-ins: what stopped an arm is in its answers, and nothing comes close."""
+
+    def surround(self, role: str, surroundings: Surroundings) -> None:
+        """Do nothing."""
+
+    def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
+        """Return the recorded end of the motion."""
+        return motion.drive(self._arms[role])
+
+    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+        """Return the recorded end of the insertion."""
+        arm = self._arms[role]
+        assert isinstance(arm, InsertsInstruments), "an arm that inserts"
+        return arm.insert(insertion)
 
 
 def _other(role: str) -> str:

@@ -23,7 +23,8 @@ from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Sides
-from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
+from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
@@ -50,6 +51,17 @@ class GuidedStretch(NamedTuple):
 
     start_mm: float
     end_mm: float
+
+
+def holder_bodies(holder: HolderCalibration, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Part, ...]:
+    """Return the bodies of an empty holder, flange frame, its clamp shifted as the ball was found."""
+    middle = _vector(_clamp_of(holder, shift_mm).translation_mm)
+    post = Capsule((0.0, 0.0, 0.0), holder.flange_from_ball_mm, POST_MM)
+    return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
+
+
+def _clamp_of(holder: HolderCalibration, shift_mm: Vector3) -> Transform:
+    return holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL).displace(shift_mm)
 
 
 class Assistant(SupervisedArm):
@@ -118,8 +130,7 @@ class Assistant(SupervisedArm):
     @property
     def flange_from_clamp(self) -> Transform:
         """Pose FLANGE <- clamp by the record, shifted as the ball was found beside its own."""
-        drawn = self.holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL)
-        return drawn.displace(self.shift_mm)
+        return _clamp_of(self.holder, self.shift_mm)
 
     def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the clamp in the robot frame."""
@@ -151,6 +162,15 @@ class Assistant(SupervisedArm):
                     return f"{refused.first} at {refused.second}"
         return ""
 
+    def rests_clear(self, joints_rad: JointVector, around: Surroundings) -> bool:
+        """Return whether the arm, with what it holds, keeps its margin where it rests.
+
+        A path is checked leniently where it begins: there, bodies that are too close may stay so.
+        """
+        surroundings = self.surroundings(around, joints_rad)
+        gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
+        return not (gaps_mm < surroundings.margin_mm).any()
+
     def shift_tool(self, flange_from_ball_mm: Sequence[float]) -> None:
         """Shift clamp and ball on the flange by what the ball was found beside its record."""
         found = zip(flange_from_ball_mm, self.holder.flange_from_ball_mm, strict=True)
@@ -163,13 +183,12 @@ class Assistant(SupervisedArm):
     @property
     def tool(self) -> tuple[Part, ...]:
         """Bodies of the holder, and of the instrument while one is held, flange frame."""
+        bodies = holder_bodies(self.holder, self.shift_mm)
+        if not self._tip_mm:
+            return bodies
         clamp = self.flange_from_clamp
         middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, self._tip_mm))
-        post = Capsule((0.0, 0.0, 0.0), self.holder.flange_from_ball_mm, POST_MM)
-        parts = [Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM))]
-        if self._tip_mm:
-            parts.append(Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
-        return tuple(parts)
+        return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
     # Motion
 

@@ -8,6 +8,7 @@ nothing moves at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -61,11 +62,13 @@ class Workcell(SupervisedArm):
         calibrating: bool = False,
         history: ArmHistory = UNMOVED,
         assistant: ArmHistory | None = None,
+        pair: type[ArmPair] = ArmPair,
     ) -> None:
         """Create the workcell without opening or moving anything.
 
         `calibrations` replace those of the theatre file. While `calibrating`, a tool's record may refer to a
-        former tip. A resumed run has a `history`. With two arms, `assistant` is the history of the second.
+        former tip. A resumed run has a `history`. With two arms, `assistant` is the history of the second,
+        and a `pair` moves and watches both.
         Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, ARM-009, CFG-004 and
         CAL-013.
         """
@@ -77,6 +80,8 @@ class Workcell(SupervisedArm):
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
         self._around_assistant: tuple[Surroundings, JointVector | None] | None = None  # robot frame
+        self._make_pair = pair
+        self.reading: Callable[[], AbstractContextManager[None]] = nullcontext  # see `ArmPair`
         self._pair: ArmPair | None = None
         self.second: Assistant | None = None
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None
@@ -186,12 +191,6 @@ class Workcell(SupervisedArm):
     def _carried(self) -> CarriedTool:
         return CarriedTool(self.calibrated, self.flange_from_tool)
 
-    def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
-        """Restore the arm's history, and any known home, in a resumed run. Nothing moves."""
-        if home_rad is not None:
-            self.restore_home(home_rad)
-        self._log.history = history
-
     @property
     def carries(self) -> str:
         """What the arm carries."""
@@ -250,7 +249,8 @@ class Workcell(SupervisedArm):
         second.place_base(robot_from_base)
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
-            self._pair = ArmPair(arms, base, clock, lambda: self.instrument.inside)
+            self._pair = self._make_pair(arms, base, clock, lambda: self.instrument.inside)
+            self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
         self._pair.place_assistant(base)
@@ -270,6 +270,11 @@ class Workcell(SupervisedArm):
         self._require_second().hold_instrument(tip_mm)
         if self._around_assistant is not None:
             self.surround_assistant(*self._around_assistant)
+
+    def assistant_rests_clear(self, joints_rad: JointVector) -> bool:
+        """Return whether the assistant, with what it holds, keeps its margin at these joints."""
+        assert self._around_assistant is not None, "what surrounds the assistant is known first"
+        return self._require_second().rests_clear(joints_rad, self._around_assistant[0])
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""

@@ -97,6 +97,15 @@ class ReadingTape:
         self._section = NO_SECTION
 
     @contextmanager
+    def in_this_thread(self) -> Iterator[None]:
+        """Record the answers of this thread within the block, in place of the section's own, which waits."""
+        before, self._thread = self._thread, threading.get_ident()
+        try:
+            yield
+        finally:
+            self._thread = before
+
+    @contextmanager
     def beside(self) -> Iterator[None]:
         """Exclude readings within the block from the current section."""
         self._beside += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-arm",
-    help="The arm: calibrate its geometry with stationary spheres, check that the calibration still holds.",
+    help="The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
+    "lead it by hand.",
     epilog="Example: ronna-arm calibrate --sim --scene mini",
     no_args_is_help=True,
     add_completion=False,
@@ -89,6 +91,32 @@ def check(
     check_calibration(
         request, command_options.out, ARM.activity, judge, show, as_json=command_options.as_json
     )
+
+
+@app.command()
+def guide(
+    config: Annotated[Path, typer.Option(exists=True, dir_okay=False, help="Theatre file with the arm.")],
+    arm_name: Annotated[
+        str, typer.Option("--arm", metavar="NAME", help="Which arm: NAME of [robot.NAME].")
+    ] = "assistant",
+    speed: Annotated[float, typer.Option(metavar="MM/S", min=1.0, max=50.0, help="Largest speed.")] = 50.0,
+    reach: Annotated[
+        float, typer.Option(metavar="MM", min=1.0, max=300.0, help="Farthest from where a push began.")
+    ] = 150.0,
+    force_limit: Annotated[
+        float, typer.Option(metavar="N", min=10.0, max=100.0, help="Force at which the arm stops and holds.")
+    ] = 60.0,
+) -> None:
+    """Lead an arm by hand while the space bar is held; q ends. It must sense force (Universal Robots).
+
+    Before a case, never during one: where the arm is left becomes its home. Exit codes: 0 done, 3 refused or
+    stopped by its force limit, others as in `calibrate`.
+    """
+    from procedures.cli.arm.guiding import guide as follow_hand
+    from ronna_hw.devices.contact import HandGuidance
+
+    limits = replace(HandGuidance(), speed_mm_s=speed, reach_mm=reach, force_limit_N=force_limit)
+    follow_hand(config, arm_name, limits)
 
 
 def main() -> None:

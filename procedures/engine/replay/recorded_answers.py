@@ -62,6 +62,7 @@ class Opening(_Strict):
     strategy: str | None = None
     methods: CaseMethods = CaseMethods()
     measure_targets: bool = False
+    dual: bool = False
     began: Annotated[AwareDatetime | None, Field(strict=False)] = None
     calibration: CalibrationOpening | None = None
 
@@ -333,6 +334,7 @@ def opening_line(
         "strategy": None if clinical is None else clinical.strategy.name,
         "methods": asdict(CaseMethods() if clinical is None else clinical.methods),
         "measure_targets": clinical is not None and clinical.measure_targets,
+        "dual": clinical is not None and clinical.dual,
         "began": began.isoformat(),
         "calibration": calibration,
     }

@@ -18,7 +18,14 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.recording.reading_coding import ANSWERS, PROPERTIES, RECORDED_PROPERTIES, list_recorded_calls
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
-KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
+KNOWN_UNOPENED = (
+    "name",
+    "wire_protocol",
+    "kinematics",
+    "tools",
+    "markers_mm",
+    "senses_force",
+)  # as configured
 KNOWN_MEMBERS = {*ANSWERS, *RECORDED_PROPERTIES, *PROPERTIES, *KNOWN_UNOPENED}
 READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 

@@ -28,9 +28,10 @@ from procedures.journal.errors import StepRefused
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.journal.results import StepResult
 from procedures.workcell import Workcell
-from procedures.workcell.arm_history import arm_history
+from procedures.workcell.arm_history import ArmHistory, arm_history
+from procedures.workcell.arm_pair import ReplayedPair
 from ronna_hw.clock import Clock
-from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -176,12 +177,15 @@ class _Replay:
         self._theatre = theatre = Theatre(replay_input.theatre, clock, make)
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
+        is_dual = replay_input.clinical is not None and replay_input.clinical.dual
         setting = CaseSetting(
             workcell=Workcell(
                 theatre,
                 journal,
                 calibrations=replay_input.calibrations,
                 calibrating=replay_input.calibrations is not None,
+                assistant=ArmHistory(ASSISTANT) if is_dual else None,
+                pair=ReplayedPair,
             ),
             clock=clock,
             operator=self._operator,
@@ -205,7 +209,10 @@ class _Replay:
         for begin, line, following in self._sections():
             self._answers.begin(begin)
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
-            self._engine.setting.workcell.restore_history(arm_history(self._run.journal[:begin]))
+            workcell, before = self._engine.setting.workcell, self._run.journal[:begin]
+            workcell.restore_history(arm_history(before))
+            if workcell.second is not None:
+                workcell.second.restore_history(arm_history(before, ASSISTANT))
             self._operator.begin(following)
             self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])

@@ -11,10 +11,12 @@ import math
 
 import numpy as np
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
+from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, find_axis, guide_pose, surround_at_guide
@@ -26,7 +28,9 @@ from procedures.workcell.assistant import AT_GUIDE, GUIDED_SPEED_MM_S, Assistant
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
+from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
+from ronna_hw.vectors import joint_vector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
@@ -36,6 +40,10 @@ SEEN_APART_MM, SEEN_APART_RAD = 1.0, math.radians(0.5)
 MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
 OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
+# Of the assistant's frame at home, between two looks: three standard errors with the repeatability of an arm
+# and the tracker's drift. Less than the instrument has play before it presses on the guide.
+STOOD_MM = 0.5
+LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
@@ -47,11 +55,14 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         workcell.start()
         second.retreat()
     context.request_instrument_removal()
-    load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
-    context.perform_task(Task(HOLDER, load, trajectory))
     known = _require_bases(context)
     second.shift_tool(known.flange_from_ball_mm)
+    stood = _has_stood(context, second, known)
     surround_holder(context, stop.read_mm)
+    _present_holder(context, second)
+    load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
+    context.perform_task(Task(HOLDER, load, trajectory))
+    workcell.hold_instrument(stop.read_mm)
     axis, start_rad, via_rad = find_axis(context, second, stop, known)
     workcell.start()
     second.supervised.confirm(
@@ -67,7 +78,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         second.go(joints_rad)
     second.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, second, axis, known.head_shift_mm)
-    seen_apart = _require_seen_coaxial(context, second, known)
+    seen_apart = _require_seen_coaxial(context, second, known, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     second.insert(second.axis_in_base(axis), _guided_stretch(context, stop))
@@ -96,6 +107,26 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         peak_force_N=None if second.inserted is None else second.inserted.peak_force_N,
         gap_mm=max(0.0, gap_mm),
     )
+
+
+def _present_holder(context: StepContext, second: Assistant) -> None:
+    """Turn the flange where the arm itself is in the way of the instrument in its holder. Raises PLAN-007."""
+    workcell, here_rad = context.workcell, second.joints_rad()
+    steps = range(round(math.pi / LOADING_STEP_RAD) + 1)
+    turns_rad = [side * step * LOADING_STEP_RAD for step in steps for side in (1, -1)]
+    postures = [(*here_rad[:-1], here_rad[-1] + turn_rad) for turn_rad in turns_rad]
+    clear = (joint_vector(one) for one in postures if workcell.assistant_rests_clear(joint_vector(one)))
+    loading_rad = next(clear, None)
+    workcell.hold_instrument(0.0)
+    if loading_rad is None:
+        raise NotReachable(
+            f"no turn of the assistant's flange leaves room for the instrument at {context.trajectory}",
+            action="Give the assistant another home, with room on the side of its clamp, and set up again.",
+        )
+    if loading_rad != here_rad:
+        workcell.start()
+        context.progress(0.68, "the assistant turns its clamp to where the instrument is put in")
+        second.settle(loading_rad)
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -178,18 +209,57 @@ def _require_coaxial(
     return off_mm, turned_rad
 
 
-def _require_seen_coaxial(
-    context: StepContext, second: Assistant, known: KnownBases
-) -> tuple[float, float] | tuple[None, None]:
-    """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007."""
-    workcell, room = context.workcell, room_watch(context)
-    read, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
+def _has_stood(context: StepContext, second: Assistant, known: KnownBases) -> bool:
+    """Return whether the tracker sees the assistant, at home, where it stood when the bases were measured.
+
+    Raises CAL-023 if it sees it elsewhere.
+    """
+    if not second.place.is_home:
+        return False
+    (frame,) = _see_frames(context, second.holder.frame)
+    if frame is None:
+        return False
+    moved_mm = math.dist(frame.translation_mm, known.assistant_seen_mm)
+    if moved_mm > STOOD_MM:
+        raise PlatformMoved(
+            f"before the insertion at {context.trajectory}: the assistant's cart has moved since its base "
+            "was measured",
+            limit=f"{STOOD_MM:g} mm",
+            got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
+        )
+    return True
+
+
+def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
+    """Return the mean poses of frames, in the tracker frame of the localization; None for a hidden one."""
+    room = room_watch(context)
+    read, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
     frames = [room.as_localized(one) for one in read]
+    return [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names]
+
+
+def _require_seen_coaxial(
+    context: StepContext, second: Assistant, known: KnownBases, *, stood: bool
+) -> tuple[float, float] | tuple[None, None]:
+    """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007.
+
+    Where it does not see both, the joints alone count, provided that the assistant's cart has `stood`.
+    """
+    workcell = context.workcell
     names = workcell.calibrations.tracker_frame.tool, second.holder.frame
-    master, assistant = (mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names)
+    master, assistant = _see_frames(context, *names)
     if master is None or assistant is None:
         hidden = names[0] if master is None else names[1]
-        context.find(f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count")
+        if not stood:
+            raise GateFailed(
+                f"over {context.trajectory} the tracker does not see {hidden}, nor did it see the assistant "
+                "at home before: nothing shows that its cart has stood still",
+                action="Send the arms home, clear the line of sight, and go to the target again.",
+            )
+        context.find(
+            f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; at home "
+            "it has just seen the assistant where it stood"
+        )
         return None, None
     assert second.base is not None
     flange = second.base @ second.flange_pose(second.joints_rad())

@@ -9,6 +9,8 @@ import pytest
 import tomli_w
 
 from drivers.kuka_rsi.options import read_options
+from procedures.workcell.errors import AnotherArm
+from procedures.workcell.tools import require_this_arm
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import (
@@ -20,9 +22,10 @@ from ronna_hw.config import (
 )
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
+from sim.kuka.controller_parameters import parse_parameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.options import ArmChoice
+from sim.world.options import ArmChoice, ArmRole
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import Scene
@@ -197,3 +200,15 @@ def test_a_port_out_of_range_is_reported_with_its_key_and_a_fitting_example() ->
         parse_theatre(content)
     assert "tcp://" in refused.value.what
     assert "serial://" not in refused.value.what
+
+
+def test_the_records_of_two_arms_name_the_serial_numbers_that_their_controllers_report() -> None:
+    scene = load_scene("mini", seed=4, calibrated=True, dual=True)
+    endpoints = {**ENDPOINTS, "assistant": {**ENDPOINTS["kuka"], "rsi": "udp://127.0.0.1:59153"}}  # type: ignore[dict-item]
+    endpoints["assistant"]["eki_project"] = "tcp://127.0.0.1:54702"  # type: ignore[index]
+    records = parse_theatre(theatre_content(scene, endpoints, "host:", {}, 2.0)).calibration
+    assert records is not None
+    serials = [str(parse_parameters(()).of_arm(role.number).serial_number) for role in ArmRole]
+    assert [one and one.serial for one in (records.arm, records.assistant_arm)] == serials
+    with pytest.raises(AnotherArm, match="CAL-013"):  # as if they were exchanged
+        require_this_arm(records.assistant_arm, serials[0])

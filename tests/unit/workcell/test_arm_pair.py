@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from math import radians
 
@@ -261,3 +262,19 @@ def test_an_insertion_that_meets_its_force_limit_holds_and_latches_nothing(maste
     assert pressing.state is Lifecycle.HOLD
     assert pair.halted is None
     pressing.close()
+
+
+def test_the_answers_to_a_motion_are_recorded_by_the_thread_that_moves(
+    pair: ArmPair, master: WatchedArm
+) -> None:
+    readers: list[int] = []
+
+    @contextmanager
+    def reading() -> Iterator[None]:
+        readers.append(threading.get_ident())
+        yield
+
+    pair.reading = reading
+    pair.move(MASTER, turned(master, 5.0))
+    assert len(readers) == 1
+    assert readers != [threading.get_ident()]

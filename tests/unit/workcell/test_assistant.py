@@ -19,12 +19,15 @@ from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_h
 from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.motions import PlannedMotion
+from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
 from ronna_hw.frames import Frame, Transform
+from sim.world.scene.assistant import KR6_HOME_DEG
 
 CLOCK = HostClock()
 BALL_MM = (0.0, 0.0, 160.0)
@@ -130,6 +133,19 @@ def test_the_clamp_is_where_the_ball_was_found(second: Assistant) -> None:
     second.shift_tool(FOUND_MM)
     shift_mm = second.flange_from_clamp.translation_mm - before_mm
     assert shift_mm == pytest.approx((0.4, -0.3, 1.0))
+
+
+@pytest.mark.hazard(62)
+def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
+    second: Assistant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
+    home_rad = tuple(map(radians, KR6_HOME_DEG))
+    turned_rad = (*home_rad[:-1], radians(60.0))
+    assert second.rests_clear(home_rad, Surroundings())
+    second.hold_instrument(170.0)
+    assert not second.rests_clear(home_rad, Surroundings())
+    assert second.rests_clear(turned_rad, Surroundings())
 
 
 GUIDED = GuidedStretch(22.0, 60.0)

@@ -7,10 +7,13 @@ from typing import Any, cast
 
 import pytest
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
-from procedures.steps.clinical.assisted_insertion import _require_bases
+from procedures.steps.clinical import assisted_insertion
+from procedures.steps.clinical.assisted_insertion import _has_stood, _require_bases, _require_seen_coaxial
+from ronna_hw.frames import Frame, Transform
 
 BASES = object()
 
@@ -35,3 +38,44 @@ def test_bases_from_before_a_fault_lead_no_instrument_unless_they_are_kept() -> 
     assert not kept
     assert _require_bases(context_after_a_fault(YES, kept)) is BASES
     assert kept
+
+
+SEEN_MM = (100.0, 200.0, -1500.0)
+
+
+def an_assistant(*, home: bool = True) -> Any:
+    return SimpleNamespace(
+        place=SimpleNamespace(is_home=home), holder=SimpleNamespace(frame="assistant_frame")
+    )
+
+
+def the_tracker_sees(monkeypatch: pytest.MonkeyPatch, place_mm: tuple[float, float, float] | None) -> None:
+    seen = None if place_mm is None else Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place_mm)
+    monkeypatch.setattr(assisted_insertion, "_see_frames", lambda _context, *names: [seen for _ in names])
+
+
+@pytest.mark.hazard(61)
+def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    context, known = cast("StepContext", SimpleNamespace(trajectory="T1")), cast("Any", SimpleNamespace())
+    known.assistant_seen_mm = SEEN_MM
+    the_tracker_sees(monkeypatch, (100.2, 200.0, -1500.2))
+    assert _has_stood(context, an_assistant(), known)
+    assert not _has_stood(context, an_assistant(home=False), known)
+    the_tracker_sees(monkeypatch, (100.0, 200.9, -1500.0))
+    with pytest.raises(PlatformMoved, match="CAL-023"):
+        _has_stood(context, an_assistant(), known)
+    the_tracker_sees(monkeypatch, None)
+    assert not _has_stood(context, an_assistant(), known)
+
+
+@pytest.mark.hazard(61)
+def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[str] = []
+    records = SimpleNamespace(tracker_frame=SimpleNamespace(tool="robot_frame"))
+    fields = {"trajectory": "T1", "workcell": SimpleNamespace(calibrations=records), "find": found.append}
+    context = cast("StepContext", SimpleNamespace(**fields))
+    the_tracker_sees(monkeypatch, None)
+    with pytest.raises(GateFailed, match="nothing shows that its cart has stood still"):
+        _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=False)
+    _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=True)
+    assert "where it stood" in found[0]
