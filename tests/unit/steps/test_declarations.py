@@ -162,6 +162,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         KnownBases(
             robot_from_base=pose,
             robot_from_tracker=pose,
+            flange_from_master_frame=pose,
             flange_from_frame=pose,
             by_frames_mm=0.3,
             error_mm=0.09,
