@@ -149,7 +149,7 @@ class BaseMeasurement:
             frame.tool,
         )
         cell.return_home()
-        base = self._base()
+        base = self._assistant.base
         drawn = assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
         frames_mm, from_base = base.inverse().apply(self._frames_mm), base.inverse() @ tracker
         home = assistant.flange_pose(assistant.home_rad).rigid.rotation
@@ -204,7 +204,7 @@ class BaseMeasurement:
         """Look at the ball until the bases are known. Raises CAL-003, CAL-004, CAL-010, CAL-022."""
         cell, assistant = self._cell, self._assistant
         ball_mm = assistant.holder.flange_from_ball_mm
-        base = self._base()
+        base = self._assistant.base
         cell.sensors.read_around_tool(self._context.setting.settings.servo_area_px)
         inwards = -base.inverse().rotation_matrix @ self._outwards
         reference = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
@@ -305,9 +305,6 @@ class BaseMeasurement:
 
     def _read(self, count: int) -> list[TrackerFrame]:
         return read_frames_at_rest(self._cell.tracker, self._clock, count=count)[0]
-
-    def _base(self) -> Transform:
-        return self._assistant.base
 
 
 def _list_possible(
