@@ -66,16 +66,38 @@ def require_own_patient_frame(theatre: TheatreFile) -> None:
     frame = theatre.procedure.patient_frame
     if frame is None or theatre.calibration is None:
         return
-    on_arm = {"calibration.tracker_frame.tool": theatre.calibration.tracker_frame.tool} | {
-        f"tools.{name}.frame.tool": tool.frame.tool
-        for name, tool in theatre.tools.items()
-        if tool.frame is not None
-    }
+    on_arm, holder = _frames_on_master(theatre), theatre.calibration.assistant_holder
+    if holder is not None:
+        on_arm["calibration.assistant_holder.frame"] = holder.frame
     if shared := [key for key, tool in on_arm.items() if tool == frame]:
         raise ValueError(
             f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
             "name the frame on the head clamp, a tool of its own"
         )
+
+
+def require_own_holder_frame(theatre: TheatreFile) -> None:
+    """Raise ValueError if the frame on the assistant's holder is also named as one on the master."""
+    records = theatre.calibration
+    if records is None or records.assistant_holder is None:
+        return
+    frame, on_master = records.assistant_holder.frame, _frames_on_master(theatre)
+    if shared := [key for key, tool in on_master.items() if tool == frame]:
+        raise ValueError(
+            f"[calibration.assistant_holder] frame: {frame} is also {' and '.join(shared)}, a frame on the "
+            "master: name the frame on the holder, a tool of its own"
+        )
+
+
+def _frames_on_master(theatre: TheatreFile) -> dict[str, str]:
+    """Return the tracker's tools on the master, by the key that names them."""
+    records = theatre.calibration
+    on_mount = {} if records is None else {"calibration.tracker_frame.tool": records.tracker_frame.tool}
+    return on_mount | {
+        f"tools.{name}.frame.tool": tool.frame.tool
+        for name, tool in theatre.tools.items()
+        if tool.frame is not None
+    }
 
 
 def require_separate_arms(theatre: TheatreFile) -> None:
@@ -218,7 +240,7 @@ class DeviceConfig(Strict):
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
         return parse_endpoint(text)
 
-    def require_addresses(self, roles: Mapping[str, Role]) -> dict[str, Endpoint]:
+    def require_addresses(self, roles: Mapping[str, Role], device: str) -> dict[str, Endpoint]:
         """Return the parsed endpoints of these roles; raises CFG-001 naming all that are missing, or CFG-002.
 
         An endpoint of another role is ignored, but when one is missing it may be a misspelt one.
@@ -226,7 +248,8 @@ class DeviceConfig(Strict):
         if missing := [role for role in roles if role not in self.endpoints]:
             unknown = [role for role in self.endpoints if role not in roles]
             raise BadTheatreFile(
-                f"driver {self.driver} needs {format_count(len(missing), 'more endpoint')}"
+                f"[{device}.endpoints]: driver {self.driver} needs "
+                f"{format_count(len(missing), 'more endpoint')}"
                 + "".join(f"; endpoint {role} is unknown{suggest_keys(role, missing)}" for role in unknown),
                 expected=", ".join(f'{role} = "{roles[role].example}"' for role in missing),
                 got=", ".join(self.endpoints) or "one without a role",
@@ -409,6 +432,7 @@ class TheatreFile(Strict):
         require_expiry(self)
         require_outside_hand(self)
         require_own_patient_frame(self)
+        require_own_holder_frame(self)
         require_separate_arms(self)
         return self
 

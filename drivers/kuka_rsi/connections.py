@@ -31,7 +31,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
     def __init__(self, faults: RsiFaults, config: DeviceConfig, context: RsiContext, clock: Clock) -> None:
         """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         super().__init__(faults, clock)
-        addresses = config.require_addresses(ROLES)
+        addresses = config.require_addresses(ROLES, faults.name)
         self._rsi, self._eki_address = addresses["rsi"], addresses["eki_project"]
         self._context = context
         self.verified = False  # the controller reports that it runs our context

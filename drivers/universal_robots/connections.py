@@ -40,6 +40,7 @@ from drivers.universal_robots.primary.client import ControllerState, PrimaryClie
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
 from drivers.universal_robots.rtde import RtdeSetup, Version
+from drivers.universal_robots.services import require_own_services
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
@@ -67,7 +68,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def __init__(self, faults: UrFaults, config: DeviceConfig, clock: Clock) -> None:
         """Check the endpoints without connecting; raises CFG-001 or CFG-002."""
         super().__init__(faults, clock)
-        addresses = config.require_addresses(ROLES)
+        addresses = config.require_addresses(ROLES, faults.name)
+        require_own_services(faults.name, addresses)
         self._rtde = addresses["rtde"]
         self._dashboard_address, self._primary_address = addresses["dashboard"], addresses["primary"]
         self._name, self._options = faults.name, faults.options

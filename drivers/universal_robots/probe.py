@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.errors import ControllerNotFound
-from drivers.universal_robots.identification import MAJOR_VERSION
+from drivers.universal_robots.identification import CALIBRATION, MAJOR_VERSION
 from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
 from drivers.universal_robots.services import SERVICES, identify_service
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import (
     CONNECT_LIMIT_S,
     Diagnostic,
@@ -50,7 +51,12 @@ class UrProbe:
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
         """Connect, read identity and calibration, without starting anything or moving the arm."""
-        return connect_and_identify(name, config, UniversalRobotsArm, inspect=inspect)
+
+        def inspect_arm(device: Device, identity: Identity) -> Iterator[Diagnostic]:
+            yield Diagnostic(f"{name}: factory calibration", True, dict(identity.details)[CALIBRATION])
+            yield from inspect(device, identity)
+
+        return connect_and_identify(name, config, UniversalRobotsArm, inspect=inspect_arm)
 
     def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """Say which service of a controller answers at each endpoint; nothing is commanded."""
@@ -92,7 +98,7 @@ def _make_proposal(host: str) -> Proposal:
         config = DeviceConfig(driver=DRIVER, endpoints=endpoints, options=dict(chosen))
         with contextlib.closing(UniversalRobotsArm("found", config, HostClock())) as arm:
             identity = arm.connect(CONNECT_LIMIT_S)
-        chosen |= {"serial": identity.serial, "calibration": dict(identity.details)["calibration"]}
+        chosen |= {"serial": identity.serial, "calibration": dict(identity.details)[CALIBRATION]}
         what = f"a controller of {model} {identity.serial}, software {identity.firmware}"
         remarks = (ARM_OF_THIS_THEATRE,)
     except ControllerNotFound as error:

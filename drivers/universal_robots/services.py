@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from drivers.universal_robots.dashboard import DashboardClient
@@ -12,12 +12,16 @@ from drivers.universal_robots.errors import ControllerNotFound
 from drivers.universal_robots.primary.client import PrimaryClient
 from drivers.universal_robots.primary.packages import LONGEST_PACKAGE_BYTES
 from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.config import BadTheatreFile
 from ronna_hw.devices.probing import CONNECT_LIMIT_S, Diagnostic, explain_unreachable
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import (
     DASHBOARD_PORT,
     PRIMARY_PORT,
+    READ_ONLY_PRIMARY_PORT,
+    READ_ONLY_REALTIME_PORT,
+    READ_ONLY_SECONDARY_PORT,
     REALTIME_PORT,
     RTDE_PORT,
     SECONDARY_PORT,
@@ -72,7 +76,22 @@ SERVICES = {  # by their ports, which the controller has fixed
     SECONDARY_PORT: Service("secondary interface", "", _read_size),
     REALTIME_PORT: Service("real-time interface", "", _read_size),
     RTDE_PORT: Service("RTDE server", "rtde", _ask_rtde),
+    READ_ONLY_PRIMARY_PORT: Service("read-only primary interface", "", _read_size),
+    READ_ONLY_SECONDARY_PORT: Service("read-only secondary interface", "", _read_size),
+    READ_ONLY_REALTIME_PORT: Service("read-only real-time interface", "", _read_size),
 }
+
+
+def require_own_services(device: str, addresses: Mapping[str, Endpoint]) -> None:
+    """Raise CFG-001 for an endpoint at the fixed port of another service than its role."""
+    for role, address in addresses.items():
+        service = SERVICES.get(address.port)
+        if service is not None and service.role != role:
+            own = next(port for port, one in SERVICES.items() if one.role == role)
+            raise BadTheatreFile(
+                f"[{device}.endpoints] {role}: port {address.port} is that of the {service.name}",
+                expected=f"port {own}, the {SERVICES[own].name}",
+            )
 
 
 def identify_service(endpoint: Endpoint) -> Diagnostic:

@@ -86,6 +86,8 @@ class ToolRecords:
             for name, record in self.records.items()
             if record.frame is not None
         }
+        if (holder := calibrations.assistant_holder) is not None:
+            named["calibration.assistant_holder"] = holder.frame
         for table, frame in named.items():
             if frame not in tracked:
                 raise UnknownTool(

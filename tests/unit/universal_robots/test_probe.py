@@ -10,15 +10,23 @@ from handmade_ur import HandmadeController
 
 from drivers.universal_robots import probe as ur_probe
 from drivers.universal_robots import services
+from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.probe import probe
 from drivers.universal_robots.services import SERVICES
 from procedures.cli.new_theatre.searching import DeviceTable
 from procedures.cli.new_theatre.writing import theatre_text
-from ronna_hw.config import parse_theatre
+from ronna_hw.clock import HostClock
+from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
 from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface
-from ronna_hw.wire.universal_robots import DASHBOARD_PORT, PRIMARY_PORT, RTDE_PORT, SECONDARY_PORT
+from ronna_hw.wire.universal_robots import (
+    DASHBOARD_PORT,
+    PRIMARY_PORT,
+    READ_ONLY_PRIMARY_PORT,
+    RTDE_PORT,
+    SECONDARY_PORT,
+)
 
 HERE = Endpoint("tcp", "127.0.0.1", 54602)  # its port is another arm's
 LOOPBACK = Interface("lo", "127.0.0.1", 8, True)
@@ -70,6 +78,21 @@ def test_an_address_without_a_controller_says_so_and_on_a_network_it_is_passed_o
     (proposal,) = found(Search(controllers=(HERE,)))
     assert "no dashboard server" in proposal.absent
     assert found(Search(interfaces=(LOOPBACK,))) == []
+
+
+def test_the_fingerprint_of_the_factory_calibration_is_reported(controller: HandmadeController) -> None:
+    (proposal,) = found(Search(controllers=(HERE,)))
+    config = DeviceConfig(driver="universal_robots", endpoints=controller.endpoints)
+    seen = {one.subject: one.seen for one in probe("robot.master", config, lambda share: None)}
+    assert seen["robot.master: factory calibration"] == chosen(proposal)["calibration"]
+
+
+@pytest.mark.parametrize("port", [SECONDARY_PORT, RTDE_PORT, READ_ONLY_PRIMARY_PORT])
+def test_an_endpoint_at_the_port_of_another_service_is_refused_with_the_port_of_its_own(port: int) -> None:
+    endpoints = dict(probe.example(Search()).endpoints) | {"primary": f"tcp://127.0.0.1:{port}"}
+    config = DeviceConfig(driver="universal_robots", endpoints=endpoints)
+    with pytest.raises(BadTheatreFile, match=rf"assistant.endpoints\] primary: port {port} .* port 30001"):
+        UniversalRobotsArm("robot.assistant", config, HostClock())
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,29 @@
+"""The frame on the assistant's holder is a tool of its own, which the tracker tracks."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from procedures.planning.tool_records import ToolRecords
+from ronna_hw.config import require_own_holder_frame
+from ronna_hw.devices.errors import UnknownTool
+
+
+def with_holder(frame: str) -> Any:
+    return SimpleNamespace(
+        tracker_frame=SimpleNamespace(tool="robot"), assistant_holder=SimpleNamespace(frame=frame)
+    )
+
+
+def test_a_frame_that_is_none_of_the_trackers_tools_is_refused_with_their_names() -> None:
+    with pytest.raises(UnknownTool, match=r"\[calibration.assistant_holder\] names cart.*robot or helper"):
+        ToolRecords({}, "").check_frames(with_holder("cart"), ("robot", "helper"))
+
+
+def test_a_frame_on_the_master_is_not_that_on_the_holder() -> None:
+    theatre = cast("Any", SimpleNamespace(calibration=with_holder("robot"), tools={}))
+    with pytest.raises(ValueError, match=r"robot is also .*, a frame on the master"):
+        require_own_holder_frame(theatre)
