@@ -477,6 +477,6 @@ def test_the_first_motion_of_each_of_two_arms_is_asked_about_anew() -> None:
     by_master, by_assistant = ({"entry": Entry.MOTION, "arm": arm} for arm in (MASTER, ASSISTANT))
     operator.begin([asked, by_master, asked, by_assistant])
     assert operator.find_first_to_move(0) == MASTER
-    operator.ask(Question(Topic.FIRST_MOTION, "first motion"))
+    operator.ask(Question(Topic.FIRST_MOTION, "first motion", ""))
     assert operator.find_first_to_move(0) is None
     assert operator.find_first_to_move(1) == ASSISTANT
