@@ -24,9 +24,21 @@ MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
     "tracker_frame": "ronna-procedure calibrate tracker-frame",
     "tool_tip": "ronna-procedure calibrate tool-tip",
 }
+MADE_BY_HAND = {  # no command writes these into the theatre file
+    "assistant_arm": "calibrate the assistant as [robot.master] of a theatre file of its own, with ronna-arm "
+    "calibrate, and copy its [calibration.arm] to [calibration.assistant_arm]",
+    "assistant_holder": "measure the assistant's holder again, and write its record to "
+    "[calibration.assistant_holder]",
+    "assistant_base": "remove [calibration.assistant_base]: a case measures where the assistant stands",
+}
 
 SAME_PLACE_MM = 1e-3  # more than copying a number changes
 DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only with it
+
+
+def as_sentence(words: str) -> str:
+    """Return words that begin with a capital letter."""
+    return words[:1].upper() + words[1:]
 
 
 def options_of(theatre_file: Path) -> str:
@@ -62,10 +74,12 @@ def require_valid(
     )
     new_tip = "tool_tip" in expired and "--sim" not in options
     renew = ", then ronna-tool renew for each tool with that tip" if new_tip else ""
+    ways = [f"run {commands}{renew}"] if commands else []
+    ways += [words for name, words in MADE_BY_HAND.items() if name in expired]
     raise CalibrationExpired(
         "; ".join(problem.what for problem in expired.values()),
         got=first.got,
-        action=f"Run {commands}{renew}; no motion until then.",
+        action=f"{as_sentence('; '.join(ways))}; no motion until then.",
     )
 
 

@@ -21,6 +21,7 @@ from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import ASSISTANT, MASTER, TheatreFile, read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
 from ronna_hw.devices.errors import NotInTheatre
+from ronna_hw.mistakes import suggest_keys
 from ronna_hw.phantom_identity import parse_patient_id
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
@@ -68,8 +69,11 @@ def require_two_arms(theatre: TheatreFile) -> None:
         "calibration.assistant_holder": records is not None and records.assistant_holder is not None,
     }
     if missing := [table for table, is_there in needed.items() if not is_there]:
+        roles = [role for role in (MASTER, ASSISTANT) if role not in theatre.robot]
+        unknown = [name for name in theatre.robot if roles and name not in (MASTER, ASSISTANT)]
         raise NotInTheatre(
-            f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}",
+            f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}"
+            + "".join(f"; robot.{name} is unknown{suggest_keys(name, roles)}" for name in unknown),
             action="Add them, or omit --dual: docs/how-to/case/two-arms.md says how.",
         )
 

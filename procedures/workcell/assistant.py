@@ -87,7 +87,7 @@ class Assistant(SupervisedArm):
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arm, record, drive, release)
+        super().__init__(ASSISTANT, log, arm, record, drive, release, ASSISTANT, calibrations.arm)
         self.holder: HolderCalibration = holder
         self._instrument_inside = instrument_inside
         self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
@@ -19,6 +20,7 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import Sides, calibrated_arm
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
+from ronna_hw.config import MASTER
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
@@ -37,10 +39,16 @@ class SupervisedArm(ABC):
         record: ArmCalibration | None,
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
         release: Callable[[str], bool] = lambda _by: False,
+        role: str = MASTER,
+        other: ArmCalibration | None = None,
     ) -> None:
-        """Name the arm as messages do; `record` is its calibration, the others as in `SupervisedMotion`."""
-        self._name, self._log, self._open, self._record = name, log, arm, record
-        self._computed = calibrated_arm(arm().kinematics, record)
+        """Name the arm as messages do; `drive` and `release` as in `SupervisedMotion`.
+
+        `record` is the calibration of the arm, `other` that of the arm in the other role.
+        """
+        self._name, self._log, self._open = name, log, arm
+        self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
+        self._computed = self._calibrated(arm().kinematics)
         self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release)
 
     @property
@@ -66,7 +74,7 @@ class SupervisedArm(ABC):
         """Arm as it is computed; once connected, a controller may state kinematics of its own arm."""
         kinematics = self._arm.kinematics
         if kinematics is not self._computed.nominal:
-            self._computed = calibrated_arm(kinematics, self._record)
+            self._computed = self._calibrated(kinematics)
         return self._computed
 
     def joints_rad(self) -> JointVector:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from procedures.calibration.validity import MADE_BY_HAND
 from procedures.journal.journal import Entry
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import AnotherArm, InstrumentInGuide, SameArmTwice, WrongTool
@@ -14,7 +15,7 @@ from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
-from ronna_hw.config import Calibrations
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -88,29 +89,55 @@ class ToolMount:
         return self._calibrations.tool_tip.tool_number if guide else STEREO_HEAD_NUMBER
 
 
-def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
+def calibrated_arm(
+    kinematics: Kinematics,
+    record: ArmCalibration | None,
+    role: str = MASTER,
+    other: ArmCalibration | None = None,
+) -> CalibratedArm:
     """Return the arm with its record's deviations applied, or the nominal arm without a record.
 
-    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
+    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue. `other` is
+    the record of the arm in the other role.
     """
     find_kinematics(kinematics.name)
     if record is None:
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
-        raise AnotherArm(
-            f"calibration {record.identifier} belongs to another arm",
-            expected=kinematics.name,
-            got=record.arm,
-        )
+        exchanged = other is not None and other.arm == kinematics.name
+        raise _another_arm(record, kinematics.name, record.arm, role, exchanged=exchanged)
     return CalibratedArm(kinematics, ArmDeviations.of(record))
 
 
-def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
-    """Raise CAL-013 if the record belongs to another arm of this model. An empty `serial` is unreported."""
+def require_this_arm(
+    record: ArmCalibration | None, serial: str, role: str = MASTER, other: ArmCalibration | None = None
+) -> None:
+    """Raise CAL-013 if the record belongs to another arm of this model. An empty `serial` is unreported.
+
+    `other` is the record of the arm in the other role.
+    """
     if record is not None and record.serial and serial and record.serial != serial:
-        raise AnotherArm(
-            f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
+        exchanged = other is not None and other.serial == serial
+        raise _another_arm(record, serial, record.serial, role, exchanged=exchanged)
+
+
+def _another_arm(
+    record: ArmCalibration, expected: str, got: str, role: str, *, exchanged: bool
+) -> AnotherArm:
+    """Return the refusal of a record, with advice that leaves the record of the other role as it is."""
+    what, action = f"calibration {record.identifier} belongs to another arm", None
+    if exchanged:
+        what += ", and the record of the other role to this one: the two records are exchanged"
+        action = (
+            "Exchange [calibration.arm] and [calibration.assistant_arm], or else the endpoints of "
+            "[robot.master] and [robot.assistant]."
         )
+    elif role == ASSISTANT:
+        action = (
+            "Name this arm's own record in [calibration.assistant_arm]; if it has none, "
+            f"{MADE_BY_HAND['assistant_arm']}."
+        )
+    return AnotherArm(what, expected=expected, got=got, action=action)
 
 
 def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> None:

@@ -102,6 +102,7 @@ class Workcell(SupervisedArm):
             self.calibrations.arm,
             drive,
             self._release_held,
+            other=self.calibrations.assistant_arm,
         )
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)

@@ -10,7 +10,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
-from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_consistent_arm
+from procedures.calibration.validity import (
+    MADE_BY_COMMAND,
+    MADE_BY_HAND,
+    as_sentence,
+    options_of,
+    require_consistent_arm,
+)
 from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
 from procedures.runs.edited_records import edited_records
 from ronna_hw.calibrated_arm.error_budget import (
@@ -40,9 +46,11 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     records = theatre.calibration.records
-    for name, record in ((name, records[name]) for name in MADE_BY_COMMAND if name in records):
-        subject, command = f"calibration {name}", f"{MADE_BY_COMMAND[name]} {options_of(path)}"
-        renewal = "Calibrate again."
+    for name in (one for one in (*MADE_BY_COMMAND, *MADE_BY_HAND) if one in records):
+        record = records[name]
+        subject, by_hand = f"calibration {name}", MADE_BY_HAND.get(name)
+        command = "" if by_hand else f"{MADE_BY_COMMAND[name]} {options_of(path)}"
+        renewal = f"{as_sentence(by_hand)}." if by_hand else "Calibrate again."
         if name == "tool_tip" and theatre.tools:
             renewal += f" Afterwards: {RENEW}"
         try:

@@ -42,10 +42,12 @@ TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; tu
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
-OF_THIS_ARM = (
-    "Controller and record do not both name a serial number: that [calibration.arm] is of this very arm, not "
-    "of another of its model, was not checked. ronna-arm check measures whether it fits."
+OF_ONE_OF_ITS_MODEL = (
+    "Controller and record do not both name a serial number: that [calibration.{}] is of this very arm, not "
+    "of another of its model, was not checked."
 )
+OF_THIS_ARM = f"{OF_ONE_OF_ITS_MODEL.format('arm')} ronna-arm check measures whether it fits."
+OF_THE_ASSISTANT = OF_ONE_OF_ITS_MODEL.format("assistant_arm")
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
@@ -246,18 +248,22 @@ def _check_records(
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
     if isinstance(device, RobotArm) and name in (f"robot.{MASTER}", f"robot.{ASSISTANT}"):
         is_master = name == f"robot.{MASTER}"
-        kinematics, arm = device.kinematics, calibrations.arm if is_master else calibrations.assistant_arm
+        kinematics, role = device.kinematics, MASTER if is_master else ASSISTANT
+        arm, other = calibrations.arm, calibrations.assistant_arm
+        if not is_master:
+            arm, other = other, arm
 
         def check_arm() -> None:
-            calibrated_arm(kinematics, arm)
-            require_this_arm(arm, serial)
+            calibrated_arm(kinematics, arm, role, other)
+            require_this_arm(arm, serial, role, other)
 
         seen = f"{kinematics.name} {serial}".rstrip()
         arm_check = replace(
             run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
         )
         is_unverified = arm is not None and not (arm.serial and serial)
-        yield replace(arm_check, advice=OF_THIS_ARM) if is_unverified and arm_check.well else arm_check
+        advice = OF_THIS_ARM if is_master else OF_THE_ASSISTANT
+        yield replace(arm_check, advice=advice) if is_unverified and arm_check.well else arm_check
         if not is_master:
             return
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)

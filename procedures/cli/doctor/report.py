@@ -32,6 +32,7 @@ from procedures.cli.doctor.theatre_checks import (
     RUN,
     RUNS,
     advise_on_unfinished_run,
+    assistant_diagnostics,
     case_diagnostics,
     computer_diagnostics,
     use_diagnostics,
@@ -42,7 +43,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
-from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
@@ -50,7 +51,7 @@ from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
 from ronna_hw.text import format_count
 
-CASE = "case"
+CASE, TWO_ARM_CASE = "case", "case with two arms"
 TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
 FRAMES = ": frames named in records"
@@ -67,12 +68,21 @@ class Verdict:
     because: tuple[str, ...]
 
 
-def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Verdict]:
-    """Yield a verdict for each device table of the theatre file, then one for the case."""
+def verdicts(
+    case: Sequence[Diagnostic],
+    devices: Mapping[str, Sequence[Diagnostic]],
+    two_arms: Sequence[Diagnostic] = (),
+) -> Iterator[Verdict]:
+    """Yield a verdict for each device table of the theatre file, then one for the case.
+
+    With an assistant in the file follows one for a case with both arms, which also needs `two_arms`.
+    """
     for name, found in devices.items():
         yield _verdict(name, found)
-    needed = [one for name in NEEDED for one in devices.get(name, ())]
-    yield _verdict(CASE, [*case, *needed])
+    needed = [*case, *(one for name in NEEDED for one in devices.get(name, ()))]
+    yield _verdict(CASE, needed)
+    if (assistant := devices.get(f"robot.{ASSISTANT}")) is not None:
+        yield _verdict(TWO_ARM_CASE, [*needed, *assistant, *two_arms])
 
 
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
@@ -92,7 +102,7 @@ class Report:
     devices: tuple[Diagnostic, ...]
     calibrations: tuple[Diagnostic, ...] = ()
     case: tuple[Diagnostic, ...] = ()  # what else a case needs of theatre file and computer
-    verdicts: tuple[Verdict, ...] = ()  # of each device of the theatre, then of the case
+    verdicts: tuple[Verdict, ...] = ()  # of each device of the theatre, then of the case, and with two arms
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -151,6 +161,7 @@ def examine(
     examinations: dict[str, Examination] = dict(_endpoint_examinations(parsed))
     calibrations: tuple[Diagnostic, ...] = ()
     case: tuple[Diagnostic, ...] = ()
+    two_arms: tuple[Diagnostic, ...] = ()
     devices: list[str] = []
     if config is not None:
         file = read_theatre_file(config)
@@ -162,6 +173,7 @@ def examine(
             *history_diagnostics(config),
         )
         case = (*use_diagnostics(config), *case_diagnostics(file, config, out))
+        two_arms = tuple(assistant_diagnostics(file))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
         if all(one.subject != RUN for one in case):
@@ -184,14 +196,14 @@ def examine(
             found[name] = advise_on_unfinished_run(config, found[name])
         advance(1.0)
     of_devices = {name: found[name] for name in devices}
-    case = (*case, *two_arm_diagnostics(of_devices))
-    case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices))
+    two_arms = (*two_arms, *two_arm_diagnostics(of_devices))
+    case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices, two_arms))
     advised = partial(_with_commands, config=config)
     return Report(
         advised(computer),
         advised(one for each in found.values() for one in each),
         advised(calibrations),
-        advised(case),
+        advised(case + two_arms),
         case_verdicts,
     )
 
@@ -222,7 +234,7 @@ def show(report: Report, *, as_json: bool, everything: bool = False) -> None:
     in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
     if not all(diagnostic.well for diagnostic in in_use + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
-    if not all(verdict.ready for verdict in report.verdicts if verdict.of == CASE):
+    if not all(verdict.ready for verdict in report.verdicts if verdict.of in (CASE, TWO_ARM_CASE)):
         raise SystemExit(EXIT_REFUSED)
 
 
@@ -269,7 +281,7 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
     """Return the reasons for a verdict; for a case, only the subjects of the failed checks."""
-    if verdict.of != CASE:
+    if verdict.of not in (CASE, TWO_ARM_CASE):
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
     return tuple(dict.fromkeys(failed))

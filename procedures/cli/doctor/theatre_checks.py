@@ -12,15 +12,17 @@ from pathlib import Path
 
 from procedures.journal.free_space import describe_shortage
 from procedures.runs.reopening import resumable_run
+from procedures.runs.request_checks import require_two_arms
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
 from procedures.runs.theatre_note import find_former_run
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
-from ronna_hw.config import MASTER, TheatreFile
+from ronna_hw.config import ASSISTANT, MASTER, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
+from ronna_hw.mistakes import suggest_keys
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
@@ -58,6 +60,17 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
         yield Diagnostic(
             "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
         )
+
+
+def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
+    """Check the records that two arms need, and name the arms in roles that no procedure has."""
+    if ASSISTANT in theatre.robot:
+        yield run_check("records of two arms", "complete", lambda: require_two_arms(theatre))
+    roles = (MASTER, ASSISTANT)
+    for name in theatre.robot:
+        if name not in roles:
+            advice = f"Name the table by the role of its arm{suggest_keys(name, roles)}."
+            yield Diagnostic(f"table robot.{name}", True, "no procedure uses this arm", advice)
 
 
 def _advise_on_missing_table(config: Path, name: str) -> str:

@@ -11,6 +11,7 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import CONTINUE
 from procedures.operator.question import Answer, Question, Task, Topic
+from ronna_hw.config import MASTER
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, hold_active
 from ronna_hw.devices.robot import OperatingMode
@@ -34,27 +35,31 @@ class RecordedOperator:
     """Operator of a replay, who repeats the answers recorded in the journal."""
 
     def __init__(self) -> None:
-        self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
+        # After how many motions of the section, and which arm moved next.
+        self._confirmations: list[tuple[int, str, Line]] = []
 
     def begin(self, section: Sequence[Line]) -> None:
         """Load the journal lines of a new section."""
-        self._confirmations, motions = [], 0
+        self._confirmations = []
+        moving = [str(line.get("arm", MASTER)) for line in section if line["entry"] == Entry.MOTION]
+        motions = 0
         for line in section:
             motions += line["entry"] == Entry.MOTION
             if line["entry"] == Entry.CONFIRMATION:
-                self._confirmations.append((motions, line))
+                next_to_move = moving[motions] if motions < len(moving) else MASTER
+                self._confirmations.append((motions, next_to_move, line))
 
-    def was_first_motion_asked(self, motions: int) -> bool:
-        """Whether the next question after `motions` motions in the section concerned a first motion."""
-        for asked_after, line in self._confirmations:
+    def find_first_to_move(self, motions: int) -> str | None:
+        """Return the arm whose first motion the next question after `motions` motions concerned, if any."""
+        for asked_after, arm, line in self._confirmations:
             topic = str(line["topic"]).partition(":")[0]
             if topic not in AT_CHECKPOINTS:
-                return topic == Topic.FIRST_MOTION and asked_after == motions
-        return False
+                return arm if topic == Topic.FIRST_MOTION and asked_after == motions else None
+        return None
 
     def ask(self, question: Question) -> Answer:
         """Return the recorded answer to the next question of this name. Raises PRO-024 if there is none."""
-        for place, (_, line) in enumerate(self._confirmations):
+        for place, (_, _, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
                 return Answer(str(line["answer"]))

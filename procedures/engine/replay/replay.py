@@ -154,11 +154,16 @@ class _RecordedStops:
 
     def begin(self) -> None:
         """Restart the motion count for a new section."""
-        self._before = self._workcell.history.motions
+        self._before = self._motions()
 
     def unmet(self) -> None:
-        if self._operator.was_first_motion_asked(self._workcell.history.motions - self._before):
-            self._workcell.supervised.reset_confirmation()
+        asked_of = self._operator.find_first_to_move(self._motions() - self._before)
+        for arm in self._workcell.supervised_arms:
+            if arm.history.arm == asked_of:
+                arm.supervised.reset_confirmation()
+
+    def _motions(self) -> int:
+        return sum(arm.history.motions for arm in self._workcell.supervised_arms)
 
 
 class _Replay:

@@ -16,7 +16,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm, require_two_arms
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, ProcedureSettings
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -98,11 +98,12 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
         identities[role] = DeviceIdentity.from_identity(device.connect())
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
-    require_this_arm(calibrations.arm, identities["arm"].serial)
+    of_master, of_assistant = calibrations.arm, calibrations.assistant_arm
+    require_this_arm(of_master, identities["arm"].serial, MASTER, of_assistant)
     if workcell.assistant is not None:
         master, assistant = identities["arm"], identities[ASSISTANT]
         require_two_arms((master.model, master.serial), (assistant.model, assistant.serial))
-        require_this_arm(calibrations.assistant_arm, identities[ASSISTANT].serial)
+        require_this_arm(of_assistant, identities[ASSISTANT].serial, ASSISTANT, of_master)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 LIMIT_S = 900.0
 
 
-def test_the_assistant_inserts_the_instrument_and_both_arms_go_home(tmp_path: Path) -> None:
+def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_replays(tmp_path: Path) -> None:
     options = ("--sim", "--dual", "--scene", "mini", "--seed", "0", "--out", str(tmp_path), "--json")
     ended = subprocess.run(
         command("procedures.cli.procedure", "run", *options),
@@ -33,3 +33,11 @@ def test_the_assistant_inserts_the_instrument_and_both_arms_go_home(tmp_path: Pa
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_text().splitlines()]
     moved = [line["what"] for line in journal if line["entry"] == Entry.MOTION and line["arm"] == ASSISTANT]
     assert moved[-3:] == ["insert", "withdraw", "home"]
+    again = subprocess.run(
+        command("procedures.cli.procedure", "replay", str(run)),
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert again.returncode == 0, again.stderr

@@ -19,7 +19,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
-from procedures.engine.replay.recorded_people import KNOWN_MEMBERS
+from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
@@ -28,6 +28,7 @@ from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import arm_history
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspect_run
@@ -468,3 +469,14 @@ def test_a_property_of_another_kind_is_not_given(tmp_path: Path) -> None:
     answers.begin(1)
     with pytest.raises(NotRecorded, match=r"PRO-024.*robot to to_confirm is damaged"):
         answers.look("robot", "to_confirm")
+
+
+def test_the_first_motion_of_each_of_two_arms_is_asked_about_anew() -> None:
+    operator = RecordedOperator()
+    asked = {"entry": Entry.CONFIRMATION, "topic": str(Topic.FIRST_MOTION), "answer": "yes"}
+    by_master, by_assistant = ({"entry": Entry.MOTION, "arm": arm} for arm in (MASTER, ASSISTANT))
+    operator.begin([asked, by_master, asked, by_assistant])
+    assert operator.find_first_to_move(0) == MASTER
+    operator.ask(Question(Topic.FIRST_MOTION, "first motion", ""))
+    assert operator.find_first_to_move(0) is None
+    assert operator.find_first_to_move(1) == ASSISTANT

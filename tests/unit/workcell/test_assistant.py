@@ -47,7 +47,7 @@ def arm() -> IdealArm:
 def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch) -> Assistant:
     """An assistant that holds an instrument in the guide, where its clamp stands now."""
     monkeypatch.setattr(
-        "procedures.workcell.supervised_arm.calibrated_arm", lambda nominal, _: CalibratedArm(nominal)
+        "procedures.workcell.supervised_arm.calibrated_arm", lambda nominal, **_: CalibratedArm(nominal)
     )
     across = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
     clamp = PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=across)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from procedures.workcell.errors import AnotherArm, SameArmTwice
 from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm, require_two_arms
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.config import parse_theatre
+from ronna_hw.calibration import ArmCalibration
+from ronna_hw.config import ASSISTANT, parse_theatre
 from ronna_hw.frames import Frame
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
@@ -44,6 +47,25 @@ def test_the_record_of_another_arm_of_the_model_is_refused_where_both_have_a_ser
     expected = pytest.raises(AnotherArm, match="expected 2, got 1") if refused else nullcontext()
     with expected:
         require_this_arm(record, reported)
+
+
+@pytest.mark.parametrize(
+    ("other", "advice"),
+    [
+        ("2", "Exchange [calibration.arm] and [calibration.assistant_arm]"),
+        ("3", "Name this arm's own record in [calibration.assistant_arm]"),
+    ],
+)
+def test_the_advice_on_a_record_of_the_assistant_leaves_that_of_the_master_alone(
+    other: str, advice: str
+) -> None:
+    of_assistant, of_master = (
+        cast("ArmCalibration", SimpleNamespace(identifier="one", serial=serial)) for serial in ("1", other)
+    )
+    with pytest.raises(AnotherArm) as refused:
+        require_this_arm(of_assistant, "2", ASSISTANT, of_master)
+    assert advice in refused.value.advice
+    assert ("exchanged" in refused.value.what) is (other == "2")
 
 
 def test_one_arm_does_not_play_both_roles() -> None:

@@ -14,9 +14,12 @@ import pytest
 
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
-from procedures.cli.doctor.report import Report, Verdict, examine, show
+from procedures.cli.doctor.report import Report, Verdict, examine, show, verdicts
+from procedures.cli.doctor.theatre_checks import assistant_diagnostics
+from procedures.runs.request_checks import require_two_arms
 from ronna_hw.calibration import DatedRecord
-from ronna_hw.config import DeviceConfig
+from ronna_hw.config import DeviceConfig, TheatreFile, parse_theatre
+from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, ConnectError
@@ -169,6 +172,52 @@ def test_each_calibration_record_shows_how_long_it_is_valid(
         assert diagnostic.well is well
         assert (again in diagnostic.command) is advised
         assert said in diagnostic.seen
+
+
+def test_an_expired_record_that_no_command_makes_comes_with_words_in_place_of_a_command() -> None:
+    now = datetime.now(UTC)
+    record = DatedRecord(
+        identifier="of the assistant",
+        created=now - timedelta(days=9),
+        expires=now - timedelta(days=1),
+        made_by="bench",
+        stated_error_mm=0.1,
+    )
+    records = SimpleNamespace(records=dict.fromkeys(("assistant_arm", "assistant_holder"), record))
+    theatre = cast("Any", SimpleNamespace(calibration=records, tools={}))
+    for one in calibration_diagnostics(theatre, Path("theatre.toml"), now):
+        assert (one.well, one.command) == (False, "")
+        assert f"[{one.subject.replace(' ', '.')}]" in one.advice
+
+
+def with_arms(*roles: str) -> TheatreFile:
+    arms = {role: {"driver": "lines", "endpoint": f"tcp://127.0.0.1:{n}"} for n, role in enumerate(roles, 1)}
+    return parse_theatre({"theatre": "lab", "robot": arms})
+
+
+def test_an_assistant_lacks_what_a_run_with_two_arms_would_refuse() -> None:
+    (found,) = assistant_diagnostics(with_arms("master", "assistant"))
+    assert not found.well
+    assert "DEV-007" in found.seen
+    assert "calibration.assistant_holder" in found.seen
+
+
+def test_an_arm_in_a_role_that_no_procedure_has_is_named_with_the_role_that_was_meant() -> None:
+    theatre = with_arms("master", "asistant")
+    (found,) = assistant_diagnostics(theatre)
+    assert found.well
+    assert "did you mean 'assistant'?" in found.advice
+    with pytest.raises(NotInTheatre, match=r"robot\.asistant is unknown \(did you mean 'assistant'\?\)"):
+        require_two_arms(theatre)
+
+
+def test_an_assistant_that_is_not_ready_leaves_only_a_case_with_one_arm() -> None:
+    lost = Diagnostic("device robot.assistant", False, "silent")
+    *_, alone, both = verdicts((), {"robot.master": (WELL,), "robot.assistant": (lost,)})
+    assert (alone.of, alone.ready) == ("case", True)
+    assert (both.of, both.ready, both.because) == (
+        "case with two arms", False, ("device robot.assistant: silent",)
+    )  # fmt: skip
 
 
 def test_missing_calibrations_are_a_problem_only_where_a_case_could_run(theatre: Path) -> None:
