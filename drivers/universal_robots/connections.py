@@ -18,6 +18,7 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     AnotherProgramRuns,
+    ControllerLost,
     ControllerNotFound,
     LinkNotStarted,
     LoadNotTaken,
@@ -158,8 +159,10 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         settings = script_settings(self._options)
         load = load_commands(self._load, self._options.payload_kg)
         self.control.send_script(render_script(settings, load))
-        started = link.wait(lambda s: s.phase is not Phase.ARMED, remaining_s(deadline))
-        if started is None:
+        started = link.wait(
+            lambda s: s.phase is not Phase.ARMED or self.control.failure is not None, remaining_s(deadline)
+        )
+        if started is None or started.phase is Phase.ARMED:
             raise self._start_error("the script does not start", timeout_s)
         fault = self.faults.error(link.state, mode)
         if fault is not None:
@@ -224,7 +227,9 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             self._channel = None
 
     def _ask(self, timeout_s: float) -> None:
+        """Ask the dashboard and await a state: a change of the control mode closes the primary interface."""
         self.dashboard.robot_mode(timeout_s)
+        self.request_state(timeout_s)
 
     def _await_program_end(self, timeout_s: float) -> bool:
         def has_ended(state: LinkState) -> bool:
@@ -283,6 +288,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         """Raise what prevents a start before anything is switched on or sent."""
         dashboard, name = self.dashboard, self._name
         self.power.require_remote()
+        if self.control.failure is not None:  # a script would be sent to nobody
+            raise self.control.failure
         self.power.require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
             raise AnotherProgramRuns(f"{name}: the controller is running another program")
@@ -309,6 +316,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             self.power.require_safe()
         except RonnaError as error:
             return error
+        if self.control.failure is not None:  # with our script, perhaps: sending it tells nothing
+            return ControllerLost(
+                f"{self._name}: {self.control.where} closed the connection before our script ran",
+                expected="no change between local and remote control during a start",
+            )
         texts = [m.text for m in self.control.messages if m.kind == MessageKind.RUNTIME_EXCEPTION and m.text]
         word = ControllerWord.from_number(self.link.state.controller_word)
         return ScriptNotStarted(

@@ -59,7 +59,9 @@ class DashboardClient:
     def ask(self, command: str, timeout_s: float) -> str:
         """Return the answer to a command; raises URD-014 on a broken connection, URD-015 on time-out."""
         deadline = time.monotonic() + timeout_s
-        with self._asking:
+        if not self._asking.acquire(timeout=max(0.0, timeout_s)):  # also a signal handler's own thread has it
+            raise NoAnswer(f"{self.where} has not answered an earlier question", limit=f"{timeout_s:g} s")
+        try:
             self._received = b""
             self._send(command.encode() + b"\n")
             try:
@@ -67,6 +69,8 @@ class DashboardClient:
             except NoAnswer:
                 self.close()  # a late answer would be taken for that to the next command
                 raise
+        finally:
+            self._asking.release()
 
     def require(self, order: Order, timeout_s: float) -> None:
         """Give an order; raises URD-017 unless it is carried out."""

@@ -9,10 +9,16 @@ that has taken the place of ours.
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 
 from drivers.universal_robots.connections import Connections
-from drivers.universal_robots.errors import ControllerStopped
+from drivers.universal_robots.errors import (
+    ControllerLost,
+    ControllerStopped,
+    LinkBroken,
+    ProgramStopped,
+)
 from drivers.universal_robots.faults import may_be_power
 from drivers.universal_robots.primary.client import ControllerState
 from ronna_hw.arm_stream.records import Fault, Phase
@@ -23,7 +29,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots_services import Order
 
 DASHBOARD_LIMIT_S = 1.0
+EXPLAIN_LIMIT_S = 2.0 * DASHBOARD_LIMIT_S  # another question may have to be answered before
 POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
+MAY_BE_CONTROL = (ControllerLost, LinkBroken, ProgramStopped)  # what a switch to local control looks like
 LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
 
 
@@ -36,10 +44,14 @@ class UrWatch(StreamWatch[ControllerState]):
     def __init__(self, guard: LifecycleGuard, connections: Connections) -> None:
         super().__init__(guard, connections, OperatingMode.AUTOMATIC)
         self._program_ended = False  # since the last fault
+        self._explaining = threading.Condition()
+        self._explained: RonnaError | None = None  # loss of the primary interface whose cause is known
         self._certain_s: float | None = None  # host time at which a stopped program has no further cause
 
     def check_until_certain(self) -> None:
-        """Latch any fault as `check` does, but wait for the cause why our program has stopped."""
+        """Latch any fault as `check` does, but wait for the cause that ended program or connection."""
+        with self._explaining:
+            self._explaining.wait_for(lambda: not self._awaits_explanation(), EXPLAIN_LIMIT_S)
         self.check()
         link, certain_s = self._connections.open_link, self._certain_s
         if link is None or certain_s is None or self._guard.state not in RUNNING:
@@ -50,10 +62,13 @@ class UrWatch(StreamWatch[ControllerState]):
         self.check()
 
     def _awaits_cause(self) -> bool:
-        """Return whether our program has stopped just now: when power goes off, the robot mode tells later.
+        """Return whether the primary interface is lost, or our program has stopped just now.
 
-        The arm is at rest, or being stopped by the controller; nothing is sent any more.
+        Its reader then asks why. When power goes off, the robot mode tells later: the arm is at rest, or
+        being stopped by the controller; nothing is sent any more.
         """
+        if self._awaits_explanation():
+            return True
         link = self._connections.open_link
         if link is None or self._guard.state not in RUNNING or not (link.alive and may_be_power(link.state)):
             self._certain_s = None
@@ -74,17 +89,34 @@ class UrWatch(StreamWatch[ControllerState]):
         super().on_silence()
 
     def on_loss(self, failure: RonnaError) -> None:
-        """Stop the arm after losing the primary interface, and find out whether the control was switched."""
-        if self._guard.state not in RUNNING:
-            return
-        error = failure
-        with contextlib.suppress(RonnaError):
-            if self._connections.power.is_remote(DASHBOARD_LIMIT_S) is False:
-                error = ControllerStopped(
-                    f"{self._connections.faults.name}: the pendant was switched to local control",
-                    expected="remote control",
-                )
-        super().on_loss(error)
+        """Stop the arm after losing the primary interface, and find out whether the control was switched.
+
+        Other threads wait for that: `failure` can be seen before this is called.
+        """
+        try:
+            if self._guard.state in RUNNING:
+                super().on_loss(self._cause_of(failure))
+        finally:
+            with self._explaining:
+                self._explained = failure
+                self._explaining.notify_all()
+
+    def _awaits_explanation(self) -> bool:
+        """Return whether the primary interface is lost, and its reader about to ask why."""
+        control = self._connections.open_control
+        failure = None if control is None else control.failure
+        return failure is not None and failure is not self._explained and self._guard.state in RUNNING
+
+    def _cause_of(self, error: RonnaError) -> RonnaError:
+        """Return that the control was switched, if so: that closes connections, and may end our program."""
+        if isinstance(error, MAY_BE_CONTROL):
+            with contextlib.suppress(RonnaError):
+                if self._connections.power.is_remote(DASHBOARD_LIMIT_S) is False:
+                    return ControllerStopped(
+                        f"{self._connections.faults.name}: the pendant was switched to local control",
+                        expected="remote control",
+                    )
+        return error
 
     def _end_program(self) -> None:
         """End whatever program runs, once after a fault for which nothing is sent any more."""

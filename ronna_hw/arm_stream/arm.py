@@ -200,6 +200,8 @@ class StreamedArm(ABC, Generic[S]):
                     connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
             connections.close_link()
         connections.acknowledge(person, deadline)
+        if not connections.is_answering(REPLY_LIMIT_S):  # what was acknowledged may have closed them
+            self._find_controller(remaining_s(deadline), retry=True)
         connections.start_link(max(remaining_s(deadline), REPLY_LIMIT_S))
         self._guard.enter(Lifecycle.CONFIGURED)
 

@@ -22,6 +22,7 @@ from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.logs import logger
 from ronna_hw.preview import plan_motion, preview_motion, with_speed_steps
 from ronna_hw.vectors import JointVector
 
@@ -69,6 +70,7 @@ class MotionFollower(Generic[S]):
         self._connections = connections
         self._watch = watch
         self._cycle_s = cycle_s
+        self._log = logger(device=connections.faults.name)
         self._motion_lock = threading.Lock()  # held while a motion is followed
 
     @property
@@ -159,11 +161,15 @@ class MotionFollower(Generic[S]):
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
         faulted_cycles: int | None = None  # when a fault was first seen
+        is_told = False  # that it waits
         has_ended = _has_ended(number)
         while (state := self.wait(has_ended, POLL_S)) is None:
             self._watch.check()
             if link.stalled_s > POLL_S:
                 self._watch.raise_any()
+            if not is_told and link.state.speed_share == 0.0:
+                is_told = True
+                self._log.warning("the motion waits", because=f"{self._faults.errors.speed_name} is at 0%")
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             state = link.state
             if state.fault and faulted_cycles is None:

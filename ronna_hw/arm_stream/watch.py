@@ -42,9 +42,9 @@ class StreamWatch(Generic[S]):
         link, control = self._connections.link, self._connections.open_control
         error = self._stream_error(link, link.state)
         if error is not None:
-            self._latch_with_record(error, link)
+            self._latch_with_record(self._cause_of(error), link)
         elif control is not None and control.failure is not None:
-            self._stop_for(control.failure)
+            self._stop_for(self._cause_of(control.failure))
         elif control is not None and control.silent_s > self._control_limit_s:
             faults = self._connections.faults  # an emergency stop would no longer be reported
             self._stop_for(
@@ -99,11 +99,15 @@ class StreamWatch(Generic[S]):
         """Return whether the stream has stopped just now for a cause that the controller is yet to tell."""
         return False
 
+    def _cause_of(self, error: RonnaError) -> RonnaError:
+        """Return what has led to an error that is about to be latched, as far as a driver can find out."""
+        return error
+
     def _check_idle(self) -> None:
         state = self._guard.state
         link, control = self._connections.open_link, self._connections.open_control
         if control is not None and control.failure is not None and state in READABLE:
-            self._guard.latch(control.failure)
+            self._guard.latch(self._cause_of(control.failure))
         elif link is not None and state is Lifecycle.CONFIGURED and not link.alive:
             self._guard.latch(link.death_error())
 

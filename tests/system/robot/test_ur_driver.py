@@ -211,6 +211,24 @@ def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
     arm.move_joints(motion.start)
 
 
+def test_a_pendant_turned_to_remote_control_during_a_recovery_leaves_an_arm_that_starts(
+    room: Room, arm: UniversalRobotsArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What has just been reopened is closed once more by that."""
+    acknowledge = arm.connections.acknowledge
+
+    def turned_meanwhile(person: str, deadline: float) -> None:
+        room.inject()
+        room.await_cycles(lambda: room.cell.dashboard("is in remote control") == "true")
+        acknowledge(person, deadline)
+
+    room.inject("local mode")
+    eventually(lambda: arm.fault is not None)
+    monkeypatch.setattr(arm.connections, "acknowledge", turned_meanwhile)
+    arm.recover("Ann", timeout_s=30.0)
+    arm.activate()
+
+
 @pytest.mark.hazard(54)
 def test_registers_that_another_client_owns_are_refused_until_it_has_gone(room: Room) -> None:
     other = room.cell.rtde()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, cast
 
 import pytest
@@ -86,6 +87,20 @@ def test_losing_the_primary_interface_is_told_apart_from_a_switch_to_local_contr
     dashboard.remote = remote
     arm.watch.on_loss(ControllerLost("tcp://127.0.0.1:1 closed the connection"))
     assert arm.outcome == (code, [StopOrder.PROTECTIVE])
+
+
+def test_a_thread_that_sees_the_loss_first_leaves_the_fault_to_the_question_for_the_control_mode() -> None:
+    arm, dashboard = watched()
+    dashboard.remote = False
+    arm.control.failure = ControllerLost("tcp://127.0.0.1:1 closed the connection")
+    arm.watch.check()
+    assert arm.outcome == ("", [])
+    reader = threading.Thread(target=arm.watch.on_loss, args=(arm.control.failure,))
+    reader.start()
+    with pytest.raises(RonnaError, match="local control"):
+        arm.watch.raise_any()
+    reader.join()
+    assert arm.outcome == ("URD-035", [StopOrder.PROTECTIVE])
 
 
 @pytest.mark.parametrize("fault", [Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED])
