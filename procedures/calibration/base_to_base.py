@@ -131,10 +131,11 @@ class BallLooks:
 class BallFit:
     """Bases refined by the ball, and how well all looks agree.
 
-    `error_mm` is the 3-D standard error with which the head meets the ball in postures like those of the
-    looks. Bases, ball and tool centre belong together: an error of one that the others make up for does not
-    count. `head_shift_mm` (3,) is where the head's tool centre really is, along the axes of its tool frame;
-    `misses_mm` (m, 3) are in the robot frame; `used` (m,) marks the inliers.
+    `error_mm` is the 3-D standard error with which the head meets the ball, averaged over postures like those
+    of the looks; once, the arms' own errors come on top (`meeting_mm`). Bases, ball and tool centre belong
+    together: an error of one that the others make up for does not count. `head_shift_mm` (3,) is where the
+    head's tool centre really is, along the axes of its tool frame; `misses_mm` (m, 3) are in the robot frame;
+    `used` (m,) marks the inliers.
     """
 
     bases: BaseToBase
@@ -146,6 +147,16 @@ class BallFit:
     used: NDArray[np.bool_]
     region_mm: Array
     error_mm: float
+
+    @property
+    def meeting_mm(self) -> float:
+        """3-D standard error with which both tools meet once, in a new posture like those of the looks."""
+        return meeting_error_mm(self.error_mm, self.scatter_mm)
+
+
+def meeting_error_mm(error_mm: float, scatter_mm: float) -> float:
+    """Return the error of one meeting: that of the fit (3-D), and the scatter of the looks (per axis)."""
+    return float(np.hypot(error_mm, np.sqrt(3.0) * scatter_mm))
 
 
 def refine_bases(

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.calibration.base_to_base import (
     BaseToBase,
     bases_by_frames,
+    meeting_error_mm,
 )
 from procedures.calibration.base_validity import MOVED_MM, platform_shift
 from procedures.calibration.errors import PlatformMoved
@@ -58,7 +59,7 @@ class KnownBases(StepResult, kind="base_to_base"):
     flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
     by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
     error_mm: float = Field(
-        description="Standard error, 3-D, with which the tools of both arms meet there, by the ball."
+        description="Standard error, 3-D, with which head and ball meet there on average."
     )
     apart_mm: float = Field(description="How far tracker and stereo head disagree there.")
     scatter_mm: float = Field(description="Of the looks at the ball, per axis.")
@@ -72,6 +73,11 @@ class KnownBases(StepResult, kind="base_to_base"):
         description="Frame on the arm and spheres, both arms home, tracker frame."
     )
     assistant_seen_mm: Numbers3 = Field(description="Frame of the assistant at home, tracker frame.")
+
+    @property
+    def meeting_mm(self) -> float:
+        """3-D standard error with which head and ball meet once, in a new posture."""
+        return meeting_error_mm(self.error_mm, self.scatter_mm)
 
 
 def run(context: StepContext) -> Outcome[KnownBases]:
@@ -127,7 +133,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
             master_seen_mm=tuple(map(_numbers, seen[0])),
             assistant_seen_mm=_numbers(seen[1]),
         ),
-        summary=f"bases within {error_mm:.2f} mm by {len(fit.used)} looks at the ball; "
+        summary=f"head and ball meet within {fit.meeting_mm:.2f} mm by {len(fit.used)} looks at the ball; "
         f"by the tracker within {by_frames_mm:.2f} mm, {apart_mm:.2f} mm from that",
     )
 
