@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import re
@@ -231,7 +232,7 @@ def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
                 peer, _ = server.accept()
             except OSError:
                 return
-            with peer:
+            with peer, contextlib.suppress(ConnectionError):  # who asks may hang up at any moment
                 while peer.recv(4096) and answer is not None:
                     peer.sendall(answer)
 
