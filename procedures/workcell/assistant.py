@@ -96,7 +96,7 @@ class Assistant(SupervisedArm):
 
     @property
     def carries(self) -> str:
-        """What the arm carries."""
+        """Name of the load, as questions name it."""
         return "the holder"
 
     @property

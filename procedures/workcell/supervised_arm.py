@@ -54,7 +54,7 @@ class SupervisedArm(ABC):
     @property
     @abstractmethod
     def carries(self) -> str:
-        """What the arm carries, as questions name it."""
+        """Name of the load, as questions name it."""
 
     @abstractmethod
     def _require_allowed(self, motion: PlannedMotion) -> None:

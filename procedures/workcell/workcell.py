@@ -42,6 +42,7 @@ from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import ConfirmedStart
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
@@ -194,7 +195,7 @@ class Workcell(SupervisedArm):
 
     @property
     def carries(self) -> str:
-        """What the arm carries."""
+        """Name of the load, as questions name it."""
         return f"the {self.tool}"
 
     @property
@@ -208,9 +209,18 @@ class Workcell(SupervisedArm):
         return any(arm.place.is_out for arm in self.supervised_arms)
 
     def compare_places(self) -> None:
-        """Compare where each arm is with the journal; see `compare_place`."""
+        """Compare where each arm is with the journal; see `compare_place`.
+
+        An arm that reports no joints does not keep the other from being compared; its error is raised then.
+        """
+        silent: list[RonnaError] = []
         for arm in self.supervised_arms:
-            arm.compare_place()
+            try:
+                arm.compare_place()
+            except RonnaError as error:
+                silent.append(error)
+        if silent:
+            raise silent[0]
 
     def tracker_move(self, localization: str) -> TrackerMove:
         """Return how the tracker was moved since this localization, as far as it was followed."""

@@ -214,7 +214,7 @@ def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
 def test_a_pendant_turned_to_remote_control_during_a_recovery_leaves_an_arm_that_starts(
     room: Room, arm: UniversalRobotsArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What has just been reopened is closed once more by that."""
+    """The switch closes once more the connection that `recover` has just reopened."""
     acknowledge = arm.connections.acknowledge
 
     def turned_meanwhile(person: str, deadline: float) -> None:

@@ -1,4 +1,4 @@
-"""What to do about records that have expired."""
+"""Advice about expired records: a command for each that a command makes, words for the others."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from ideal_arm import Controller, IdealArm
@@ -70,7 +70,7 @@ class FollowingArm(RestingArm):
         super().__init__()
         self.guidances: list[HandGuidance] = []
 
-    def guide_by_hand(self, guidance: HandGuidance, is_held) -> Guided:  # type: ignore[no-untyped-def]
+    def guide_by_hand(self, guidance: HandGuidance, is_held: Callable[[], bool]) -> Guided:
         self.guidances.append(guidance)
         while is_held():
             pass

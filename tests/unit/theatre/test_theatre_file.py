@@ -204,8 +204,9 @@ def test_a_port_out_of_range_is_reported_with_its_key_and_a_fitting_example() ->
 
 def test_the_records_of_two_arms_name_the_serial_numbers_that_their_controllers_report() -> None:
     scene = load_scene("mini", seed=4, calibrated=True, dual=True)
-    endpoints = {**ENDPOINTS, "assistant": {**ENDPOINTS["kuka"], "rsi": "udp://127.0.0.1:59153"}}  # type: ignore[dict-item]
-    endpoints["assistant"]["eki_project"] = "tcp://127.0.0.1:54702"  # type: ignore[index]
+    of_assistant = {"rsi": "udp://127.0.0.1:59153", "eki": "tcp://127.0.0.1:54700"}
+    of_assistant["eki_project"] = "tcp://127.0.0.1:54702"
+    endpoints: dict[str, Any] = {**ENDPOINTS, "assistant": of_assistant}
     records = parse_theatre(theatre_content(scene, endpoints, "host:", {}, 2.0)).calibration
     assert records is not None
     serials = [str(parse_parameters(()).of_arm(role.number).serial_number) for role in ArmRole]

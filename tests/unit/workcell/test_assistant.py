@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from math import radians
 from types import SimpleNamespace
-from typing import cast
+from typing import NoReturn, cast
 
 import pytest
 from ideal_arm import Controller, IdealArm
@@ -17,7 +17,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
 from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
 from procedures.workcell.assistant import Assistant, GuidedStretch
-from procedures.workcell.errors import TipOffAxis
+from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -101,6 +101,24 @@ def test_an_assistant_that_was_jogged_is_where_its_joints_say(assistant: Assista
     assistant.compare_place()  # led out and home by hand
     assert assistant.place.is_home
     assert not assistant.place.is_on_axis
+
+
+@pytest.mark.hazard(59)
+def test_the_assistant_is_compared_also_if_the_other_arm_reports_no_joints(
+    assistant: Assistant, cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.workcell.assistant = assistant
+    cell.workcell.restore_home(IdealArm.kinematics.home_rad)
+    assistant.restore_home(IdealArm.kinematics.home_rad)
+    arm.controller.joints_rad = IdealArm.kinematics.home_rad
+
+    def report_nothing() -> NoReturn:
+        raise OtherArmUnknown("no joints")
+
+    monkeypatch.setattr(cell.workcell, "joints_rad", report_nothing)
+    with pytest.raises(OtherArmUnknown, match="no joints"):
+        cell.workcell.compare_places()
+    assert assistant.place.is_home
 
 
 @pytest.mark.hazard(59)
