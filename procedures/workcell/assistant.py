@@ -6,6 +6,7 @@ moves only with the master, see `ArmPair`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from procedures.workcell.tools import CarriedTool, Sides
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
@@ -41,6 +43,7 @@ POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodi
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
+OFF_SKIN_SPEED_MM_S = 40.0  # of a withdrawal, the tip off the skin: in the bore and above, nothing holds it
 # Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
 BORE_SPEED_MM_S = 15.0
@@ -53,15 +56,11 @@ class GuidedStretch(NamedTuple):
     end_mm: float
 
 
-def holder_bodies(holder: HolderCalibration, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Part, ...]:
-    """Return the bodies of an empty holder, flange frame, its clamp shifted as the ball was found."""
-    middle = _vector(_clamp_of(holder, shift_mm).translation_mm)
+def holder_bodies(holder: HolderCalibration) -> tuple[Part, ...]:
+    """Return the bodies of an empty holder, flange frame."""
+    middle = holder.flange_from_clamp.translation_mm
     post = Capsule((0.0, 0.0, 0.0), holder.flange_from_ball_mm, POST_MM)
     return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
-
-
-def _clamp_of(holder: HolderCalibration, shift_mm: Vector3) -> Transform:
-    return holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL).displace(shift_mm)
 
 
 class Assistant(SupervisedArm):
@@ -90,7 +89,6 @@ class Assistant(SupervisedArm):
         super().__init__(ASSISTANT, log, arm, record, drive, release, ASSISTANT, calibrations.arm)
         self.holder: HolderCalibration = holder
         self._instrument_inside = instrument_inside
-        self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
         self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
 
@@ -135,8 +133,13 @@ class Assistant(SupervisedArm):
 
     @property
     def flange_from_clamp(self) -> Transform:
-        """Pose FLANGE <- clamp by the record, shifted as the ball was found beside its own."""
-        return _clamp_of(self.holder, self.shift_mm)
+        """Pose FLANGE <- clamp by the record."""
+        return self.holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL)
+
+    @property
+    def ball_error_mm(self) -> float:
+        """Standard error of the ball beside the clamp, per axis: both have that of the record."""
+        return math.sqrt(2.0) * PER_AXIS * self.holder.stated_error_mm
 
     def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the clamp in the robot frame."""
@@ -174,11 +177,6 @@ class Assistant(SupervisedArm):
         gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
         return not (gaps_mm < surroundings.margin_mm).any()
 
-    def shift_tool(self, flange_from_ball_mm: Sequence[float]) -> None:
-        """Shift clamp and ball on the flange by what the ball was found beside its record."""
-        found = zip(flange_from_ball_mm, self.holder.flange_from_ball_mm, strict=True)
-        self.shift_mm = _vector([seen - drawn for seen, drawn in found])
-
     def hold_instrument(self, tip_mm: float) -> None:
         """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
         self._tip_mm = tip_mm
@@ -186,7 +184,7 @@ class Assistant(SupervisedArm):
     @property
     def tool(self) -> tuple[Part, ...]:
         """Bodies of the holder, and of the instrument while one is held, flange frame."""
-        bodies = holder_bodies(self.holder, self.shift_mm)
+        bodies = holder_bodies(self.holder)
         if not self._tip_mm:
             return bodies
         clamp = self.flange_from_clamp
@@ -234,7 +232,7 @@ class Assistant(SupervisedArm):
         if axis is None:
             raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
         legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
-        last_mm_s = BORE_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
+        last_mm_s = OFF_SKIN_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
 
     def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
