@@ -131,7 +131,10 @@ class BaseMeasurement:
         return between_bases((by_master @ assistant @ (flange @ drawn).inverse()).as_matrix())
 
     def look_at_frames(self) -> tuple[PosePairs, PosePairs]:
-        """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010."""
+        """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.
+
+        The assistant stays there: it goes on to hold its ball.
+        """
         cell, assistant = self._cell, self._assistant
         frame = cell.calibrations.tracker_frame
         marker_mm = frame.tool_from_marker.translation_mm
@@ -171,7 +174,6 @@ class BaseMeasurement:
             ),
             assistant.holder.frame,
         )
-        assistant.return_home()
         return found, other
 
     def _turn(
