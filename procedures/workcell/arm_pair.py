@@ -271,10 +271,11 @@ class ArmPair:
 
     def _joints(self, role: str) -> JointVector:
         """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
+        now_s = self._clock.now_s()  # first: a thread that the host suspends in between finds no arm silent
         reading = self._arms[role].observe().reading
         if reading is None or reading.validity is not Validity.OK:
             raise OtherArmUnknown(f"the state of the {role} is not known")
-        age_s = self._clock.now_s() - reading.stamp.theatre_time_s
+        age_s = now_s - reading.stamp.theatre_time_s
         oldest_s = OLDEST_S if self._clock.paced else OLDEST_IN_LOCK_STEP_S
         if age_s > oldest_s:
             raise OtherArmUnknown(
