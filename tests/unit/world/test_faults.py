@@ -275,7 +275,15 @@ def test_a_plain_line_reads_as_by_the_grammar(monkeypatch: pytest.MonkeyPatch, b
 
 
 @pytest.mark.parametrize(
-    "line", ["", "# nothing", "now: assistant", "now: ur protective stop for 1 s", "at 1 s: ur lose five %", "robot drop 5 %"]
+    "line",
+    [
+        "",
+        "# nothing",
+        "now: assistant",
+        "now: ur protective stop for 1 s",
+        "at 1 s: ur lose five %",
+        "robot drop 5 %",
+    ],
 )
 def test_other_lines_are_left_to_the_grammar(line: str) -> None:
     assert read_plain_line(line, 1, FAULT_KINDS) is None
