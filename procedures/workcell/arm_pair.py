@@ -271,12 +271,13 @@ class ArmPair:
 
     def _joints(self, role: str) -> JointVector:
         """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
+        now_s = self._clock.now_s()  # first: a thread that the host suspends in between finds no arm silent
         reading = self._arms[role].observe().reading
-        if reading is None or reading.validity is not Validity.OK:
+        if reading is None or reading.validity not in (Validity.OK, Validity.STALE):
             raise OtherArmUnknown(f"the state of the {role} is not known")
-        age_s = self._clock.now_s() - reading.stamp.theatre_time_s
+        age_s = now_s - reading.stamp.theatre_time_s
         oldest_s = OLDEST_S if self._clock.paced else OLDEST_IN_LOCK_STEP_S
-        if age_s > oldest_s:
+        if age_s > oldest_s or reading.validity is Validity.STALE:
             raise OtherArmUnknown(
                 f"the last state of the {role} is old",
                 limit=f"{1000 * oldest_s:.0f} ms",

@@ -25,7 +25,7 @@ from procedures.workcell.arm_history import (
     Insertion,
     MotionKind,
 )
-from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.arm_pair import ArmPair, Halt
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
@@ -291,6 +291,11 @@ class Workcell(SupervisedArm):
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
         if self._pair is not None:
             self._pair.touch(parts)
+
+    @property
+    def halt(self) -> Halt | None:
+        """Why both arms are halted, if they are."""
+        return None if self._pair is None else self._pair.halted
 
     def release_halt(self, by: str) -> None:
         """Release a halt of both arms once a named person has acknowledged their faults. Raises DUAL-001."""
