@@ -120,6 +120,7 @@ def _require_on_mount(pose: PoseRecord) -> PoseRecord:
 
 
 MountPose = Annotated[PoseRecord, AfterValidator(_require_on_mount)]
+PointOnMount = Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM, FARTHEST_ON_TOOL_MM)]
 
 
 class CameraCalibration(Strict):
@@ -258,7 +259,9 @@ class FrameReference(Strict):
     """A posture of an arm, and where the tracker saw its frame when the bases were calibrated."""
 
     joints_rad: Joints6 = Field(description="Joints of the arm, from the base outwards.")
-    tracker_from_frame_mm: Numbers3 = Field(description="Origin of the arm's frame, tracker.")
+    tracker_from_frame_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
+        description="Origin of the arm's frame, tracker."
+    )
 
 
 References = Annotated[tuple[FrameReference, ...], Field(min_length=LEAST_REFERENCES)]
@@ -299,9 +302,7 @@ class HolderCalibration(DatedRecord):
         description="Of the instrument's direction, one standard deviation."
     )
     flange_from_clamp: MountPose = Field(description="Pose flange <- clamp.")
-    flange_from_ball_mm: Annotated[Numbers3, farther_than(0.0, FARTHEST_ON_TOOL_MM)] = Field(
-        description="Centre of the ball on the flange."
-    )
+    flange_from_ball_mm: PointOnMount = Field(description="Centre of the ball on the flange.")
     flange_from_frame: MountPose = Field(description="Pose flange <- frame, as drawn.")
     frame: Words = Field(description="Name of the assistant's frame in the tracker's options.")
 
@@ -335,10 +336,10 @@ class ArmCalibration(DatedRecord):
     serial: Words | None = Field(
         default=None, description="Serial number of the arm; absent where its controller reports none."
     )
-    stereo_head_mm: Numbers3 | None = Field(
+    stereo_head_mm: PointOnMount | None = Field(
         default=None, description="Tool centre of the stereo head on the flange, as found with the arm."
     )
-    tool_tip_mm: Numbers3 | None = Field(
+    tool_tip_mm: PointOnMount | None = Field(
         default=None, description="The guide's tip on the flange, which was moved with the head."
     )
     scatter_mm: Scatter = Field(

@@ -22,7 +22,8 @@ def env(cell: CellArgument = None) -> None:
     """Print the endpoints of a running simulator as shell variables: eval "$(ronna-sim env CELL)".
 
     RONNA_CONTROL is the control port, THEATRE the theatre file, LINE the tracker, CONTROLLER and STREAM a
-    KUKA arm, ARM the address of a Universal Robots arm, LEFT and RIGHT the cameras, CLOCK the clock.
+    KUKA arm, ARM the address of a Universal Robots arm, LEFT and RIGHT the cameras, CLOCK the clock. Those
+    of an assistant are ASSISTANT_CONTROLLER, ASSISTANT_STREAM and ASSISTANT_ARM.
     RONNA_CONTROL contains the secret token. Without such a simulator the eval fails, and unsets them.
     """
     from ronna_hw.errors import RonnaError

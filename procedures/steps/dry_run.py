@@ -13,6 +13,10 @@ from procedures.engine.case import Case, StepKey
 from procedures.engine.setting import CaseSetting
 from procedures.planning.motions import BACK, LINE, MOVE
 from procedures.planning.pose_name import HOME, PoseKind, PoseName
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.base_looks import LOOKS_PER_POSTURE
+from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview, motions_over_spheres
@@ -25,6 +29,7 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.assistant import BORE_SPEED_MM_S
 from procedures.workcell.motions import collect_facts
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
@@ -35,6 +40,15 @@ from ronna_hw.devices import Motion
 from ronna_hw.preview import preview_motion
 from ronna_hw.vectors import JointVector
 
+NO_PATHS = "no path is known in advance: each is planned past the other arm when that rests where it will be"
+BOTH_ARMS = (
+    NO_PATHS,
+    f"{MOVE} of the arm to {FRAME_LOOKS} poses that show the tracker its frame, the assistant home",
+    f"{MOVE} of the assistant to {FRAME_LOOKS} poses that show the tracker its frame, the arm home",
+    f"{MOVE} of the assistant to up to {POSTURES} places of its ball above the guide's, and at each of the "
+    f"arm to up to {LOOKS_PER_POSTURE} poses over the ball",
+    f"{MOVE} of both arms to home",
+)
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
@@ -47,6 +61,10 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
     if key.name in (CheckedTool.kind, ConfirmedTarget.kind):
         lines = _preview_over_gauge(case, setting)
         return lines if workcell.place.is_home else ("the arm is not home; from home it would", *lines)
+    if key.name == KnownBases.kind:
+        return BOTH_ARMS
+    if key.name == ReachedTarget.kind and workcell.assistant is not None:
+        return _describe_assistance(key.trajectory)
     paths = stored.result
     if key.name == Relocalization.kind:
         motions = motions_over_spheres(paths.motions, key.trajectory)
@@ -105,6 +123,16 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
     }
     nearest = min(away_mm, key=away_mm.__getitem__)
     return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
+
+
+def _describe_assistance(trajectory: str | None) -> tuple[str, ...]:
+    """Describe the motions of the assistant at a target."""
+    return (
+        "the turn of the holder about the bore, and the way there, are chosen when the guide is in its place",
+        f"{MOVE} of the assistant from home to over the guide at {trajectory}",
+        f"{LINE} along the bore until the depth stop rests on the guide, up to {BORE_SPEED_MM_S:g} mm/s",
+        f"{BACK} on that line, after a confirmation, then {MOVE} to home",
+    )
 
 
 def _describe_motions(motions: Sequence[MotionPreview]) -> tuple[str, ...]:

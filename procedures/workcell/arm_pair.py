@@ -90,9 +90,16 @@ class ArmPair:
 
     def surround(self, role: str, surroundings: Surroundings) -> None:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
-        self._around[role] = surroundings
+        self._around[role] = replace(surroundings, owner=role)
         with suppress(OtherArmUnknown):  # else before its next motion
             self._surround_with_other(role)
+
+    def look_around(self, role: str) -> None:
+        """Surround one arm with the other where that is now, as `move` does, before motions are previewed.
+
+        Raises DUAL-003 if the state of the other is unknown.
+        """
+        self._surround_with_other(role)
 
     def place_assistant(self, base: Pose) -> None:
         """Take another pose ROBOT <- base of the assistant, as measured better."""
@@ -193,7 +200,8 @@ class ArmPair:
         live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
         near = live.find_near(joints[MASTER], joints[ASSISTANT], APART_MM)
         if near is not None:
-            words = f"the arms are {near.distance_mm:.1f} mm apart, {near.first} and {near.second}"
+            bodies = f"{near.first} of the {MASTER} and {near.second} of the {ASSISTANT}"
+            words = f"{bodies} are {near.distance_mm:.1f} mm apart"
             return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
         return None
 
@@ -317,6 +325,9 @@ class ReplayedPair(ArmPair):
     """Pair of stand-ins: what stopped an arm is in its answers, and nothing comes close."""
 
     def surround(self, role: str, surroundings: Surroundings) -> None:
+        """Do nothing."""
+
+    def look_around(self, role: str) -> None:
         """Do nothing."""
 
     def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:

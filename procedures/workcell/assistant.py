@@ -74,6 +74,7 @@ class Assistant(SupervisedArm):
         drive: Callable[[Motion, PlannedMotion], ArmReading],
         release: Callable[[str], bool],
         instrument_inside: Callable[[], str | None],
+        look_around: Callable[[], None] = lambda: None,
     ) -> None:
         """Supervise `arm`, which `drive` moves; the others as in `SupervisedMotion` and `ArmPair`.
 
@@ -86,7 +87,9 @@ class Assistant(SupervisedArm):
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arm, record, drive, release, ASSISTANT, calibrations.arm)
+        super().__init__(
+            ASSISTANT, log, arm, record, drive, release, ASSISTANT, calibrations.arm, look_around
+        )
         self.holder: HolderCalibration = holder
         self._instrument_inside = instrument_inside
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched

@@ -13,6 +13,7 @@ from typing import Protocol
 from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
 from procedures.workcell.arm_history import Insertion, MotionKind
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
@@ -104,6 +105,15 @@ class MotionFacts:
         if to_head_mm and not (closest and min(to_head_mm) <= closest.distance_mm):  # else already stated
             statements.append(f"at least {min(to_head_mm):.0f} mm from the head")
         return statements
+
+    def require_clear(self) -> None:
+        """Raise ARM-007 if a path is not clear."""
+        for refused in (one.refused for one in self.previews if one.refused is not None):
+            raise NotClear(
+                f"as {self.what} moves {_format_nonzero(self.travel_mm)} mm{self.by}, the {refused.first} "
+                f"would come too close to the {refused.second}",
+                got=f"{refused.distance_mm:.1f} mm",
+            )
 
     @property
     def read_back(self) -> ReadBack:

@@ -41,15 +41,16 @@ class SupervisedArm(ABC):
         release: Callable[[str], bool] = lambda _by: False,
         role: str = MASTER,
         other: ArmCalibration | None = None,
+        look_around: Callable[[], None] = lambda: None,
     ) -> None:
-        """Name the arm as messages do; `drive` and `release` as in `SupervisedMotion`.
+        """Name the arm as messages do; `drive`, `release` and `look_around` as in `SupervisedMotion`.
 
         `record` is the calibration of the arm, `other` that of the arm in the other role.
         """
         self._name, self._log, self._open = name, log, arm
         self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
         self._computed = self._calibrated(arm().kinematics)
-        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release)
+        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release, look_around)
 
     @property
     @abstractmethod

@@ -57,12 +57,15 @@ class SupervisedMotion:
         require_allowed: Callable[[PlannedMotion], None],
         drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
         release: Callable[[str], bool] = lambda _by: False,
+        look_around: Callable[[], None] = lambda: None,
     ) -> None:
         """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now.
 
         `drive` makes a leg of a motion, by default with the arm alone. `release` ends a halt of two arms that
-        were only held, and returns whether it did.
+        were only held, and returns whether it did. `look_around` surrounds the arm with what may have moved
+        since, before its motions are previewed.
         """
+        self._look_around = look_around
         self._drive_leg = drive or (lambda leg, _motion: leg.drive(arm()))
         self._release = release
         self._log = log
@@ -107,9 +110,14 @@ class SupervisedMotion:
     ) -> None:
         """Ask a person to confirm motions in two steps. Raises PRO-002 unless the answer is yes.
 
-        `announced` motions and what `covers` says are confirmed by the same answer.
+        `announced` motions and what `covers` says are confirmed by the same answer. Nobody is asked about
+        motions that would be refused: raises ARM-007 for those.
         """
+        if motions:
+            self._look_around()
         facts = motion_facts(self._arm(), motions) if motions else []
+        for fact in facts:
+            fact.require_clear()
         question = Question(
             topic,
             subject,

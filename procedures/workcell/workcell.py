@@ -95,6 +95,7 @@ class Workcell(SupervisedArm):
                 partial(self._drive_one, ASSISTANT),
                 self._release_held,
                 lambda: self.instrument.inside,
+                partial(self._look_around, ASSISTANT),
             )
         super().__init__(
             "arm",
@@ -104,6 +105,7 @@ class Workcell(SupervisedArm):
             drive,
             self._release_held,
             other=self.calibrations.assistant_arm,
+            look_around=partial(self._look_around, MASTER),
         )
         self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
@@ -321,6 +323,10 @@ class Workcell(SupervisedArm):
                 return assistant.inserted.reading
             return self._pair.move(role, leg, with_instrument=True)
         return self._pair.move(role, leg)
+
+    def _look_around(self, role: str) -> None:
+        if self._pair is not None:
+            self._pair.look_around(role)
 
     def _release_held(self, by: str) -> bool:
         """Release a halt in which both arms are only held, as after a stop by the operator."""

@@ -20,6 +20,8 @@ from sim.world.options import ArmRole, UrArm
 from sim.world.scene.model import ArmTruth, Scene
 
 FREE = "tcp://127.0.0.1:0"
+# 36 deg/s, the pace of the other arm, whose joints turn twice as fast at full speed.
+UR_SPEED_FRACTION = 0.2
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class ArmController:
     # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
+    speed_fraction: float | None = None  # of full joint speed, at work; None: the driver's own
 
     def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
         """Return the options of the command in a theatre."""
@@ -54,10 +57,11 @@ class ArmController:
     ) -> dict[str, Any]:
         """Return the arm's table of a theatre file."""
         cycle = {} if cycle_ms is None else {"cycle_ms": cycle_ms}
+        speed = {} if self.speed_fraction is None else {"speed_fraction": self.speed_fraction}
         return {
             "driver": self.driver,
             "endpoints": {role: endpoints[role] for role in self.roles},
-            "options": {self.model_option: variant, "silence_limit_s": silence_limit_s, **cycle},
+            "options": {self.model_option: variant, "silence_limit_s": silence_limit_s, **cycle, **speed},
         }
 
 
@@ -86,6 +90,7 @@ UNIVERSAL_ROBOTS = ArmController(
     addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),
     parse_parameters=parse_ur_parameters,
     state_chain=_state_measured_chain,
+    speed_fraction=UR_SPEED_FRACTION,
 )
 CONTROLLERS: dict[str, ArmController] = {
     **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),

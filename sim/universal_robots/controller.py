@@ -44,8 +44,13 @@ class News:
     def __init__(self) -> None:
         self.program: list[Callable[[str, str], None]] = []  # what happened, name
         self.safety: list[Callable[[SafetyMode], None]] = []
-        self.failure: list[Callable[[str], None]] = []  # a runtime exception
+        self.failure: list[Callable[[str, int], None]] = []  # runtime exception, line of the program
         self.error: list[Callable[[int, str], None]] = []  # number, text
+
+    def tell_failure(self, text: str, line: int = 1) -> None:
+        """Tell of a program that failed."""
+        for tell in self.failure:
+            tell(text, line)
 
     def tell_program(self, what: str, name: str) -> None:
         """Report a program."""
@@ -131,8 +136,7 @@ class Controller:
             link.close()
         self.runtime_state = RuntimeState.STOPPING
         if program.failure:
-            for tell in self.news.failure:
-                tell(program.failure)
+            self.news.tell_failure(program.failure)
         self.news.tell_program(STOPPED, program.name)
 
     def pause(self) -> bool:

@@ -67,27 +67,34 @@ class RunningSimulator:
         return (f"export {name}={shlex.quote(value)}" for name, value in variables_of(self.ready).items())
 
 
-VARIABLES = ("RONNA_CONTROL", "THEATRE", "LINE", "CONTROLLER", "STREAM", "ARM", "LEFT", "RIGHT", "CLOCK")
+OF_AN_ARM = ("CONTROLLER", "STREAM", "ARM")
+OF_THE_ASSISTANT = tuple(f"ASSISTANT_{name}" for name in OF_AN_ARM)
+VARIABLES = ("RONNA_CONTROL", "THEATRE", "LINE", *OF_AN_ARM, *OF_THE_ASSISTANT, "LEFT", "RIGHT", "CLOCK")
 NO_VARIABLES = f"unset {' '.join(VARIABLES)}; false"  # for `eval`, which fails, and leaves none of another
 
 
 def variables_of(ready: Mapping[str, Any]) -> dict[str, str]:
     """Return shell variables with the endpoints of a READY line, under the names that the pages use."""
     endpoints = ready.get("endpoints", {})
-    kuka, basler = endpoints.get("kuka", endpoints), endpoints.get("basler", endpoints)
-    rtde = endpoints.get("ur", endpoints).get("rtde")
+    basler = endpoints.get("basler", endpoints)
+    master = endpoints.get("ur") or endpoints.get("kuka", endpoints)
     found = {
         "RONNA_CONTROL": ready.get("control", endpoints.get("control")),
         "THEATRE": ready.get("file"),
         "LINE": ready.get("endpoint", endpoints.get("polaris")),
-        "CONTROLLER": kuka.get("eki_project"),
-        "STREAM": kuka.get("rsi"),
-        "ARM": rtde and parse_endpoint(rtde).host,
+        **dict(zip(OF_AN_ARM, _addresses_of(master), strict=True)),
+        **dict(zip(OF_THE_ASSISTANT, _addresses_of(endpoints.get("assistant", {})), strict=True)),
         "LEFT": basler.get("left") and parse_endpoint(basler["left"]).host,
         "RIGHT": basler.get("right") and parse_endpoint(basler["right"]).host,
         "CLOCK": endpoints.get("clock"),
     }
     return {name: value for name, value in found.items() if value}
+
+
+def _addresses_of(arm: Mapping[str, Any]) -> tuple[str | None, ...]:
+    """Return controller and stream of a KUKA arm, and the host of a Universal Robots arm."""
+    rtde = arm.get("rtde")
+    return arm.get("eki_project"), arm.get("rsi"), rtde and parse_endpoint(rtde).host
 
 
 def register(ready: Mapping[str, Any], *, in_background: bool, run: str = "") -> None:

@@ -119,9 +119,9 @@ def bars(
     return _png(figure)
 
 
-def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
+def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike], *, x_label: str = "") -> bytes:
     """Plot a box per group: quartiles, median, mean as a cross, whiskers to 1.5 IQR, no outliers."""
-    figure, axes = _make_figure(title, "", y_label, fontsize=9)
+    figure, axes = _make_figure(title, x_label, y_label, fontsize=9)
     axes.boxplot(
         [np.asarray(values) for values in groups.values()],
         tick_labels=list(groups),

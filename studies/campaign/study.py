@@ -81,12 +81,16 @@ def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Su
 
 @dataclass(frozen=True)
 class Table:
-    """A table of plain values. `note` explains the figures and cites the source of published ones."""
+    """A table of plain values.
+
+    `note` explains the figures and cites the source of published ones; `lead` stands above the table.
+    """
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     note: str = ""
+    lead: str = ""
 
     @classmethod
     def of(cls, title: str, rows: Iterable[Mapping[str, Cell]], note: str = "") -> Self:
@@ -96,7 +100,7 @@ class Table:
 
     def markdown(self) -> str:
         """Return the table as Markdown."""
-        lines = [f"## {self.title}", ""]
+        lines = [f"## {self.title}", "", *((self.lead, "") if self.lead else ())]
         lines += [f"| {' | '.join(self.columns)} |", "|" + "---|" * len(self.columns)]
         lines += [f"| {' | '.join(format_cell(value) for value in row)} |" for row in self.rows]
         return "\n".join([*lines, "", self.note, ""]) if self.note else "\n".join([*lines, ""])

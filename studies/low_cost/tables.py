@@ -6,7 +6,7 @@ on the arm, and how large the error remains beside the closed loop of a peer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,7 @@ METHODS = {
     f"1, {Dimensions.FACTORY} DH": (Method.OPEN, Dimensions.FACTORY),
     f"2, {Dimensions.NOMINAL} DH": (Method.CLOSED, Dimensions.NOMINAL),
 }
+NOT_JUDGED = "not judged"
 NOT_FOUND = (
     "F. Šuligoj's thesis (Zagreb 2018) prints no figure of PAPER 2 (IROS 2015, pp. 3785-3790), and the "
     "paper was not found: there is nothing of it to compare with."
@@ -142,12 +143,22 @@ def tabulate_relations(arms: list[Arm]) -> Table:
         ),
     ]
     return Table(
-        "Relations",
-        ("relation", "here", "limit", "holds"),
-        rows,
+        "Requirements",
+        ("requirement", "value", "limit", "held"),
+        [(*row[:3], row[3] or NOT_JUDGED) for row in rows],
         f"{NOT_FOUND} Both methods with nominal DH. Row 2 is not judged: tip, registration and tracker err "
-        "alike in both methods, and one orientation may suit an arm by chance.",
+        "alike in both methods, and one orientation may suit an arm by chance. One arm alone says nothing "
+        "about dependence on the arm.",
+        _describe_verdict(rows),
     )
+
+
+def _describe_verdict(rows: Sequence[tuple[Cell, Cell, Cell, Cell]]) -> str:
+    """Say how many of the judged requirements are held, and which are not."""
+    missed = [str(row[0]) for row in rows if row[3] == yes_or_no(False)]
+    judged = sum(row[3] is not None for row in rows)
+    held = f"{judged - len(missed)} of {judged} requirements are held"
+    return f"**NOT HELD: {'; '.join(missed)}.** {held}." if missed else f"**HELD: {held}.**"
 
 
 def _fit_rise_mm(errors_mm: Array, means_mm: Array) -> float:
@@ -298,7 +309,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     return {
         "errors.png": boxes(
             "Error of the tip at the target",
-            "mm",
+            "true error of the tip, mm",
             {
                 f"method {name}, orientation {orientation}": _errors_mm(arms, method, model)[
                     :, orientation
@@ -306,6 +317,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
                 for name, (method, model) in METHODS.items()
                 for orientation in range(len(ORIENTATIONS_RAD))
             },
+            x_label="method, source of the DH parameters, orientation of the tool",
         ),
         "dependence-on-the-arm.png": curves(
             "Error at the target against that of the arm",
@@ -317,7 +329,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
             "Rounds of method 2",
             "% of the targets",
             {f"{n}": {"share": 100.0 * float(np.mean(rounds == n))} for n in range(MOST_ROUNDS + 1)},
-            x_label="rounds",
+            x_label="rounds of looking and moving, until settled",
         ),
     }
 

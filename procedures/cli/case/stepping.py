@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.case_view import EventFollower
-from procedures.cli.case.display import pause_on_interrupt, write_lines
+from procedures.cli.case.display import pause_on_interrupt, show_outcome, write_lines
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
+from procedures.runs.case_outcome import build_finished_outcome
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import hold_run, run_folder
-from procedures.runs.lifecycle import open_run
+from procedures.runs.lifecycle import ignore_further_signals, open_run
 from procedures.runs.orders import COMMANDS
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
@@ -24,6 +27,8 @@ from ronna_hw.command_line.messages import say, tell
 from ronna_hw.command_line.terminal import on_terminal
 
 if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
     from procedures.runs.order_executor import OrderExecutor
 
@@ -32,14 +37,17 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
     """Carry out commands until `quit` or the end of input. A failure is shown and the case is held.
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
+    A finished case ends as by `run`, with the errors at its targets.
     """
     check_case(request, out)
+    outcome: FinishedRun | None = None
     with (
         run_folder(request, out) as folder,
         hold_run(folder),
-        finalize_run(folder),
+        finalize_run(folder, name_report=False) as final,
         pause_on_interrupt() as interrupts,
     ):
+        began_s = time.monotonic()
         followers: list[EventFollower] = []
 
         def catch_up() -> None:
@@ -73,15 +81,37 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
             if piped is not None:
                 piped.attach(engine)
             say(f"run {folder.name}; {' | '.join(COMMANDS)}")
-            if executor is None:
-                prompt.follow(engine)
-                return
-            executor.attach(engine)
-            link.follow(engine.events)
-            link.show_looks(engine.setting.workcell)
-            prompt.follow(engine)
-            if prompt.input_ended:
-                executor.run_to_end(engine)
+            with _let_finished_case_end(engine):
+                if executor is None:
+                    prompt.follow(engine)
+                else:
+                    executor.attach(engine)
+                    link.follow(engine.events)
+                    link.show_looks(engine.setting.workcell)
+                    prompt.follow(engine)
+                    if prompt.input_ended:
+                        executor.run_to_end(engine)
+            theatre_s = engine.setting.clock.now_s()  # the clock ends with its theatre
+        if engine.over:
+            wall_s = time.monotonic() - began_s
+            outcome = build_finished_outcome(
+                request, engine.case, engine.order.trajectories, theatre_s, wall_s
+            )
+    if outcome is not None:
+        show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=False)
+    elif final.report is not None and on_terminal(sys.stderr):
+        tell(f"report {final.report}")
+
+
+@contextlib.contextmanager
+def _let_finished_case_end(engine: Engine) -> Iterator[None]:
+    """Let a signal at the prompt end a case of which nothing is left as `quit` does, not interrupt it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not engine.over:
+            raise
+        ignore_further_signals()
 
 
 def _executor(request: RunRequest, piped: PipedLines | None) -> OrderExecutor:

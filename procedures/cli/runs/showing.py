@@ -17,6 +17,7 @@ from procedures.reporting.ending import await_ending, ending_of, resumes
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, describe_strategies, read_for_report
 from procedures.reporting.tables import target_rows
+from procedures.reporting.two_arms import collect_two_arms
 from procedures.runs.folders import find_folders_of_runs, find_runs
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
@@ -91,6 +92,10 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         if target["verdict"]:
             known += f", margin {target['margin_mm']:g} mm: {target['verdict']}"
         say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
+    if (bases := row["bases"]) is not None:
+        say(f"two arms: head and ball meet within {bases['meeting_mm']:.2f} mm")
+    for name, one in row["insertions"].items():
+        say(f"the assistant inserted at {name}, {one['off_axis_mm']:.2f} mm off the axis of the guide")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
     if missing:
@@ -153,6 +158,7 @@ def _summary(reading: RunReading) -> dict[str, Any]:
             for one in target_rows(reading, truth)
         ],
         "max_application_error_mm": max(errors_mm, default=None),
+        **collect_two_arms(reading),
     }
 
 

@@ -164,7 +164,10 @@ ARMS_OWN_RADII = MeasuredRadii()
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Collision bodies around the arm, with the minimum distances (planned and live) and the speed zone."""
+    """Collision bodies around the arm, with the minimum distances (planned and live) and the speed zone.
+
+    With several arms, messages name the bodies of this one after its `owner`.
+    """
 
     tool: tuple[Part, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
@@ -173,6 +176,7 @@ class Surroundings:
     live_margin_mm: float = 5.0
     zone: SpeedZone | None = None
     corridor: Corridor | None = None
+    owner: str = ""
 
     def moved(self, by: Pose) -> Surroundings:
         """Return a copy with all room-fixed bodies and the corridor transformed."""
@@ -209,6 +213,7 @@ class Surroundings:
             corridor=None
             if corridor is None
             else Corridor(_vector3(corridor[0]), _vector3(corridor[1]), corridor[2]),
+            owner=str(values["owner"]),
         )
 
 
@@ -242,14 +247,18 @@ class Bodies:
     surroundings: Surroundings
 
     def names(self, pair: Pair) -> tuple[str, str]:
-        """Return the names of the two bodies of a pair."""
+        """Return the names of the two bodies of a pair, those of the arm with its owner."""
         if pair.other < 0:
-            other = self.moving_names[-1 - pair.other]
+            other = self._own(self.moving_names[-1 - pair.other])
         elif pair.other == 0:
-            other = COLUMN_NAME
+            other = self._own(COLUMN_NAME)
         else:
             other = self.surroundings.obstacles[pair.other - 1].name
-        return self.moving_names[pair.moving], other
+        return self._own(self.moving_names[pair.moving]), other
+
+    def _own(self, name: str) -> str:
+        owner = self.surroundings.owner
+        return f"{name} of the {owner}" if owner else name
 
     @cached_property
     def moving_names(self) -> tuple[str, ...]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from ronna_hw.logs import logger
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
 from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.programs.recognition import name_of, recognise
-from sim.universal_robots.programs.statements import run_at_once
+from sim.universal_robots.programs.statements import UnknownStatement, require_known, run_at_once
 
 LOCAL_MODE_CODE = 210  # a script while in local mode
 LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
@@ -33,7 +34,7 @@ class ClientInterfaces:
         news, packages = controller.news, self._packages
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
         news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
-        news.failure.append(lambda text: self._tell(packages.runtime_exception(text)))
+        news.failure.append(lambda text, line: self._tell(packages.runtime_exception(text, line)))
         news.error.append(lambda code, text: self._tell(packages.error(code, text)))
 
     @property
@@ -107,10 +108,12 @@ class ClientInterfaces:
             command(controller)
         elif text.lstrip().startswith("sec"):
             try:
+                require_known(text)
                 run_at_once(controller.robot, text)
+            except UnknownStatement as unknown:
+                self._refuse(text, unknown)
             except (ArithmeticError, ValueError) as error:
-                for report in controller.news.failure:
-                    report(str(error))
+                controller.news.tell_failure(str(error))
         else:
             delay = round(controller.parameters.script_start_s / controller.model.cycle_s)
             self._waiting.append((delay, text))
@@ -126,11 +129,19 @@ class ClientInterfaces:
             controller = self._controller
             try:
                 why_not = controller.start(recognise(text, controller.model.cycle_s))
+            except UnknownStatement as unknown:
+                self._refuse(text, unknown)
+                continue
             except (ArithmeticError, ValueError) as error:
                 why_not = str(error)
             if why_not:
-                for tell in controller.news.failure:
-                    tell(f"{name_of(text)} cannot run: {why_not}")
+                controller.news.tell_failure(f"{name_of(text)} cannot run: {why_not}")
+
+    def _refuse(self, text: str, unknown: UnknownStatement) -> None:
+        """Answer a script that is not simulated as a controller answers one that it cannot compile."""
+        log = logger(device="ur")
+        log.warning("a script that is not simulated was refused", script=name_of(text), why=str(unknown))
+        self._controller.news.tell_failure(str(unknown), unknown.line)
 
 
 class ScriptHandler:

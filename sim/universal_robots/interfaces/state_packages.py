@@ -92,9 +92,9 @@ class StatePackages:
         payload = pack(">iiiII", code, 0, ERROR_LEVEL, NO_DATA, 0) + text.encode()
         return _message(MessageKind.ERROR, self._now_us, payload)
 
-    def runtime_exception(self, text: str) -> bytes:
-        """Return the message of a program that failed, at its first line."""
-        return _message(MessageKind.RUNTIME_EXCEPTION, self._now_us, pack(">ii", 1, 1) + text.encode())
+    def runtime_exception(self, text: str, line: int) -> bytes:
+        """Return the message of a program that failed at a line."""
+        return _message(MessageKind.RUNTIME_EXCEPTION, self._now_us, pack(">ii", line, 1) + text.encode())
 
     # -- robot state
 

@@ -1,4 +1,4 @@
-"""Recognise a script by its name or its text; what is not known is accepted, and does nothing."""
+"""Recognise a script by its name or its text; one that is not known has to be of plain statements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.wire.universal_robots import SCRIPT_NAME
 from sim.universal_robots.programs.external_control import external_control, read_external_control
 from sim.universal_robots.programs.program import Program, Watchdog
 from sim.universal_robots.programs.register_loop import register_loop
-from sim.universal_robots.programs.statements import run_statements
+from sim.universal_robots.programs.statements import require_known, run_statements
 from sim.universal_robots.programs.stream_script import stream_program
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PLACES, index
@@ -30,7 +30,10 @@ def name_of(text: str) -> str:
 
 
 def recognise(text: str, cycle_s: float) -> Program:
-    """Return the program that a script is; raises ArithmeticError or ValueError for numbers out of range."""
+    """Return the program that a script is.
+
+    Raises ArithmeticError or ValueError for numbers out of range, UnknownStatement for what is not simulated.
+    """
     name = name_of(text)
     if name == SCRIPT_NAME:
         program = stream_program(name, text)
@@ -43,6 +46,7 @@ def recognise(text: str, cycle_s: float) -> Program:
     settings = read_external_control(text)
     if settings is not None:
         return external_control(name, settings)
+    require_known(text)
     return Program(name, lambda robot, program: run_statements(robot, text))
 
 

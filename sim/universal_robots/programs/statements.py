@@ -1,10 +1,13 @@
-"""Single statements of URScript that need no interpreter: outputs, tool, payload, and motions to numbers."""
+"""Single statements of URScript that need no interpreter: outputs, tool, payload, and motions to numbers.
+
+A program with any other statement does not run, as one that a controller cannot compile.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 from sim.universal_robots.programs.motions import movej, movel, stopj
 from sim.universal_robots.robot import Robot
@@ -24,6 +27,50 @@ OUTPUTS_OF_A_GROUP: Final = 8
 JOINT_DEFAULTS: Final = (1.05, 1.4)  # v (rad/s), a (rad/s2) of movej
 LINE_DEFAULTS: Final = (0.25, 1.2)  # v (m/s), a (m/s2) of movel
 STOP_DEFAULT: Final = 2.0
+WITHOUT_EFFECT: Final = ("sync", "textmsg")  # of which nothing is to be seen here
+MOTIONS: Final = ("movej", "movel")
+STOPS: Final = ("stopj", "stopl")
+# What a controller says of a name that it does not know, and of a line that it cannot read (U).
+NAME_NOT_FOUND, SYNTAX_ERROR = "compile_error_name_not_found:{}:", "syntax_error_on_line:{}:{}"
+_FRAME = re.compile(r"^\s*(?:(?:def|sec)\s+\w+\s*\(\s*\)\s*:|end)?\s*$")
+
+
+class UnknownStatement(ValueError):
+    """A statement that is not carried out, with its line."""
+
+    def __init__(self, text: str, line: int) -> None:
+        super().__init__(text)
+        self.line = line
+
+
+class _Arguments(NamedTuple):
+    """Numbers of a call: its first vector, and the others."""
+
+    vector: list[float]
+    is_pose: bool
+    plain: list[float]
+    named: dict[str, float]
+
+
+def require_known(text: str) -> None:
+    """Raise `UnknownStatement` for the first line of a script that would not be carried out."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        code = line.partition("#")[0]
+        call = _CALL.match(code)
+        if call is None:
+            if not _FRAME.match(code):
+                raise UnknownStatement(SYNTAX_ERROR.format(number, code.strip()), number)
+        elif not _is_known(call[1], _read_arguments(call[2])):
+            raise UnknownStatement(NAME_NOT_FOUND.format(call[1]), number)
+
+
+def _is_known(name: str, given: _Arguments) -> bool:
+    """Return whether a call is carried out with these arguments."""
+    if name in MOTIONS:
+        return len(given.vector) == 6 and not (name == "movej" and given.is_pose)
+    if name in FIRST_OUTPUT:
+        return len(given.plain) == 2
+    return name in (*STOPS, *WITHOUT_EFFECT, "set_tcp", "set_payload")
 
 
 def run_statements(robot: Robot, text: str) -> Iterator[None]:
@@ -45,8 +92,33 @@ def run_at_once(robot: Robot, text: str) -> None:
 
 
 def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
+    vector, is_pose, plain, named = _read_arguments(arguments)
+    if name in FIRST_OUTPUT and len(plain) == 2:
+        number = int(plain[0])
+        if not 0 <= number < OUTPUTS_OF_A_GROUP:
+            return
+        bit = 1 << FIRST_OUTPUT[name] + number
+        bits = robot.values[DIGITAL_OUTPUTS]
+        robot.values[DIGITAL_OUTPUTS] = bits | bit if plain[1] else bits & ~bit
+    elif name == "set_tcp" and len(vector) == 6:
+        robot.set_tcp(vector)
+    elif name == "set_payload" and plain:
+        robot.set_payload(plain[0], vector or None)
+    elif name in MOTIONS and len(vector) == 6:
+        speed, acceleration = JOINT_DEFAULTS if name == "movej" else LINE_DEFAULTS
+        speed, acceleration = named.get("v", speed), named.get("a", acceleration)
+        if name == "movel":
+            pose = vector if is_pose else robot.tool_pose(vector)
+            yield from movel(robot, pose, speed, acceleration)
+        elif not is_pose:
+            yield from movej(robot, vector, speed, acceleration)
+    elif name in STOPS:
+        yield from stopj(robot, plain[0] if plain else STOP_DEFAULT)
+
+
+def _read_arguments(arguments: str) -> _Arguments:
     vector = _VECTOR.match(arguments)
-    vectors = [float(number) for number in vector[2].split(",")] if vector and _is_numeric(vector[2]) else []
+    numbers = [float(number) for number in vector[2].split(",")] if vector and _is_numeric(vector[2]) else []
     rest = arguments[: vector.start(1)] + arguments[vector.end() :] if vector else arguments
     named: dict[str, float] = {}
     plain: list[float] = []
@@ -56,28 +128,7 @@ def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
             named[key] = value
         else:
             plain.append(value)
-    if name in FIRST_OUTPUT and len(plain) == 2:
-        number = int(plain[0])
-        if not 0 <= number < OUTPUTS_OF_A_GROUP:
-            return
-        bit = 1 << FIRST_OUTPUT[name] + number
-        bits = robot.values[DIGITAL_OUTPUTS]
-        robot.values[DIGITAL_OUTPUTS] = bits | bit if plain[1] else bits & ~bit
-    elif name == "set_tcp" and len(vectors) == 6:
-        robot.set_tcp(vectors)
-    elif name == "set_payload" and plain:
-        robot.set_payload(plain[0], vectors or None)
-    elif name in ("movej", "movel") and len(vectors) == 6:
-        speed, acceleration = JOINT_DEFAULTS if name == "movej" else LINE_DEFAULTS
-        speed, acceleration = named.get("v", speed), named.get("a", acceleration)
-        is_pose = bool(vector and vector[1])
-        if name == "movel":
-            pose = vectors if is_pose else robot.tool_pose(vectors)
-            yield from movel(robot, pose, speed, acceleration)
-        elif not is_pose:
-            yield from movej(robot, vectors, speed, acceleration)
-    elif name in ("stopj", "stopl"):
-        yield from stopj(robot, plain[0] if plain else STOP_DEFAULT)
+    return _Arguments(numbers, bool(vector and vector[1]), plain, named)
 
 
 def _is_numeric(text: str) -> bool:

@@ -36,9 +36,10 @@ BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
 # The post also carries the clamp, across: the instrument points along the flange's x axis.
 CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
 BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
-# The flange down, drawn back from the patient, the frame where the master at home does not hide it.
+# The flange down, drawn back from the patient, where the master turns its frame, and in a place where the
+# master at home does not hide the assistant's frame.
 KR6_HOME_DEG = (-32.0, -120.0, 145.0, 0.0, 65.0, 0.0)
-UR_HOME_DEG = (33.0, -75.0, -105.0, -90.0, 90.0, 90.0)
+UR_HOME_DEG = (77.0, -39.0, -119.0, -112.0, 90.0, 134.0)
 HOMES_DEG = {ArmChoice.KR6: KR6_HOME_DEG, ArmChoice.UR5: UR_HOME_DEG, ArmChoice.UR5E: UR_HOME_DEG}
 CLAMP = "clamp of the assistant"  # noise key
 

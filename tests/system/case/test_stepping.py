@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import subprocess
 import tomllib
 from pathlib import Path
@@ -165,3 +166,22 @@ def test_a_script_stops_the_arm_during_a_step_and_decides_how_it_goes_on(
     rested = next(number for number, line in enumerate(lines) if line["entry"] == Entry.RESTED)
     assert any(line["entry"] == Entry.MOTION for line in lines[:rested])
     assert any(line["entry"] == Entry.MOTION for line in lines[rested:])
+
+
+@pytest.mark.slow
+def test_a_signal_at_the_prompt_after_the_last_step_ends_a_finished_case(
+    commands: Commands, tmp_path: Path
+) -> None:
+    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
+    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write("run confirmation:T1\nto confirmation:T1\n")
+    process.stdin.flush()
+    assert any(line.startswith("done confirmation:T1") for line in process.stdout)
+    process.send_signal(signal.SIGTERM)
+    said, errors = process.communicate(timeout=HANG_LIMIT_S)
+    assert process.returncode == 0, errors
+    assert "error of the needle tip against truth" in said
+    shown = in_this_process(ronna_procedure, "show", run_folder(tmp_path), "--json")
+    assert json.loads(shown.stdout)["ended"] == "done"

@@ -108,6 +108,23 @@ def test_every_endpoint_of_a_theatre_is_a_quoted_variable() -> None:
     assert variables_of({"endpoints": {"ur": {"rtde": "tcp://127.0.0.9:30004"}}}) == {"ARM": "127.0.0.9"}
 
 
+@pytest.mark.parametrize(
+    ("assistant", "named"),
+    [
+        ({"rtde": "tcp://127.0.0.9:30004"}, {"ASSISTANT_ARM": "127.0.0.9"}),
+        (
+            {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:3"},
+            {"ASSISTANT_STREAM": "udp://127.0.0.1:1", "ASSISTANT_CONTROLLER": "tcp://127.0.0.1:3"},
+        ),
+    ],
+)
+def test_the_assistant_of_a_theatre_has_variables_of_its_own(
+    assistant: dict[str, str], named: dict[str, str]
+) -> None:
+    ready = {"endpoints": {"ur": {"rtde": "tcp://127.0.0.8:30004"}, "assistant": assistant}}
+    assert variables_of(ready) == {"ARM": "127.0.0.8", **named}
+
+
 def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_apart(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -224,7 +224,7 @@ def test_no_other_computer_is_dialled(controller: Controller, host: str) -> None
 def request_script(controller: Controller, answer: str, *, hangs_up: bool) -> list[str]:
     """Play the program of the pendant and answer its request; returns the reports of failure."""
     failures: list[str] = []
-    controller.news.failure.append(failures.append)
+    controller.news.failure.append(lambda text, _line: failures.append(text))
     with socket.create_server(("127.0.0.1", 0)) as sender:
         sender.settimeout(LIMIT_S)
         assert not controller.start(requested_program("external_control.urp", *sender.getsockname()))
@@ -262,7 +262,7 @@ def test_without_a_script_the_program_of_the_pendant_fails(controller: Controlle
 @pytest.mark.parametrize("host", ["192.168.1.2", "127.0.0.1"])
 def test_a_program_of_the_pendant_that_reaches_no_client_fails(controller: Controller, host: str) -> None:
     failures: list[str] = []
-    controller.news.failure.append(failures.append)
+    controller.news.failure.append(lambda text, _line: failures.append(text))
     with socket.create_server(("127.0.0.1", 0)) as sender:
         port = sender.getsockname()[1]
     controller.start(requested_program("external_control.urp", host, port))

@@ -194,7 +194,7 @@ def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> No
 )
 def test_a_number_out_of_range_is_a_runtime_exception(target: Target, text: str) -> None:
     failures: list[str] = []
-    target.controller.news.failure.append(failures.append)
+    target.controller.news.failure.append(lambda text, _line: failures.append(text))
     assert target.feed(ScriptClient(target), text.encode())
     assert "cannot run" in failures[0]
 

@@ -148,7 +148,7 @@ def test_a_script_with_bad_settings_fails_at_once_with_a_runtime_exception(
     controller: Controller, change: tuple[str, str], why: str
 ) -> None:
     failures: list[str] = []
-    controller.news.failure.append(failures.append)
+    controller.news.failure.append(lambda text, _line: failures.append(text))
     Stream(controller, script().replace(*change)).wait(2)
     assert why in failures[0]
     assert controller.runtime_state is RuntimeState.STOPPED

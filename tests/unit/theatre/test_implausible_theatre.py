@@ -15,6 +15,7 @@ import tomli_w
 from ronna_hw.config import BadTheatreFile, parse_theatre, read_theatre_file
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
+from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, CalibrationError
 
 SIMULATED = {
@@ -46,8 +47,9 @@ def content() -> dict[str, Any]:
     return _content(REAL)
 
 
-def _content(endpoints: dict[str, Any]) -> dict[str, Any]:
+def _content(endpoints: dict[str, Any], *, dual: bool = False) -> dict[str, Any]:
     scene = load_scene("mini", seed=3, calibrated=True)
+    scene = add_assistant(scene) if dual else scene
     content = theatre_content(scene, endpoints, "host:", {}, 1.0)
     parse_theatre(content)
     return content
@@ -72,6 +74,25 @@ def test_an_error_in_micrometres_is_refused(content: dict[str, Any], key: str, e
     _change(content, key, lambda _: error_um)
     said = rf"{key}: expected less than [15] mm: give millimetres, not micrometres \(found {error_um:g}"
     with pytest.raises(BadTheatreFile, match=said):
+        parse_theatre(content)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "calibration.assistant_holder.flange_from_clamp.translation_mm",
+        "calibration.assistant_holder.flange_from_frame.translation_mm",
+        "calibration.assistant_holder.flange_from_ball_mm",
+        "calibration.assistant_arm.tool_tip_mm",
+        "calibration.tool_tip.flange_from_tool.translation_mm",
+    ],
+)
+def test_a_place_on_an_arm_in_metres_is_refused(key: str) -> None:
+    endpoints = {**REAL, "assistant": {role: one.replace(".2:", ".3:") for role, one in REAL["kuka"].items()}}
+    endpoints["assistant"]["rsi"] = "udp://192.168.10.20:59153"
+    content = _content(endpoints, dual=True)
+    _change(content, key, lambda place: [length / 1000.0 for length in place or (0.0, 0.0, 160.0)])
+    with pytest.raises(BadTheatreFile, match=rf"{key.rpartition('.')[2]}.*: give millimetres, not metres"):
         parse_theatre(content)
 
 

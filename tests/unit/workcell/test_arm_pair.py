@@ -13,6 +13,7 @@ from ideal_arm import Controller, IdealArm
 
 from procedures.workcell.arm_pair import ArmPair
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock, HostClock
@@ -96,6 +97,19 @@ def test_the_resting_arm_is_an_obstacle_of_the_other(
         pair.move(MASTER, JointMove(STRETCHED_RAD))
     assert master.controller.joints_rad == HOME_RAD
     assert pair.halted is None  # nothing was stopped
+
+
+def test_what_is_previewed_knows_the_other_arm_where_it_is_now(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    pair.surround(MASTER, Surroundings())
+    assert master.preview(JointMove(STRETCHED_RAD), start_rad=HOME_RAD).refused is None
+    assistant.controller.joints_rad = STRETCHED_RAD
+    pair.look_around(MASTER)
+    refused = master.preview(JointMove(STRETCHED_RAD), start_rad=HOME_RAD).refused
+    assert refused is not None
+    assert refused.first.endswith(" of the master")
+    assert refused.second.endswith(" of the assistant")
 
 
 def test_no_motion_begins_while_another_is_under_way(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,8 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Answer, Question, Topic
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import InstrumentInGuide
+from ronna_hw.arm.clearance.sweep import ClosestPair
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.vectors import JointVector
@@ -66,6 +68,26 @@ def test_nothing_moves_unless_the_first_motion_is_confirmed(cell: RecordingCell)
     supervised(cell, Topic.FIRST_MOTION)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+def test_nobody_is_asked_about_a_motion_that_is_not_clear(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervised(cell)
+    near = ClosestPair("hand of the master", "forearm of the assistant", 3.0, 0.5)
+    previews, around = cell.arm.preview, []
+    monkeypatch.setattr(
+        cell.arm,
+        "preview",
+        lambda motion, **start: replace(previews(motion, **start), refused=near if around else None),
+    )
+    monkeypatch.setattr(cell.workcell.supervised, "_look_around", lambda: around.append("the other arm"))
+    with pytest.raises(
+        NotClear, match="hand of the master would come too close to the forearm of the assist"
+    ):
+        cell.workcell.settle(turned(0.1), None)
+    assert topics(cell) == []
     assert cell.arm.motions == []
 
 

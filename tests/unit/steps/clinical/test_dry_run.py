@@ -12,6 +12,7 @@ from prepared_results import checked_paths, checked_plan, coarse, localized_fidu
 from procedures.engine.case import StepKey
 from procedures.planning.pose_name import HOME, PoseName
 from procedures.steps.clinical import tool_check
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import STEP
@@ -95,6 +96,21 @@ def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retr
     )
     assert there == ["move home to T1/target", "line onto T1/target"]
     assert back == ["back from T1/target", "move T1/target to home"]
+
+
+def test_of_the_bases_it_is_said_how_both_arms_move_and_why_no_path_is_known(
+    cell: ClinicalCell, paths: CheckedPaths
+) -> None:
+    engine = cell.begin(paths, *coarse(), STEP)
+    engine.run_to(engine.order.sequence[0])
+    why, *lines = describe_planned_motions(engine.case, StepKey(KnownBases.kind), cell.setting()) or ()
+    assert "past the other arm" in why
+    assert [line.partition(" to ")[0] for line in lines] == [
+        "move of the arm",
+        "move of the assistant",
+        "move of the assistant",
+        "move of both arms",
+    ]
 
 
 def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell, paths: CheckedPaths) -> None:
