@@ -30,8 +30,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
-from ronna_hw.devices.contact import Inserted, InsertsInstruments
-from ronna_hw.devices.contact import Insertion as ContactInsertion
+from ronna_hw.devices.contact import Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.lifecycle import RUNNING, require_person
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import StopKind
@@ -130,7 +129,7 @@ class ArmPair:
             self._at_rest_rad = {_other(role): self._surround_with_other(role)}
             return self._drive({role: motion.drive})[role]
 
-    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+    def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Have one arm insert an instrument while the other rests. Raises as `move`, and as that arm."""
         arm = self._arms[role]
         assert isinstance(arm, InsertsInstruments), "an arm that inserts"
@@ -334,7 +333,7 @@ class ReplayedPair(ArmPair):
         """Return the recorded end of the motion."""
         return motion.drive(self._arms[role])
 
-    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+    def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Return the recorded end of the insertion."""
         arm = self._arms[role]
         assert isinstance(arm, InsertsInstruments), "an arm that inserts"

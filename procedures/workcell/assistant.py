@@ -17,7 +17,7 @@ from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import (
     ArmLog,
-    Insertion,
+    InsertionAxis,
     MotionKind,
 )
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
@@ -31,8 +31,7 @@ from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, InsertsInstruments
-from ronna_hw.devices.contact import Insertion as ContactInsertion
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
@@ -153,7 +152,7 @@ class Assistant(SupervisedArm):
         flange = self.base.inverse() @ clamp @ self.flange_from_clamp.inverse()
         return self.flange_joints(flange, near, arriving)
 
-    def axis_in_base(self, axis: Insertion) -> Insertion:
+    def axis_in_base(self, axis: InsertionAxis) -> InsertionAxis:
         """Return an axis given in the robot frame in that of the assistant's base."""
         return replace(axis, held=self.base.inverse() @ axis.held)
 
@@ -214,7 +213,7 @@ class Assistant(SupervisedArm):
         return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
 
     def insert_motion(
-        self, axis: Insertion, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
+        self, axis: InsertionAxis, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
     ) -> PlannedMotion:
         """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
         slow, legs = INSERTION_SPEED_MM_S, []
@@ -225,7 +224,7 @@ class Assistant(SupervisedArm):
             ]
         return self._along(MotionKind.INSERT, axis, *legs, self._line(axis, axis.travel_mm, slow, near_rad))
 
-    def insert(self, axis: Insertion, guided: GuidedStretch | None = None) -> ArmReading:
+    def insert(self, axis: InsertionAxis, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight along the axis to the held pose of the clamp, faster where guided."""
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
@@ -261,12 +260,12 @@ class Assistant(SupervisedArm):
         beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(leg.target)
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 
-    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> ContactInsertion | None:
+    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Insertion | None:
         """Return a leg as an insertion that its force limit stops; None for others, or if none is sensed."""
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
-        return ContactInsertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
+        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
 
     @property
     def senses_force(self) -> bool:
@@ -275,7 +274,7 @@ class Assistant(SupervisedArm):
         return isinstance(arm, InsertsInstruments) and arm.senses_force
 
     def _line(
-        self, axis: Insertion, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
+        self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
     ) -> LineMove:
         """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
         clamp, flange_from_clamp = axis.pose_at(travel_mm), self.flange_from_clamp
@@ -284,7 +283,7 @@ class Assistant(SupervisedArm):
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
         return LineMove(commanded, flange_from_clamp, share)
 
-    def _along(self, what: MotionKind, axis: Insertion, *legs: LineMove) -> PlannedMotion:
+    def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start
         return PlannedMotion(what, "the instrument", _vector(end.translation_mm), legs, axis=axis)
 

@@ -1,4 +1,4 @@
-"""Insertion of the instrument by the assistant, through the guide that the master holds.
+"""InsertionAxis of the instrument by the assistant, through the guide that the master holds.
 
 The instrument is clamped at its depth stop. The assistant brings it over the guide, coaxial with the bore,
 and leads it straight and slowly until the stop rests on the guide; then its clamp slides. Nothing retreats
@@ -23,7 +23,7 @@ from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, Meeting, fi
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import Insertion
+from procedures.workcell import InsertionAxis
 from procedures.workcell.assistant import AT_GUIDE, BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
@@ -186,7 +186,7 @@ def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
 
 
 def _require_coaxial(
-    context: StepContext, assistant: Assistant, axis: Insertion, known: KnownBases
+    context: StepContext, assistant: Assistant, axis: InsertionAxis, known: KnownBases
 ) -> tuple[float, float]:
     """Return how far (mm, rad) the instrument is off the bore by the joints of both arms. Raises PRO-007."""
     meeting = Meeting.of(context, known)

@@ -27,7 +27,7 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import Insertion, MountedTool, Workcell
+from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.tools import Sides
 from ronna_hw.errors import LimitError
@@ -43,7 +43,7 @@ TURN_STEP_RAD = math.radians(15.0)
 class Approach(NamedTuple):
     """Axis in the robot frame, the joints at its start, and those on the way there from home, if any."""
 
-    axis: Insertion
+    axis: InsertionAxis
     start_rad: JointVector
     via_rad: tuple[JointVector, ...]
 
@@ -52,7 +52,7 @@ class _Candidate(NamedTuple):
     """An axis in the robot frame with its joints, and how well it suits: the smallest first."""
 
     rank: tuple[bool, bool, int, float]
-    axis: Insertion
+    axis: InsertionAxis
     start_rad: JointVector
     held_rad: JointVector
 
@@ -84,7 +84,7 @@ class Meeting(NamedTuple):
         by_record = assistant.base.inverse() @ assistant.clamp_pose(joints_rad, arrived)
         return assistant.base @ self.assistant.displace(by_record, joints_rad, arrived, (0.0, length_mm))
 
-    def command(self, assistant: Assistant, axis: Insertion, held_rad: JointVector) -> Insertion:
+    def command(self, assistant: Assistant, axis: InsertionAxis, held_rad: JointVector) -> InsertionAxis:
         """Return the axis along which the assistant, by its record, leads the instrument along `axis`."""
         ends_mm = (0.0, self.bore.length_mm)
         held = assistant.base.inverse() @ axis.held
@@ -137,7 +137,7 @@ def surround_at_guide(context: StepContext, near_rad: JointVector) -> None:
     workcell.surround_assistant(around, near_rad)
 
 
-def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[Insertion]:
+def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[InsertionAxis]:
     """List the axes of all turns about the bore."""
     guide, bore = meeting.guide(context.workcell), meeting.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
@@ -146,12 +146,12 @@ def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list
     for step in range(round(2.0 * math.pi / TURN_STEP_RAD)):
         turn = guide.rigid.rotation * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD])
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
-        axes.append(Insertion(context.trajectory, held, travel_mm))
+        axes.append(InsertionAxis(context.trajectory, held, travel_mm))
     return axes
 
 
 def _list_reached(
-    assistant: Assistant, axes: Sequence[Insertion], known: KnownBases, meeting: Meeting
+    assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases, meeting: Meeting
 ) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 

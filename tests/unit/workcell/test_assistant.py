@@ -15,7 +15,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
-from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
+from procedures.workcell.arm_history import ArmHistory, ArmLog, InsertionAxis, arm_history
 from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
@@ -63,7 +63,7 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
     )
     assistant.place_base(Transform.of(Frame.ROBOT, Frame.ROBOT))
     held = assistant.clamp_pose(assistant.joints_rad())
-    axis = Insertion("T1", held, TRAVEL_MM)
+    axis = InsertionAxis("T1", held, TRAVEL_MM)
     log.note(
         Entry.PLACED,
         joints_rad=list(assistant.joints_rad()),

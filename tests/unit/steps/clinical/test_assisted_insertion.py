@@ -1,4 +1,4 @@
-"""Insertion by the assistant: what it relies on."""
+"""InsertionAxis by the assistant: what it relies on."""
 
 from __future__ import annotations
 
