@@ -43,7 +43,7 @@ Stop = Mapping[str, JournalValue]  # setting of a depth stop
 
 
 class JournalledAxis(Values):
-    """InsertionAxis as recorded in the journal."""
+    """Insertion axis as recorded in the journal."""
 
     held: FramedPose
     travel_mm: float

@@ -1,4 +1,4 @@
-"""InsertionAxis of the instrument by the assistant, through the guide that the master holds.
+"""Insertion of the instrument by the assistant, through the guide that the master holds.
 
 The instrument is clamped at its depth stop. The assistant brings it over the guide, coaxial with the bore,
 and leads it straight and slowly until the stop rests on the guide; then its clamp slides. Nothing retreats

@@ -1,4 +1,4 @@
-"""InsertionAxis by the assistant: what it relies on."""
+"""Insertion by the assistant: what it relies on."""
 
 from __future__ import annotations
 
