@@ -19,6 +19,7 @@ from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_to_base import KnownBases
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, Meeting, find_axis, surround_at_guide
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import room_watch
@@ -220,12 +221,14 @@ def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) ->
         return False
     moved_mm = math.dist(frame.translation_mm, known.assistant_seen_mm)
     if moved_mm > STOOD_MM:
-        raise PlatformMoved(
+        moved = PlatformMoved(
             f"before the insertion at {context.trajectory}: the assistant's cart has moved since its base "
             "was measured",
             limit=f"{STOOD_MM:g} mm",
             got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
         )
+        context.void(GlobalLocalization, moved)  # else a repeated step would end here again
+        raise moved
     return True
 
 
@@ -269,12 +272,16 @@ def _require_seen_coaxial(
     held_mm = by_joints.translation - by_master.translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
     turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())
-    _require_within(
-        (apart_mm, turned_rad),
-        (SEEN_APART_MM, SEEN_APART_RAD),
-        f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
-        "Look for a cart that has moved or a frame that is loose; then localize again.",
-    )
+    try:
+        _require_within(
+            (apart_mm, turned_rad),
+            (SEEN_APART_MM, SEEN_APART_RAD),
+            f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
+            "Look for a cart that has moved or a frame that is loose; then localize again.",
+        )
+    except GateFailed as elsewhere:
+        context.void(GlobalLocalization, elsewhere)
+        raise
     context.find(
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
         f"and {math.degrees(turned_rad):.2f} deg"

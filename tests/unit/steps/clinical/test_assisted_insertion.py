@@ -13,6 +13,7 @@ from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
 from procedures.steps.clinical import assisted_insertion
 from procedures.steps.clinical.assisted_insertion import _has_stood, _require_bases, _require_seen_coaxial
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from ronna_hw.frames import Frame, Transform
 
 BASES = object()
@@ -56,7 +57,9 @@ def the_tracker_sees(monkeypatch: pytest.MonkeyPatch, place_mm: tuple[float, flo
 
 @pytest.mark.hazard(61)
 def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    context, known = cast("StepContext", SimpleNamespace(trajectory="T1")), cast("Any", SimpleNamespace())
+    void: list[Any] = []
+    fields = {"trajectory": "T1", "void": lambda model, _reason: void.append(model)}
+    context, known = cast("StepContext", SimpleNamespace(**fields)), cast("Any", SimpleNamespace())
     known.assistant_seen_mm = SEEN_MM
     the_tracker_sees(monkeypatch, (100.2, 200.0, -1500.2))
     assert _has_stood(context, an_assistant(), known)
@@ -64,6 +67,7 @@ def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: p
     the_tracker_sees(monkeypatch, (100.0, 200.9, -1500.0))
     with pytest.raises(PlatformMoved, match="CAL-023"):
         _has_stood(context, an_assistant(), known)
+    assert void == [GlobalLocalization]
     the_tracker_sees(monkeypatch, None)
     assert not _has_stood(context, an_assistant(), known)
 
@@ -79,3 +83,45 @@ def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pyte
         _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=False)
     _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=True)
     assert "where it stood" in found[0]
+
+
+@pytest.mark.hazard(61)
+def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_localized_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A repeated step would only end in the same place."""
+
+    def posed(pose: Transform) -> Any:
+        return SimpleNamespace(transform=pose)
+
+    on_flange = posed(Transform.of(Frame.FLANGE, Frame.MARKER))
+    robot_from_tracker = posed(Transform.of(Frame.ROBOT, Frame.TRACKER))
+    known = SimpleNamespace(
+        flange_from_frame=on_flange,
+        flange_from_master_frame=on_flange,
+        robot_from_tracker=robot_from_tracker,
+    )
+    arm = {
+        "joints_rad": lambda: (0.0,) * 6,
+        "flange_pose": lambda _joints: Transform.of(Frame.ROBOT, Frame.FLANGE),
+    }
+    records = SimpleNamespace(tracker_frame=SimpleNamespace(tool="robot_frame"))
+    void: list[Any] = []
+    fields = {
+        "trajectory": "T1",
+        "workcell": SimpleNamespace(calibrations=records, **arm),
+        "void": lambda model, _reason: void.append(model),
+    }
+    holder = SimpleNamespace(frame="assistant_frame")
+    assistant = SimpleNamespace(base=Transform.of(Frame.ROBOT, Frame.ROBOT), holder=holder, **arm)
+    places = ((0.0, 0.0, 0.0), (0.0, 1.1, 0.0))
+    seen = [Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place) for place in places]
+    monkeypatch.setattr(assisted_insertion, "_see_frames", lambda _context, *_names: seen)
+    with pytest.raises(GateFailed, match="elsewhere than its joints have it"):
+        _require_seen_coaxial(
+            cast("StepContext", SimpleNamespace(**fields)),
+            cast("Any", assistant),
+            cast("Any", known),
+            stood=True,
+        )
+    assert void == [GlobalLocalization]
