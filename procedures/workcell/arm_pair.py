@@ -248,8 +248,9 @@ class ArmPair:
                     role, error = next(iter(errors.items()))
                     self.stop(f"the {role} failed: {summary_of(error)}", role)
                 self._clock.sleep(WATCH_S)
-        except BaseException:
-            self.stop("the program was interrupted")
+        except BaseException as ended:  # an operator's interruption is no fault, and casts no doubt
+            kind = StopKind.HOLD if isinstance(ended, KeyboardInterrupt) else StopKind.PROTECTIVE
+            self.stop("the program was interrupted", kind=kind)
             raise
         finally:
             for thread in threads:

@@ -198,6 +198,20 @@ def test_an_arm_whose_state_is_old_stops_both(
     assert master.state is Lifecycle.FAULT
 
 
+@pytest.mark.hazard(58)
+def test_an_interruption_by_the_operator_holds_both_arms_without_a_fault(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def watch() -> None:
+        if pair_is_moving(master):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(pair, "watch", watch)
+    with pytest.raises(KeyboardInterrupt):
+        pair.move(MASTER, turned(master, 10.0))
+    assert {master.state, assistant.state} == {Lifecycle.HOLD}
+
+
 class LeapingClock(HostClock):
     """A clock that can be ahead of the host's."""
 
