@@ -3,16 +3,14 @@
 The tracker sees the frames of both arms, brought to the same region one after the other. Each arm's own
 solution of A X = Z B is the tracker in its base, and both together are the bases; the tracker's smooth error
 in that region shifts both alike. Then the master's stereo head looks at a ball that the assistant holds, in
-many postures of both. Least squares yield the bases, the ball on its flange, and the tool centre of the
-head, which is known to its stated error.
-
-The bases are those that explain the postures of the region best. Both arms must have been calibrated: what
-their errors vary from posture to posture is scatter here.
+many postures of both. Least squares yield the bases, the ball on its flange, and the errors that both arms
+keep, each known to the size that its record states. Bases and errors belong together: they predict how far
+two tools are apart in other postures of the region. Both arms must have been calibrated.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
+from procedures.calibration.arm_errors import FoundArm, StatedArm
 from procedures.calibration.base_validity import cross_matrix
 from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit
 from procedures.calibration.hand_eye import PosePairs, apply_change, solve
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 LEAST_FRAME_LOOKS = 8  # 20 leave the bases no better: the tracker is a smooth 0.25 mm off in the region
 LEAST_BALL_LOOKS = 12
 ROUNDS = 8  # of fit, scatter and outliers: they converge within five
-LEAST_SCATTER_MM = 0.005  # no pair of arms is better
-LARGEST_SCATTER_MM = 0.3  # per axis: two calibrated arms show 0.08, uncalibrated ones 0.5
+LEAST_SCATTER_MM = 0.02  # no pair of arms comes back better
+LARGEST_SCATTER_MM = 0.3  # per axis: two calibrated arms show 0.03, uncalibrated ones 0.5
 OUTLIER_CHI2 = float(chdtri(3, 0.001))
 MOST_OUTLIERS = 0.1
 LARGEST_ERROR_MM = 0.1  # standard, of where both tools meet
@@ -40,8 +40,7 @@ LARGEST_ERROR_RAD = float(np.radians(0.1))  # standard, of the bases: beyond, th
 # The smooth error of the tracker is not equal over the region: share of its stated 0.25 mm that remains.
 REGION_BIAS_MM = 0.08
 AGREE_CHI2 = float(chdtri(3, 0.001))
-BASES, BALL, HEAD = slice(0, 6), slice(6, 9), slice(9, 12)
-UNKNOWNS = 12
+BASES, BALL = slice(0, 6), slice(6, 9)  # of the unknowns; errors of master and assistant follow
 
 
 @dataclass(frozen=True)
@@ -109,12 +108,15 @@ class BallLooks:
     """Ball of the assistant, seen by the master's stereo head in m pairs of postures.
 
     Poses (m, 4, 4) by the models of both arms: ROBOT <- TOOL of the head, and base of the assistant <- its
-    flange. `ball_mm` (m, 3) is the ball in the tool frame of the head.
+    flange. `ball_mm` (m, 3) is the ball in the tool frame of the head; joints (m, axes), each having arrived
+    from `ONE_SIDE`.
     """
 
     robot_from_head: Array
     ball_mm: Array
     base_from_flange: Array
+    master_rad: Array
+    assistant_rad: Array
 
     @property
     def count(self) -> int:
@@ -126,22 +128,24 @@ class BallLooks:
         """Middle of the places where the ball was seen, (3,) in the robot frame."""
         return np.asarray(_apply(self.robot_from_head, self.ball_mm).mean(axis=0))
 
+    def select(self, chosen: object) -> BallLooks:
+        """Return some of the looks."""
+        return BallLooks(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
 
 @dataclass(frozen=True)
 class BallFit:
-    """Bases refined by the ball, and how well all looks agree.
+    """Bases refined by the ball, with the errors of both arms, and how well all looks agree.
 
-    `error_mm` is the 3-D standard error with which the head meets the ball, averaged over postures like those
-    of the looks; once, the arms' own errors come on top (`meeting_mm`). Bases, ball and tool centre belong
-    together: an error of one that the others make up for does not count. `head_shift_mm` (3,) is where the
-    head's tool centre really is, along the axes of its tool frame; `misses_mm` (m, 3) are in the robot frame;
-    `used` (m,) marks the inliers.
+    `error_mm` is the 3-D standard error with which the head is predicted to meet the ball, averaged over
+    postures like those of the looks, each predicted by the others; once, the scatter comes on top
+    (`meeting_mm`). `misses_mm` (m, 3) are in the robot frame; `used` (m,) marks the inliers.
     """
 
     bases: BaseToBase
+    master: FoundArm
+    assistant: FoundArm
     flange_from_ball_mm: Array
-    ball_error_mm: float
-    head_shift_mm: Array
     scatter_mm: float
     misses_mm: Array
     used: NDArray[np.bool_]
@@ -160,12 +164,16 @@ def meeting_error_mm(error_mm: float, scatter_mm: float) -> float:
 
 
 def refine_bases(
-    coarse: BaseToBase, looks: BallLooks, ball_on_flange_mm: ArrayLike, head_error_mm: float
+    coarse: BaseToBase,
+    looks: BallLooks,
+    ball_on_flange_mm: ArrayLike,
+    ball_error_mm: float,
+    master: StatedArm,
+    assistant: StatedArm,
 ) -> BallFit:
     """Refine the bases by the looks at the ball. Raises CAL-002 to CAL-004, CAL-022.
 
-    `ball_on_flange_mm` (3,) is where the ball is on its drawing, from which the fit begins; `head_error_mm`,
-    per axis, the standard error of the head's tool centre on the flange of the master.
+    `ball_on_flange_mm` (3,) is where the ball is by its record, with `ball_error_mm` per axis.
     """
     require_count(looks.count, LEAST_BALL_LOOKS, "too few looks at the ball of the assistant")
     require_spread(
@@ -173,37 +181,44 @@ def refine_bases(
         "the assistant turns the ball about nearly parallel axes, or hardly at all",
         "Have the assistant turn the ball about axes in all directions, by at least 20 degrees.",
     )
-    bases, ball, head = coarse.robot_from_base, np.asarray(ball_on_flange_mm, dtype=float), np.zeros(3)
-    used = np.ones(looks.count, dtype=bool)
-    scatter_mm = 1.0
+    bases, recorded_mm = coarse.robot_from_base, np.asarray(ball_on_flange_mm, dtype=float)
+    seen_mm = _apply(looks.robot_from_head, looks.ball_mm)
+    by_master = master.displacements(looks.master_rad, seen_mm, ONE_SIDE)
+    held_mm = _apply(looks.base_from_flange, np.tile(recorded_mm, (looks.count, 1)))
+    by_assistant = assistant.displacements(looks.assistant_rad, held_mm, ONE_SIDE)
+    of_master = slice(BALL.stop, BALL.stop + by_master.shape[2])
+    of_assistant = slice(of_master.stop, of_master.stop + by_assistant.shape[2])
+    found = np.zeros(of_assistant.stop)  # ball beside its record, and errors; the bases are changed as poses
+    prior = np.ones_like(found)
+    prior[BASES], prior[BALL] = 0.0, ball_error_mm**-2
+    used, scatter_mm = np.ones(looks.count, dtype=bool), LARGEST_SCATTER_MM
     for _ in range(ROUNDS):
-        slopes = _ball_slopes(looks, bases, ball)
-        misses = _ball_misses(looks, bases, ball, head)
-        rows, wanted = slopes[used].reshape(-1, UNKNOWNS) / scatter_mm, misses[used].ravel() / scatter_mm
-        normal = rows.T @ rows
-        normal[HEAD, HEAD] += np.eye(3) / head_error_mm**2
-        right = -rows.T @ wanted
-        right[HEAD] -= head / head_error_mm**2
-        covariance = np.linalg.inv(normal)
-        change = covariance @ right
-        bases, ball, head = apply_change(bases, change[BASES]), ball + change[BALL], head + change[HEAD]
-        misses = _ball_misses(looks, bases, ball, head)
-        freedom = 3 * int(used.sum()) - (UNKNOWNS - 3)  # the tool centre has its own record
+        slopes = np.concatenate(
+            [_ball_slopes(looks, bases, recorded_mm + found[BALL]), by_master, -bases[:3, :3] @ by_assistant],
+            axis=2,
+        )
+        misses = _ball_misses(looks, bases, recorded_mm) + slopes[:, :, BALL.start :] @ found[BALL.start :]
+        rows = slopes[used].reshape(-1, len(found)) / scatter_mm
+        information = rows.T @ rows
+        covariance = np.linalg.inv(information + np.diag(prior))
+        change = covariance @ (-rows.T @ (misses[used].ravel() / scatter_mm) - prior * found)
+        bases, found = apply_change(bases, change[BASES]), found + change
+        found[BASES] = 0.0
+        misses = misses + slopes @ change
+        weighed_mm, freedom = scatter_mm, 3 * int(used.sum()) - float(np.vdot(information, covariance))
         scatter_mm = max(float(np.sqrt(np.sum(misses[used] ** 2) / freedom)), LEAST_SCATTER_MM)
         used = np.sum(misses**2, axis=1) < OUTLIER_CHI2 * scatter_mm**2
     _require_fit(scatter_mm, used)
-    slopes = slopes[used]
-    meet_mm2 = np.einsum("mai,ij,maj->m", slopes, covariance, slopes)
     fit = BallFit(
         bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=np.float64)),
-        flange_from_ball_mm=ball,
-        ball_error_mm=float(np.sqrt(np.trace(covariance[BALL, BALL]))),
-        head_shift_mm=head,
+        master=FoundArm(master, tuple(found[of_master].tolist())),
+        assistant=FoundArm(assistant, tuple(found[of_assistant].tolist())),
+        flange_from_ball_mm=recorded_mm + found[BALL],
         scatter_mm=scatter_mm,
         misses_mm=misses,
         used=used,
         region_mm=looks.region_mm,
-        error_mm=float(np.sqrt(meet_mm2.mean())),
+        error_mm=_predicted_error_mm(slopes[used], covariance, weighed_mm),
     )
     turned_rad = float(np.sqrt(np.trace(covariance[:3, :3])))
     if fit.error_mm > LARGEST_ERROR_MM or turned_rad > LARGEST_ERROR_RAD:
@@ -215,19 +230,25 @@ def refine_bases(
             f"{format_against_limit(turned_deg, largest_deg, 2)} deg",
             action="Have the assistant hold the ball in more postures, farther apart.",
         )
-    require_agreement(coarse, fit, head_error_mm)
+    require_agreement(coarse, fit)
     return fit
 
 
-def require_agreement(coarse: BaseToBase, fit: BallFit, head_error_mm: float) -> None:
-    """Raise CAL-022 if the tracker and the ball disagree about the bases by more than both allow.
+def _predicted_error_mm(slopes: Array, covariance: Array, scatter_mm: float) -> float:
+    """Return the 3-D standard error of each look as predicted by the others, averaged.
 
-    The tracker's share includes the head's tool centre: its frame is on the same mount.
+    Without a look, the covariance of its misses, H by all in units of the scatter, grows to H / (1 - H).
     """
+    by_all = np.einsum("mai,ij,mbj->mab", slopes, covariance, slopes) / scatter_mm**2
+    by_others = by_all @ np.linalg.inv(np.eye(3) - by_all)
+    return scatter_mm * float(np.sqrt(np.einsum("maa->m", by_others).mean()))
+
+
+def require_agreement(coarse: BaseToBase, fit: BallFit) -> None:
+    """Raise CAL-022 if the tracker and the ball disagree about the bases by more than both allow."""
     there_mm = RigidTransform.from_matrix(fit.bases.robot_from_base).inv().apply(fit.region_mm)
     apart = _apply(coarse.robot_from_base, there_mm) - fit.region_mm
     covariance = coarse.covariance_at(fit.region_mm) + fit.bases.covariance_at(fit.region_mm)
-    covariance += np.eye(3) * head_error_mm**2
     squared = float(apart @ np.linalg.solve(covariance, apart))
     if squared > AGREE_CHI2:
         limit_mm = float(np.linalg.norm(apart)) * float(np.sqrt(AGREE_CHI2 / squared))
@@ -249,21 +270,20 @@ def _require_fit(scatter_mm: float, used: NDArray[np.bool_]) -> None:
     require_consistent(used, MOST_OUTLIERS, "looks at the ball")
 
 
-def _ball_misses(looks: BallLooks, bases: Array, ball: Array, head: Array) -> Array:
+def _ball_misses(looks: BallLooks, bases: Array, ball: Array) -> Array:
     """Return the ball by the master minus the ball by the assistant, (m, 3) mm in the robot frame."""
-    seen = _apply(looks.robot_from_head, looks.ball_mm + head)
-    return seen - _apply(bases, _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1))))
+    held = _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1)))
+    return np.asarray(_apply(looks.robot_from_head, looks.ball_mm) - _apply(bases, held))
 
 
 def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
-    """Return the derivative (m, 3, 12) of the misses with respect to bases, ball and tool centre."""
+    """Return the derivative (m, 3, 9) of the misses with respect to bases and ball."""
     held = _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1)))
     turn = bases[:3, :3]
-    slopes = np.zeros((looks.count, 3, UNKNOWNS))
+    slopes = np.zeros((looks.count, 3, BALL.stop))
     slopes[:, :, 0:3] = turn @ np.array([cross_matrix(one) for one in held])
     slopes[:, :, 3:6] = -np.eye(3)
     slopes[:, :, BALL] = -turn @ looks.base_from_flange[:, :3, :3]
-    slopes[:, :, HEAD] = looks.robot_from_head[:, :3, :3]
     return slopes
 
 

@@ -12,7 +12,7 @@ from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -191,7 +191,14 @@ class DeviceFaults:
         The journal has this before the fault can end, so that no restart loses it.
         """
         for role, fault in self.now.items():
-            self._doubt_after(role, f"{fault} (theatre time {self._clock.now_s():.0f} s)")
+            since = f" (theatre time {self._clock.now_s():.0f} s)"
+            self._doubt_after(role, f"{fault}{self._why_stopped(role)}{since}")
+
+    def _why_stopped(self, role: str) -> str:
+        """Say what an arm was stopped for by the other one, or return ''."""
+        halt = self._workcell.halt
+        stopped_by_other = {ARM: ASSISTANT, ASSISTANT: MASTER}.get(role)
+        return f", since {halt.reason}" if halt is not None and halt.arm == stopped_by_other else ""
 
     def _doubt_after(self, role: str, fault: str) -> None:
         order = self._course.order

@@ -14,7 +14,7 @@ from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE, removal_words
-from procedures.engine.run_folder import parse_record, step_key
+from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
@@ -33,7 +33,6 @@ from procedures.runs.way_out import (
 )
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -147,8 +146,6 @@ def _restore_arm(
         assistant.restore_home(set_up.assistant_home_rad)
         if (base := assistant.history.base) is not None:  # also if void by now: from there the way out begins
             workcell.place_assistant(base)
-        if (known := _last_bases(engine)) is not None:
-            assistant.shift_tool(known.flange_from_ball_mm)  # else the retreat would begin sideways
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -198,12 +195,6 @@ def _compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Com
     was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
     if was_home and assistant.place.is_out:
         comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
-
-
-def _last_bases(engine: Engine) -> KnownBases | None:
-    """Return the bases as last measured, also if void by now."""
-    made = [record for record in engine.case.records if record.kind == KnownBases.kind]
-    return parse_record(made[-1], KnownBases) if made else None
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:

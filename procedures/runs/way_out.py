@@ -29,7 +29,7 @@ from procedures.steps.clinical.surroundings import (
     surround_guide,
     surround_stereo_head,
 )
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import stands_at
 from procedures.workcell.ball_watcher import build_ball_surroundings, build_free_surroundings, build_stand
 from procedures.workcell.errors import TipOffAxis
@@ -99,7 +99,7 @@ def has_head_moved(engine: Engine) -> bool:
     ) is not None and not guide_registration.is_valid
 
 
-def find_guide_axis(engine: Engine) -> tuple[Insertion, float] | None:
+def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:
     """Return the insertion whose axis the guide is on and its travel in mm, or None."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:

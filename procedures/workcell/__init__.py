@@ -1,7 +1,7 @@
 """The workcell: the only interface through which procedures take looks and move an arm."""
 
-from procedures.workcell.arm_history import Insertion
+from procedures.workcell.arm_history import InsertionAxis
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 
-__all__ = ["Insertion", "MountedTool", "Workcell"]
+__all__ = ["InsertionAxis", "MountedTool", "Workcell"]

@@ -43,7 +43,7 @@ Stop = Mapping[str, JournalValue]  # setting of a depth stop
 
 
 class JournalledAxis(Values):
-    """Insertion as recorded in the journal."""
+    """Insertion axis as recorded in the journal."""
 
     held: FramedPose
     travel_mm: float
@@ -51,7 +51,7 @@ class JournalledAxis(Values):
 
 
 @dataclass(frozen=True)
-class Insertion:
+class InsertionAxis:
     """Axis along which a guide may move near the head.
 
     `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin. `travel_mm` is its distance
@@ -70,7 +70,7 @@ class Insertion:
         return axis.model_dump(mode="json")
 
     @classmethod
-    def from_plain(cls, trajectory: str, axis: object) -> Insertion:
+    def from_plain(cls, trajectory: str, axis: object) -> InsertionAxis:
         """Read an insertion back from the journal. Raises ValueError if it is malformed."""
         read = JournalledAxis.model_validate(axis)
         return cls(trajectory, read.held.transform, read.travel_mm, read.arriving)
@@ -137,7 +137,7 @@ class ArmPlace:
     """
 
     place_kind: PlaceKind = PlaceKind.UNKNOWN
-    axis: Insertion | None = None
+    axis: InsertionAxis | None = None
     withdrawn_from: str | None = None  # the trajectory that the guide left last, if it is on none
     instrument_may_be_inside: str | None = None
     assumed: bool = False
@@ -269,7 +269,7 @@ class ArmHistory:
         )
         if what != MotionKind.INSERT:
             return begun
-        axis = Insertion.from_plain(str(line["trajectory"]), line["axis"])
+        axis = InsertionAxis.from_plain(str(line["trajectory"]), line["axis"])
         return replace(
             begun, place=replace(begun.place, axis=axis, withdrawn_from=None), instrument_out=False
         )
@@ -293,7 +293,7 @@ class ArmHistory:
     def _with_look(self, line: Line) -> ArmHistory:
         """Apply a comparison of the measured joints with home, which overrides earlier motions."""
         if (axis := line.get("axis")) is not None:
-            found = Insertion.from_plain(str(line["trajectory"]), axis)
+            found = InsertionAxis.from_plain(str(line["trajectory"]), axis)
             place = replace(
                 self.place,
                 axis=found,

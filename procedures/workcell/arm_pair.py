@@ -30,8 +30,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
-from ronna_hw.devices.contact import Inserted, InsertsInstruments
-from ronna_hw.devices.contact import Insertion as ContactInsertion
+from ronna_hw.devices.contact import Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.lifecycle import RUNNING, require_person
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import StopKind
@@ -130,7 +129,7 @@ class ArmPair:
             self._at_rest_rad = {_other(role): self._surround_with_other(role)}
             return self._drive({role: motion.drive})[role]
 
-    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+    def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Have one arm insert an instrument while the other rests. Raises as `move`, and as that arm."""
         arm = self._arms[role]
         assert isinstance(arm, InsertsInstruments), "an arm that inserts"
@@ -279,12 +278,13 @@ class ArmPair:
 
     def _joints(self, role: str) -> JointVector:
         """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
+        now_s = self._clock.now_s()  # first: a thread that the host suspends in between finds no arm silent
         reading = self._arms[role].observe().reading
-        if reading is None or reading.validity is not Validity.OK:
+        if reading is None or reading.validity not in (Validity.OK, Validity.STALE):
             raise OtherArmUnknown(f"the state of the {role} is not known")
-        age_s = self._clock.now_s() - reading.stamp.theatre_time_s
+        age_s = now_s - reading.stamp.theatre_time_s
         oldest_s = OLDEST_S if self._clock.paced else OLDEST_IN_LOCK_STEP_S
-        if age_s > oldest_s:
+        if age_s > oldest_s or reading.validity is Validity.STALE:
             raise OtherArmUnknown(
                 f"the last state of the {role} is old",
                 limit=f"{1000 * oldest_s:.0f} ms",
@@ -333,7 +333,7 @@ class ReplayedPair(ArmPair):
         """Return the recorded end of the motion."""
         return motion.drive(self._arms[role])
 
-    def insert(self, role: str, insertion: ContactInsertion) -> Inserted:
+    def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Return the recorded end of the insertion."""
         arm = self._arms[role]
         assert isinstance(arm, InsertsInstruments), "an arm that inserts"

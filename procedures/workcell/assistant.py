@@ -6,6 +6,7 @@ moves only with the master, see `ArmPair`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import (
     ArmLog,
-    Insertion,
+    InsertionAxis,
     MotionKind,
 )
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
@@ -26,11 +27,11 @@ from procedures.workcell.tools import CarriedTool, Sides
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import ASSISTANT, Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, InsertsInstruments
-from ronna_hw.devices.contact import Insertion as ContactInsertion
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
@@ -41,6 +42,7 @@ POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodi
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
+OFF_SKIN_SPEED_MM_S = 40.0  # of a withdrawal, the tip off the skin: in the bore and above, nothing holds it
 # Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
 BORE_SPEED_MM_S = 15.0
@@ -53,15 +55,11 @@ class GuidedStretch(NamedTuple):
     end_mm: float
 
 
-def holder_bodies(holder: HolderCalibration, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Part, ...]:
-    """Return the bodies of an empty holder, flange frame, its clamp shifted as the ball was found."""
-    middle = _vector(_clamp_of(holder, shift_mm).translation_mm)
+def holder_bodies(holder: HolderCalibration) -> tuple[Part, ...]:
+    """Return the bodies of an empty holder, flange frame."""
+    middle = holder.flange_from_clamp.translation_mm
     post = Capsule((0.0, 0.0, 0.0), holder.flange_from_ball_mm, POST_MM)
     return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
-
-
-def _clamp_of(holder: HolderCalibration, shift_mm: Vector3) -> Transform:
-    return holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL).displace(shift_mm)
 
 
 class Assistant(SupervisedArm):
@@ -93,7 +91,6 @@ class Assistant(SupervisedArm):
         )
         self.holder: HolderCalibration = holder
         self._instrument_inside = instrument_inside
-        self.shift_mm: Vector3 = (0.0, 0.0, 0.0)  # of clamp and ball on the flange, as found with the bases
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
         self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
 
@@ -138,8 +135,13 @@ class Assistant(SupervisedArm):
 
     @property
     def flange_from_clamp(self) -> Transform:
-        """Pose FLANGE <- clamp by the record, shifted as the ball was found beside its own."""
-        return _clamp_of(self.holder, self.shift_mm)
+        """Pose FLANGE <- clamp by the record."""
+        return self.holder.flange_from_clamp.transform(Frame.FLANGE, Frame.TOOL)
+
+    @property
+    def ball_error_mm(self) -> float:
+        """Standard error of the ball beside the clamp, per axis: both have that of the record."""
+        return math.sqrt(2.0) * PER_AXIS * self.holder.stated_error_mm
 
     def clamp_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the clamp in the robot frame."""
@@ -150,7 +152,7 @@ class Assistant(SupervisedArm):
         flange = self.base.inverse() @ clamp @ self.flange_from_clamp.inverse()
         return self.flange_joints(flange, near, arriving)
 
-    def axis_in_base(self, axis: Insertion) -> Insertion:
+    def axis_in_base(self, axis: InsertionAxis) -> InsertionAxis:
         """Return an axis given in the robot frame in that of the assistant's base."""
         return replace(axis, held=self.base.inverse() @ axis.held)
 
@@ -177,11 +179,6 @@ class Assistant(SupervisedArm):
         gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
         return not (gaps_mm < surroundings.margin_mm).any()
 
-    def shift_tool(self, flange_from_ball_mm: Sequence[float]) -> None:
-        """Shift clamp and ball on the flange by what the ball was found beside its record."""
-        found = zip(flange_from_ball_mm, self.holder.flange_from_ball_mm, strict=True)
-        self.shift_mm = _vector([seen - drawn for seen, drawn in found])
-
     def hold_instrument(self, tip_mm: float) -> None:
         """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
         self._tip_mm = tip_mm
@@ -189,7 +186,7 @@ class Assistant(SupervisedArm):
     @property
     def tool(self) -> tuple[Part, ...]:
         """Bodies of the holder, and of the instrument while one is held, flange frame."""
-        bodies = holder_bodies(self.holder, self.shift_mm)
+        bodies = holder_bodies(self.holder)
         if not self._tip_mm:
             return bodies
         clamp = self.flange_from_clamp
@@ -216,7 +213,7 @@ class Assistant(SupervisedArm):
         return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
 
     def insert_motion(
-        self, axis: Insertion, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
+        self, axis: InsertionAxis, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
     ) -> PlannedMotion:
         """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
         slow, legs = INSERTION_SPEED_MM_S, []
@@ -227,7 +224,7 @@ class Assistant(SupervisedArm):
             ]
         return self._along(MotionKind.INSERT, axis, *legs, self._line(axis, axis.travel_mm, slow, near_rad))
 
-    def insert(self, axis: Insertion, guided: GuidedStretch | None = None) -> ArmReading:
+    def insert(self, axis: InsertionAxis, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight along the axis to the held pose of the clamp, faster where guided."""
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
@@ -237,7 +234,7 @@ class Assistant(SupervisedArm):
         if axis is None:
             raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
         legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
-        last_mm_s = BORE_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
+        last_mm_s = OFF_SKIN_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
 
     def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
@@ -263,12 +260,12 @@ class Assistant(SupervisedArm):
         beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(leg.target)
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 
-    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> ContactInsertion | None:
+    def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Insertion | None:
         """Return a leg as an insertion that its force limit stops; None for others, or if none is sensed."""
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
-        return ContactInsertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
+        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
 
     @property
     def senses_force(self) -> bool:
@@ -277,7 +274,7 @@ class Assistant(SupervisedArm):
         return isinstance(arm, InsertsInstruments) and arm.senses_force
 
     def _line(
-        self, axis: Insertion, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
+        self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
     ) -> LineMove:
         """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
         clamp, flange_from_clamp = axis.pose_at(travel_mm), self.flange_from_clamp
@@ -286,7 +283,7 @@ class Assistant(SupervisedArm):
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
         return LineMove(commanded, flange_from_clamp, share)
 
-    def _along(self, what: MotionKind, axis: Insertion, *legs: LineMove) -> PlannedMotion:
+    def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start
         return PlannedMotion(what, "the instrument", _vector(end.translation_mm), legs, axis=axis)
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
-from procedures.workcell.arm_history import Insertion, MotionKind
+from procedures.workcell.arm_history import InsertionAxis, MotionKind
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.path_preview import PathPreview
@@ -36,7 +36,7 @@ class PlannedMotion:
     legs: tuple[Motion, ...]
     replacement: tuple[PlannedMotion, ...] = ()
     detour: str = "via home"  # what `replacement` is
-    axis: Insertion | None = None  # along which it leads
+    axis: InsertionAxis | None = None  # along which it leads
 
     @property
     def trajectory(self) -> str | None:

@@ -22,10 +22,10 @@ from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
     ArmLog,
-    Insertion,
+    InsertionAxis,
     MotionKind,
 )
-from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.arm_pair import ArmPair, Halt
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
@@ -233,7 +233,7 @@ class Workcell(SupervisedArm):
         """Journal a followed move of the tracker. Raises PRO-003."""
         self._log.write(Entry.TRACKER, **move.as_plain(localization))
 
-    def record_found_on_axis(self, axis: Insertion) -> None:
+    def record_found_on_axis(self, axis: InsertionAxis) -> None:
         """Journal that the guide was found on an axis, in case the original line was lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(
@@ -293,6 +293,11 @@ class Workcell(SupervisedArm):
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
         if self._pair is not None:
             self._pair.touch(parts)
+
+    @property
+    def halt(self) -> Halt | None:
+        """Why both arms are halted, if they are."""
+        return None if self._pair is None else self._pair.halted
 
     def release_halt(self, by: str) -> None:
         """Release a halt of both arms once a named person has acknowledged their faults. Raises DUAL-001."""
@@ -380,13 +385,13 @@ class Workcell(SupervisedArm):
         commanded = self._commanded_pose(pose, arriving, near_rad)
         return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
-    def insert_motion(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
+    def insert_motion(self, insertion: InsertionAxis, near_rad: JointVector | None = None) -> PlannedMotion:
         """Return the motion that `insert` would make; `near_rad` as for `line_to_motion`."""
         commanded = self._commanded_pose(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
         return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
-    def withdraw_motion(self, insertion: Insertion) -> PlannedMotion:
+    def withdraw_motion(self, insertion: InsertionAxis) -> PlannedMotion:
         """Return the motion that `withdraw` would make."""
         line = LineMove(self._commanded_pose(insertion.start, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
@@ -414,7 +419,7 @@ class Workcell(SupervisedArm):
         """Move the mounted tool to a pose along a straight line of the flange."""
         return self.supervised.carry_out(self.line_to_motion(pose, arriving))
 
-    def insert(self, insertion: Insertion) -> ArmReading:
+    def insert(self, insertion: InsertionAxis) -> ArmReading:
         """Move the guide along its axis from the start of the approach to its held pose.
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
@@ -444,7 +449,7 @@ class Workcell(SupervisedArm):
         self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
         self.withdraw(trajectory)
 
-    def _axis_of(self, trajectory: str) -> Insertion:
+    def _axis_of(self, trajectory: str) -> InsertionAxis:
         axis = self.place.axis
         if axis is None or axis.trajectory != trajectory:
             on = self.place.trajectory or "no trajectory"
@@ -507,7 +512,7 @@ class Workcell(SupervisedArm):
         return replace(direct, replacement=(self.home_motion(), direct))
 
     def _line_motion(
-        self, what: MotionKind, pose: Transform, line: LineMove, axis: Insertion | None = None
+        self, what: MotionKind, pose: Transform, line: LineMove, axis: InsertionAxis | None = None
     ) -> PlannedMotion:
         return PlannedMotion(what, self.carries, tuple(pose.translation_mm.tolist()), (line,), axis=axis)
 

@@ -192,4 +192,17 @@ def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array
     return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
 
 
+def unit_errors(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes, sides: Array) -> Array:
+    """Return displacements (p, 3, k) mm of flange-fixed points (p, 3) mm by each unit error of arm and tool.
+
+    The errors are independent, of unit variance and the same in all poses. Arguments as in `by_deviation`.
+    """
+    if sizes.identified is not None:
+        return by_deviation(chain, joints_rad, points_mm, sides) @ sizes.identified.remaining
+    moved = displacements(chain, joints_rad, points_mm, sizes)
+    tool = sizes.tool_mm * flange_rotations(chain, joints_rad)
+    backlash = sizes.backlash * BACKLASH_RAD * FLANK_SHARE * moved.swings_mm * sides[:, None]
+    return np.concatenate([moved.links_mm, moved.joints_mm, backlash, tool], axis=2)
+
+
 UNCALIBRATED = ErrorSizes()

@@ -43,11 +43,11 @@ def test_a_case_with_a_fault_ends_as_promised(commands: Commands, tmp_path: Path
 def options(cell: Cell, folder: Path) -> list[str]:
     """Of the command that runs the case."""
     row = cell.row
-    words = ["--scene", "mini", "--seed", str(SEED), "--markers", str(row.markers)]
+    words = ["--scene", "mini", "--seed", str(SEED), "--markers", str(row.markers), *row.arms]
     if row.scene:
         changed = SCENES[row.scene](draw_scene("mini", seed=SEED, markers=row.markers))
         content = changed.model_dump(mode="json", by_alias=True, exclude_none=True)
-        words = ["--scene", written(folder / "scene.toml", tomli_w.dumps(content))]
+        words = ["--scene", written(folder / "scene.toml", tomli_w.dumps(content)), *row.arms]
     if cell.line:
         words += ["--faults", written(folder / "faults.txt", cell.line + "\n")]
     if row.answers:

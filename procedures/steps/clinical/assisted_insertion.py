@@ -19,11 +19,11 @@ from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_to_base import KnownBases
-from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, find_axis, guide_pose, surround_at_guide
+from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, Meeting, find_axis, surround_at_guide
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.clinical.room import room_watch
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import Insertion
+from procedures.workcell import InsertionAxis
 from procedures.workcell.assistant import AT_GUIDE, BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.config import ASSISTANT, MASTER
@@ -56,7 +56,6 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         assistant.retreat()
     context.request_instrument_removal()
     known = _require_bases(context)
-    assistant.shift_tool(known.flange_from_ball_mm)
     stood = _has_stood(context, assistant, known)
     surround_holder(context, stop.read_mm)
     _present_holder(context, assistant)
@@ -77,7 +76,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     for joints_rad in via_rad:
         assistant.go(joints_rad)
     assistant.settle(start_rad, axis.arriving)
-    off_axis = _require_coaxial(context, assistant, axis, known.head_shift_mm)
+    off_axis = _require_coaxial(context, assistant, axis, known)
     seen_apart = _require_seen_coaxial(context, assistant, known, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
@@ -187,13 +186,13 @@ def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
 
 
 def _require_coaxial(
-    context: StepContext, assistant: Assistant, axis: Insertion, head_shift_mm: tuple[float, float, float]
+    context: StepContext, assistant: Assistant, axis: InsertionAxis, known: KnownBases
 ) -> tuple[float, float]:
     """Return how far (mm, rad) the instrument is off the bore by the joints of both arms. Raises PRO-007."""
-    guide = guide_pose(context, head_shift_mm)
-    clamp = guide.inverse() @ assistant.clamp_pose(assistant.joints_rad(), axis.arriving)
+    meeting = Meeting.of(context, known)
+    clamp = meeting.guide(context.workcell).inverse() @ meeting.clamp(assistant, axis.arriving)
     turned_rad = math.acos(min(1.0, float(clamp.rotation_matrix[2, 2])))
-    bore = context.workcell.tools.guide.bore
+    bore = meeting.bore
     ends = [clamp.inverse().apply((0.0, 0.0, z)) for z in (-bore.reach_mm - bore.length_mm, -bore.reach_mm)]
     off_mm = max(math.hypot(end[0], end[1]) for end in ends)
     _require_within(

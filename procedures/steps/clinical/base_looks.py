@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from procedures.calibration.arm_errors import StatedArm
 from procedures.calibration.base_to_base import (
     LEAST_BALL_LOOKS,
     LEAST_FRAME_LOOKS,
@@ -54,6 +55,7 @@ from procedures.workcell.assistant import Assistant
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import LimitError
@@ -129,7 +131,10 @@ class BaseMeasurement:
         return between_bases((by_master @ assistant @ (flange @ drawn).inverse()).as_matrix())
 
     def look_at_frames(self) -> tuple[PosePairs, PosePairs]:
-        """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010."""
+        """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.
+
+        The assistant stays there: it goes on to hold its ball.
+        """
         cell, assistant = self._cell, self._assistant
         frame = cell.calibrations.tracker_frame
         marker_mm = frame.tool_from_marker.translation_mm
@@ -169,7 +174,6 @@ class BaseMeasurement:
             ),
             assistant.holder.frame,
         )
-        assistant.return_home()
         return found, other
 
     def _turn(
@@ -200,7 +204,7 @@ class BaseMeasurement:
             )
         return PosePairs(np.array(flanges), np.array(seen))
 
-    def look_at_ball(self, coarse: BaseToBase, head_error_mm: float) -> BallFit:
+    def look_at_ball(self, coarse: BaseToBase) -> BallFit:
         """Look at the ball until the bases are known. Raises CAL-003, CAL-004, CAL-010, CAL-022."""
         cell, assistant = self._cell, self._assistant
         ball_mm = assistant.holder.flange_from_ball_mm
@@ -210,15 +214,13 @@ class BaseMeasurement:
         reference = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
         postures = plan_ball_postures(reference, base, self._ball_mm, ball_mm)
         near = working_joints(assistant, postures)
-        heads: list[Array] = []
-        places: list[Array] = []
-        flanges: list[Array] = []
+        looks: list[tuple[Array, Array, Array, JointVector, JointVector]] = []
         reasons: list[str] = []
         held = 0
 
         def fit() -> BallFit:
-            looks = BallLooks(np.array(heads), np.array(places), np.array(flanges))
-            return refine_bases(coarse, looks, ball_mm, head_error_mm)
+            seen = BallLooks(*map(np.array, zip(*looks, strict=True)))
+            return refine_bases(coarse, seen, ball_mm, assistant.ball_error_mm, *stated_arms(self._context))
 
         plan = (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in postures)
         arm = _Mover(
@@ -227,26 +229,25 @@ class BaseMeasurement:
             lambda: assistant.flange_pose(assistant.joints_rad(), ONE_SIDE),
         )
         for _ in self._visit(_list_possible(plan, reasons), POSTURES, arm, reasons):
-            flange, before = arm.flange(), len(heads)
+            flange, before = arm.flange(), len(looks)
             for pose, ball_in_head_mm in self._look_from_around(
                 (base @ flange).apply(ball_mm), held, reasons
             ):
-                heads.append(pose.as_matrix())
-                places.append(ball_in_head_mm)
-                flanges.append(flange.as_matrix())
-            held += len(heads) > before
+                joints_rad = cell.joints_rad(), assistant.joints_rad()
+                looks.append((pose.as_matrix(), ball_in_head_mm, flange.as_matrix(), *joints_rad))
+            held += len(looks) > before
             share = 0.5 + min(held / POSTURES, 1.0) / 2.0
             self._context.progress(share, "looking at the ball")
-            if len(heads) < LEAST_BALL_LOOKS or held < LEAST_POSTURES:
+            if len(looks) < LEAST_BALL_LOOKS or held < LEAST_POSTURES:
                 continue
             with suppress(DegeneratePoses):
                 if fit().error_mm <= ENOUGH_MM:
                     break
-        if len(heads) < LEAST_BALL_LOOKS:
+        if len(looks) < LEAST_BALL_LOOKS:
             raise PosesOutOfReach(
                 "too few looks at the ball of the assistant",
                 expected=f"{POSTURES * LOOKS_PER_POSTURE}",
-                got=f"{len(heads)}; {', '.join(sorted(set(reasons)))}",
+                got=f"{len(looks)}; {', '.join(sorted(set(reasons)))}",
             )
         cell.return_home()
         assistant.return_home()
@@ -323,6 +324,18 @@ def _list_possible(
             reasons.append("hidden from the tracker")
         else:
             yield joints_rad
+
+
+def stated_arms(context: StepContext) -> tuple[StatedArm, StatedArm]:
+    """Return master and assistant as their records state them."""
+    workcell, records = context.workcell, context.workcell.calibrations
+    assert workcell.assistant is not None
+    arms = ((workcell.arm, records.arm), (workcell.assistant.arm, records.assistant_arm))
+    master, assistant = (
+        StatedArm(arm.kinematics.chain, ErrorSizes.stated(context.setting.settings, record))
+        for arm, record in arms
+    )
+    return master, assistant
 
 
 def between_bases(matrix: Array) -> Transform:

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
-from procedures.calibration.base_to_base import (
-    BaseToBase,
-    bases_by_frames,
-    meeting_error_mm,
-)
+from procedures.calibration.arm_errors import FoundArm
+from procedures.calibration.base_to_base import BaseToBase, bases_by_frames, meeting_error_mm
 from procedures.calibration.base_validity import MOVED_MM, platform_shift
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
@@ -26,7 +23,12 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
-from procedures.steps.clinical.base_looks import LOOKS_PER_POSTURE, BaseMeasurement, between_bases
+from procedures.steps.clinical.base_looks import (
+    LOOKS_PER_POSTURE,
+    BaseMeasurement,
+    between_bases,
+    stated_arms,
+)
 from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -36,7 +38,6 @@ from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
-from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -66,8 +67,8 @@ class KnownBases(StepResult, kind="base_to_base"):
     frame_looks: tuple[int, int] = Field(description="Looks at the frames of master and assistant.")
     ball_looks: int = Field(description="Looks at the ball.")
     outliers: int = Field(description="Of these, those left out.")
-    flange_from_ball_mm: Numbers3 = Field(description="The ball on the assistant's flange, as found.")
-    head_shift_mm: Numbers3 = Field(description="Stereo head beside its record, tool frame.")
+    master_errors: tuple[float, ...] = Field(description="Of the master, as found; see `FoundArm`.")
+    assistant_errors: tuple[float, ...] = Field(description="The same of the assistant.")
     region_mm: Numbers3 = Field(description="Middle of the looks at the ball, robot frame.")
     master_seen_mm: tuple[Numbers3, ...] = Field(
         description="Frame on the arm and spheres, both arms home, tracker frame."
@@ -78,6 +79,12 @@ class KnownBases(StepResult, kind="base_to_base"):
     def meeting_mm(self) -> float:
         """3-D standard error with which head and ball meet once, in a new posture."""
         return meeting_error_mm(self.error_mm, self.scatter_mm)
+
+
+def found_arms(context: StepContext, known: KnownBases) -> tuple[FoundArm, FoundArm]:
+    """Return master and assistant with their errors as found with the bases."""
+    master, assistant = stated_arms(context)
+    return FoundArm(master, known.master_errors), FoundArm(assistant, known.assistant_errors)
 
 
 def run(context: StepContext) -> Outcome[KnownBases]:
@@ -106,9 +113,8 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     coarse = by_frames.bases
     workcell.place_assistant(_robot_from_base(coarse))
     workcell.surround_assistant(measuring.around())
-    fit = measuring.look_at_ball(coarse, ErrorSizes.stated(context.setting.settings, records.arm).tool_mm)
+    fit = measuring.look_at_ball(coarse)
     workcell.place_assistant(_robot_from_base(fit.bases))
-    assistant.shift_tool(_numbers(fit.flange_from_ball_mm))
     workcell.surround_assistant(measuring.around())
     seen = _see_platforms(context, assistant, context.result(GlobalLocalization).points_mm)
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
@@ -127,8 +133,8 @@ def run(context: StepContext) -> Outcome[KnownBases]:
             frame_looks=(master_looks.count, assistant_looks.count),
             ball_looks=len(fit.used),
             outliers=int((~fit.used).sum()),
-            flange_from_ball_mm=_numbers(fit.flange_from_ball_mm),
-            head_shift_mm=_numbers(fit.head_shift_mm),
+            master_errors=fit.master.errors,
+            assistant_errors=fit.assistant.errors,
             region_mm=_numbers(fit.region_mm),
             master_seen_mm=tuple(map(_numbers, seen[0])),
             assistant_seen_mm=_numbers(seen[1]),

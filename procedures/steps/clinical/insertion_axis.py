@@ -9,27 +9,31 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.calibration.arm_errors import FoundArm
 from procedures.engine.context import StepContext
 from procedures.planning.errors import NotReachable
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.base_postures import face_along, travel_rad, working_joints, wrist_branches
-from procedures.steps.clinical.base_to_base import KnownBases
+from procedures.steps.clinical.base_to_base import KnownBases, found_arms
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
+from procedures.workcell.tools import Sides
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector, Vector3, joint_vector
+from ronna_hw.tool_record import GuideBore
+from ronna_hw.vectors import JointVector, joint_vector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
@@ -39,7 +43,7 @@ TURN_STEP_RAD = math.radians(15.0)
 class Approach(NamedTuple):
     """Axis in the robot frame, the joints at its start, and those on the way there from home, if any."""
 
-    axis: Insertion
+    axis: InsertionAxis
     start_rad: JointVector
     via_rad: tuple[JointVector, ...]
 
@@ -48,23 +52,51 @@ class _Candidate(NamedTuple):
     """An axis in the robot frame with its joints, and how well it suits: the smallest first."""
 
     rank: tuple[bool, bool, int, float]
-    axis: Insertion
+    axis: InsertionAxis
     start_rad: JointVector
     held_rad: JointVector
 
 
-def guide_pose(context: StepContext, head_shift_mm: Vector3) -> Transform:
-    """Return the guide as the stereo head has seen its mount: the shift belongs to both."""
-    workcell = context.workcell
-    axis = workcell.place.axis
-    pose = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
-    return pose.displace(pose.rotation_matrix @ np.asarray(head_shift_mm))
+class Meeting(NamedTuple):
+    """Both arms at a guide, with their errors as found, and the length of its bore."""
+
+    master: FoundArm
+    assistant: FoundArm
+    bore: GuideBore
+
+    @classmethod
+    def of(cls, context: StepContext, known: KnownBases) -> Meeting:
+        """Return the arms of a case."""
+        return cls(*found_arms(context, known), context.workcell.tools.guide.bore)
+
+    def guide(self, workcell: Workcell) -> Transform:
+        """Return where the guide really is, robot frame."""
+        axis, reach_mm = workcell.place.axis, self.bore.reach_mm
+        arrived, joints_rad = None if axis is None else axis.arriving, workcell.joints_rad()
+        by_record = workcell.tool_pose(joints_rad, arrived)
+        return self.master.displace(
+            by_record, joints_rad, arrived, (-reach_mm - self.bore.length_mm, -reach_mm)
+        )
+
+    def clamp(self, assistant: Assistant, arrived: Sides) -> Transform:
+        """Return where the clamp of the assistant really is, robot frame."""
+        joints_rad, length_mm = assistant.joints_rad(), self.bore.length_mm
+        by_record = assistant.base.inverse() @ assistant.clamp_pose(joints_rad, arrived)
+        return assistant.base @ self.assistant.displace(by_record, joints_rad, arrived, (0.0, length_mm))
+
+    def command(self, assistant: Assistant, axis: InsertionAxis, held_rad: JointVector) -> InsertionAxis:
+        """Return the axis along which the assistant, by its record, leads the instrument along `axis`."""
+        ends_mm = (0.0, self.bore.length_mm)
+        held = assistant.base.inverse() @ axis.held
+        held = assistant.base @ self.assistant.command(held, held_rad, axis.arriving, ends_mm)
+        return replace(axis, held=held)
 
 
 def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
-    turns = _list_turns(context, stop, known.head_shift_mm)
-    found = _list_reached(assistant, turns, known)
+    meeting = Meeting.of(context, known)
+    turns = _list_turns(context, stop, meeting)
+    found = _list_reached(assistant, turns, known, meeting)
     here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
     for one in sorted(found, key=lambda one: one.rank):
@@ -105,20 +137,22 @@ def surround_at_guide(context: StepContext, near_rad: JointVector) -> None:
     workcell.surround_assistant(around, near_rad)
 
 
-def _list_turns(context: StepContext, stop: DepthStop, head_shift_mm: Vector3) -> list[Insertion]:
+def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[InsertionAxis]:
     """List the axes of all turns about the bore."""
-    guide, bore = guide_pose(context, head_shift_mm), context.workcell.tools.guide.bore
+    guide, bore = meeting.guide(context.workcell), meeting.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
     travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
     axes = []
     for step in range(round(2.0 * math.pi / TURN_STEP_RAD)):
         turn = guide.rigid.rotation * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD])
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
-        axes.append(Insertion(context.trajectory, held, travel_mm))
+        axes.append(InsertionAxis(context.trajectory, held, travel_mm))
     return axes
 
 
-def _list_reached(assistant: Assistant, axes: Sequence[Insertion], known: KnownBases) -> list[_Candidate]:
+def _list_reached(
+    assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases, meeting: Meeting
+) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 
     First those over which the tracker can compare the frames of both arms, then those near the postures of
@@ -139,14 +173,14 @@ def _list_reached(assistant: Assistant, axes: Sequence[Insertion], known: KnownB
                 at_start = assistant.clamp_joints(one.start, near)
                 at_end = assistant.clamp_joints(one.held, at_start)
                 signs = tuple(1 if end >= begin else -1 for begin, end in zip(at_start, at_end, strict=True))
-                start_rad = assistant.clamp_joints(one.start, near, signs)
+                axis = meeting.command(assistant, replace(one, arriving=signs), at_end)
+                start_rad = assistant.clamp_joints(axis.start, near, signs)
             except LimitError:
                 continue
             marker = assistant.flange_pose(start_rad) @ frame
             hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, start_rad))
             way_rad = travel_rad(assistant.home_rad, start_rad) + travel_rad(at_start, at_end)
             rank = (hidden, near != usual, round(away / TURN_STEP_RAD), way_rad)
-            axis = Insertion(one.trajectory, one.held, one.travel_mm, signs)
             found.append(_Candidate(rank, axis, start_rad, at_end))
     return found
 

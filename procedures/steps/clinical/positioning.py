@@ -38,7 +38,7 @@ from procedures.steps.clinical.tool_mounting import require_seen_in_place
 from procedures.steps.conditions import needs_tool
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refine_target_pose
-from procedures.workcell import Insertion, MountedTool, Workcell
+from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.arm_history import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.errors import RonnaError
@@ -125,7 +125,7 @@ def _require_guide_in_seat(context: StepContext) -> None:
         raise
 
 
-def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
+def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAxis:
     """Return the guide's insertion for this step's trajectory, by its registration."""
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
@@ -133,7 +133,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
     along = place_guide(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
     held = refine_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
     arriving = paths.targets[trajectory].approach_signs
-    return Insertion(trajectory, held, context.setting.settings.approach_mm, arriving)
+    return InsertionAxis(trajectory, held, context.setting.settings.approach_mm, arriving)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind
+from sim.world.options import ArmRole
 
 _NUMBER = r"[0-9]+(?:[.][0-9]+)?"
 _BEGINNING = re.compile(rf"at ({_NUMBER}) s|at cycle ([0-9]+)|now")
@@ -31,6 +32,8 @@ def read_plain_line(line: str, number: int, kinds: Sequence[FaultKind]) -> Fault
         return None
     ends = _ENDING.fullmatch(phrase)
     words = (ends[1] if ends else phrase).split(" ")
+    if of_assistant := words[0] == ArmRole.ASSISTANT:
+        words = words[1:]
     found = [(kind, arguments) for kind in kinds if (arguments := _arguments(kind, words)) is not None]
     if len(found) != 1:
         return None
@@ -45,15 +48,14 @@ def read_plain_line(line: str, number: int, kinds: Sequence[FaultKind]) -> Fault
         at_s=None if at_cycle else float(begins[1] or "0"),
         cycle=int(begins[2]) if at_cycle else None,
         line=number,
+        of_assistant=of_assistant,
     )
 
 
 def _arguments(kind: FaultKind, words: Sequence[str]) -> tuple[str, ...] | None:
     """Return the arguments of these words if they are a fault of this kind."""
-    if words[0] != kind.device:
-        return None
     expected = kind.phrase.split()
-    if len(expected) != len(words) - 1:
+    if words[:1] != [kind.device] or len(expected) != len(words) - 1:
         return None
     arguments = []
     for known, word in zip(expected, words[1:], strict=True):

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from procedures.calibration.arm_errors import StatedArm
 from procedures.calibration.base_to_base import BallFit, BallLooks, BaseToBase, bases_by_frames, refine_bases
 from procedures.calibration.hand_eye import PosePairs
+from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, ErrorSizes
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.errors import LimitError
 from ronna_hw.vectors import JointVector
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
-from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record
+from sim.theatre.records import CALIBRATED_ARM_ERROR_MM, STATED_ERROR_MM, arm_values, draw_mount_record
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
@@ -41,7 +45,7 @@ FRAME_POSES, BALL_POSES = 40, 90
 TILT_DEG, INSERTION_TILT_DEG = 25.0, 10.0  # of both arms, about each axis
 MISSES = 60
 SEEN_MM = 0.015  # one look at a ball by the stereo head, per axis
-ONE_SIDE = (1.0,) * 6
+BALL_BESIDE_MM, BALL_ERROR_MM = np.array((0.02, -0.02, 0.02)), 0.03  # of its record, per axis
 HEAD_UNKNOWN_MM = 2.0  # per axis: a mount as drawn
 FORWARD = rotation_towards((1.0, 0.0, -1.0), (0.0, 0.0, -1.0))  # and down
 DOWN = rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
@@ -80,6 +84,22 @@ class SimulatedArm:
         return pose.as_matrix()
 
 
+class Flange(NamedTuple):
+    """Poses (4, 4) of a flange in its base, as believed and in truth, and the joints there."""
+
+    believed: Array
+    true: Array
+    rad: JointVector
+
+
+class Pair(NamedTuple):
+    """Flanges of master and assistant, and the ball (3,) mm where the head looks."""
+
+    master: Flange
+    assistant: Flange
+    ball_mm: Array
+
+
 class TwoArms:
     """Master and assistant of a random scene."""
 
@@ -100,6 +120,8 @@ class TwoArms:
             record = draw_mount_record(mount, ArmResidual(), noise(seed, "arm calibration", 0))
             self.head_error_mm = ArmResidual().tool_mm
         self.head = matrix_of(record)
+        share = CALIBRATED_ARM_ERROR_MM / UNCALIBRATED_MM if calibrated else 1.0
+        self._sizes = ErrorSizes(self.head_error_mm, share, share, share)
         self._ball = np.array(scene.assistant.flange_from_ball_mm)
 
     def by_frames(self) -> BaseToBase:
@@ -117,38 +139,59 @@ class TwoArms:
 
     def by_ball(self, coarse: BaseToBase) -> BallFit:
         """Bases refined by looks at the ball."""
-        return refine_bases(coarse, self.ball_looks(), (0.0, 0.0, 160.0), self.head_error_mm)
+        return refine_bases(coarse, self.ball_looks(), *self.stated)
+
+    @property
+    def stated(self) -> tuple[Array, float, StatedArm, StatedArm]:
+        """Ball and arms as their records state them."""
+        master, assistant = (
+            StatedArm(one.kinematics.chain, self._sizes) for one in (self.master, self.assistant)
+        )
+        return self._ball + BALL_BESIDE_MM, BALL_ERROR_MM, master, assistant
 
     def ball_looks(self) -> BallLooks:
         """Looks at the ball in postures spread over the region."""
-        heads, flanges, seen = [], [], []
+        rows = []
         for _ in range(BALL_POSES):
             master, assistant, ball = self._together(TILT_DEG)
-            heads.append(master[0] @ self.head)
-            flanges.append(assistant[0])
-            in_head = apply(inverse(master[1] @ self._head_true), ball)
-            seen.append(in_head + self._draws.normal(0.0, SEEN_MM, 3))
-        return BallLooks(np.array(heads), np.array(seen), np.array(flanges))
+            in_head = apply(inverse(master.true @ self._head_true), ball)
+            seen_mm = in_head + self._draws.normal(0.0, SEEN_MM, 3)
+            rows.append((master.believed @ self.head, seen_mm, assistant.believed, master.rad, assistant.rad))
+        return BallLooks(*map(np.array, zip(*rows, strict=True)))
 
     def coarse_misses(self, bases: BaseToBase, count: int = MISSES) -> Array:
         """Misses (n, 3) mm of two tools in new postures, each known exactly on its flange."""
-        return self._misses(bases.robot_from_base, self._ball, self._head_true, count)
+        return np.array(
+            [
+                self._miss_mm(pair, bases.robot_from_base, self._head_true, self._ball)
+                for pair in (self._together(INSERTION_TILT_DEG) for _ in range(count))
+            ]
+        )
 
     def fine_misses(self, fit: BallFit, count: int = MISSES) -> Array:
-        """The same for tools that are known relative to the ball and to the head as fitted."""
-        head = self.head @ matrix_from(fit.head_shift_mm, np.eye(3))
-        return self._misses(fit.bases.robot_from_base, fit.flange_from_ball_mm, head, count)
-
-    def _misses(self, bases: Array, ball_mm: Array, head: Array, count: int) -> Array:
-        found = []
+        """The same by the fit, which predicts what both arms err there."""
+        base, found = fit.bases.robot_from_base, []
         for _ in range(count):
-            at_master, at_assistant, ball = self._together(INSERTION_TILT_DEG)
-            believed_apart = apply(bases @ at_assistant[0], ball_mm) - (at_master[0] @ head)[:3, 3]
-            found.append(ball - (at_master[1] @ self._head_true)[:3, 3] - believed_apart)
+            pair = self._together(INSERTION_TILT_DEG)
+            master, assistant, _ = pair
+            head_mm = (master.believed @ self.head)[:3, 3]
+            ball_mm = apply(assistant.believed, fit.flange_from_ball_mm)
+            by_master, by_assistant = (
+                arm.stated.displacements([at.rad], [place_mm], ONE_SIDE)[0] @ np.array(arm.errors)
+                for arm, at, place_mm in ((fit.master, master, head_mm), (fit.assistant, assistant, ball_mm))
+            )
+            predicted_mm = base[:3, :3] @ by_assistant - by_master
+            found.append(self._miss_mm(pair, base, self.head, fit.flange_from_ball_mm) - predicted_mm)
         return np.array(found)
 
-    def _together(self, tilt_deg: float) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
-        """Flanges of both arms, each as believed and in truth, with ball and tool centre in one place."""
+    def _miss_mm(self, pair: Pair, base: Array, head: Array, ball_mm: Array) -> Array:
+        """Where the ball is beside the head's tool centre, minus what the models of both arms say."""
+        master, assistant, ball = pair
+        believed_mm = apply(base @ assistant.believed, ball_mm) - (master.believed @ head)[:3, 3]
+        return np.asarray(ball - (master.true @ self._head_true)[:3, 3] - believed_mm)
+
+    def _together(self, tilt_deg: float) -> Pair:
+        """Flanges of both arms, with ball and tool centre in one place."""
 
         def flange() -> Array:
             place = self._place()
@@ -156,20 +199,19 @@ class TwoArms:
             return matrix_from(place - turned @ self._ball, turned)
 
         at_assistant = self._reach(self.assistant, flange, self.base)
-        ball = apply(self.base @ at_assistant[1], self._ball)
+        ball = apply(self.base @ at_assistant.true, self._ball)
 
         def head() -> Array:
             return matrix_from(ball, DOWN @ self._turned(tilt_deg)) @ inverse(self._head_true)
 
-        at_master = self._reach(self.master, head, np.eye(4))
-        return at_master, at_assistant, ball
+        return Pair(self._reach(self.master, head, np.eye(4)), at_assistant, ball)
 
-    def _reach(self, arm: SimulatedArm, wanted: Callable[[], Array], base: Array) -> tuple[Array, Array]:
-        """The flange in its base as believed and in truth, at the first pose within reach."""
+    def _reach(self, arm: SimulatedArm, wanted: Callable[[], Array], base: Array) -> Flange:
+        """The flange in its base at the first pose within reach."""
         for _ in range(200):
             joints = arm.joints_at(inverse(base) @ wanted())
             if joints is not None:
-                return arm.believed(joints), arm.truth(joints)
+                return Flange(arm.believed(joints), arm.truth(joints), joints)
         raise AssertionError("nothing in reach")
 
     def _frame_pairs(self, arm: SimulatedArm, base: Array, on_flange: Array, markers_mm: Array) -> PosePairs:
@@ -182,7 +224,7 @@ class TwoArms:
                 turned = facing @ self._turned(35.0)
                 return matrix_from(place - turned @ on_flange[:3, 3], turned)
 
-            believed, true = self._reach(arm, flange, base)
+            believed, true, _ = self._reach(arm, flange, base)
             places = apply(self._tracker @ base @ true @ on_flange, markers_mm)
             sight = self._optics.sight(places)
             measured = sight.measured(self._draws.normal(size=places.shape) / np.sqrt(FRAMES))

@@ -15,6 +15,7 @@ WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
     *("quality", "odds", "confidence", "rim_fraction", "distortion", "widening"),
     "refused_share",
+    *("master_errors", "assistant_errors"),  # in standard deviations
     "remaining",  # of an arm's record: a covariance of mm and rad
     "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }

@@ -76,6 +76,7 @@ class Row(NamedTuple):
     branch: str = ""  # of the table of branches, that it reaches
     asks: Topic | None = None  # the question that the operator must have been asked
     in_doubt: bool = False  # a case that goes on ends in doubt: what was worked at may have moved before
+    arms: tuple[str, ...] = ()  # options of a case with two
 
 
 class Cell(NamedTuple):
@@ -127,6 +128,7 @@ SCENES: dict[str, Callable[[Scene], Scene]] = {
 STOPPED = "EKI-007 EKI-008 EKI-010"  # by the controller: before, or while the stream runs
 SPOILT_REPLY = "NDI-003 NDI-005 NDI-006 NDI-007"  # a wrong CRC or form, or no end in time; no Polaris at all
 CONNECTING = "set_up"
+TWO_KUKA, UR_ASSISTS = ("--dual",), ("--dual", "--assistant-arm", "ur5e")
 UNMATCHED = Topic.UNMATCHED_SPHERE
 ROWS = (
     # The tracker: what it sees.
@@ -513,6 +515,7 @@ def _cell(row: Row, step: str) -> Cell:
     line = f"{row.begins} step == {step}: {row.fault}" if row.fault else ""
     more = f", {row.markers} spheres" if row.markers != FEWEST else ""
     ends = frozenset(row.ends.split())
+    more += "".join(f" {word}" for word in row.arms)
     return Cell((line or row.scene or row.answers) + more, line, step, ends - {DONE}, DONE in ends, row)
 
 

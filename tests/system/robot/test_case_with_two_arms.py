@@ -1,26 +1,43 @@
-"""A whole case with two arms: bases, motions in turn, insertion by the assistant."""
+"""A whole case with two arms: bases, motions in turn, insertion by the assistant, and what happens to it."""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from run_folders import run_folder
+from user_commands import Commands
+from waiting import eventually
 
-from procedures.journal.journal import Entry
-from ronna_hw.config import ASSISTANT
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
+from ronna_hw.clock import open_clock
+from ronna_hw.config import ASSISTANT, MASTER
+from ronna_hw.control_port import ask_control_port
+from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import command
+from sim.world.running import find_running
 
 pytestmark = pytest.mark.slow
 
 LIMIT_S = 900.0
+CASE = ("--sim", "--dual", "--scene", "mini", "--seed", "0", "--json")
+IN_BORE_S = (
+    6.0  # theatre time from the begin of the insertion, or of the withdrawal, at which the tip is there
+)
+SIGMAS = 4.0  # of the stated error of a target
+Happening = Callable[[Commands, Path], None]
 
 
 def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_replays(tmp_path: Path) -> None:
-    options = ("--sim", "--dual", "--scene", "mini", "--seed", "0", "--out", str(tmp_path), "--json")
     ended = subprocess.run(
-        command("procedures.cli.procedure", "run", *options),
+        command("procedures.cli.procedure", "run", *CASE, "--out", str(tmp_path)),
         capture_output=True,
         text=True,
         timeout=LIMIT_S,
@@ -30,9 +47,11 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
     (run,) = tmp_path.iterdir()
     (bases,) = (run / "records").glob("*-base_to_base.json")
     assert json.loads(bases.read_text())["payload"]["error_mm"] <= 0.1
-    journal = [json.loads(line) for line in (run / "journal.jsonl").read_text().splitlines()]
-    moved = [line["what"] for line in journal if line["entry"] == Entry.MOTION and line["arm"] == ASSISTANT]
-    assert moved[-3:] == ["insert", "withdraw", "home"]
+    assert [what for arm, what in motions(journal_of(run)) if arm == ASSISTANT][-3:] == [
+        "insert",
+        "withdraw",
+        "home",
+    ]
     again = subprocess.run(
         command("procedures.cli.procedure", "replay", str(run)),
         capture_output=True,
@@ -41,3 +60,111 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
         check=False,
     )
     assert again.returncode == 0, again.stderr
+
+
+class Trouble(NamedTuple):
+    """What happens while the assistant leads the instrument, and how the case must stop."""
+
+    during: str  # motion of the assistant
+    happens: Happening
+    code: str
+    exit_code: int
+    options: tuple[str, ...] = ()
+
+
+def signalled(number: signal.Signals) -> Happening:
+    """Signal the simulator of the assistant."""
+
+    def happen(commands: Commands, _folder: Path) -> None:
+        (simulator,) = [one for one in commands.survivors() if is_simulator_of(ASSISTANT, one)]
+        os.kill(simulator, number)
+
+    return happen
+
+
+def is_simulator_of(role: str, process: int) -> bool:
+    words = Path(f"/proc/{process}/cmdline").read_bytes().decode().split("\0")
+    return "sim.cli" in words and ("--role", role) in pairwise(words)
+
+
+def injected(line: str) -> Happening:
+    """Inject a fault into the theatre of the run."""
+
+    def happen(_commands: Commands, folder: Path) -> None:
+        endpoints = find_running(str(folder / "theatre")).ready["endpoints"]
+        ask_control_port(endpoints["control"], "fault", line=line)
+
+    return happen
+
+
+UR = ("--assistant-arm", "ur5e")
+TROUBLES = (
+    pytest.param(
+        Trouble("insert", signalled(signal.SIGSTOP), "DUAL-001", EXIT_REFUSED),
+        id="frozen in the bore",
+        marks=pytest.mark.hazard(58),
+    ),
+    pytest.param(
+        Trouble("withdraw", injected("assistant robot emergency stop"), "DUAL-001", EXIT_REFUSED),
+        id="emergency stop on the way out",
+        marks=pytest.mark.hazard(59),
+    ),
+    pytest.param(
+        Trouble("insert", injected("assistant ur load axial 25 N"), "ARM-015", EXIT_SAFETY_STOP, UR),
+        id="pushed back in the bore",
+        marks=pytest.mark.hazard(56),
+    ),
+)
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_case_that_stopped_on_the_axis_is_resumed_straight_out_of_it_and_ends(
+    commands: Commands, tmp_path: Path, trouble: Trouble
+) -> None:
+    process = commands.start("ronna-procedure", "run", *CASE, *trouble.options, "--out", str(tmp_path))
+    folder = await_assistant(tmp_path, trouble.during)
+    trouble.happens(commands, folder)
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == trouble.exit_code, said
+    stopped = journal_of(folder)
+    assert stopped[-1]["code"] == trouble.code
+    assert stopped[-1]["instrument_in"] == "T1"
+    failed = next(number for number, line in enumerate(stopped) if line["entry"] == Entry.FAILED)
+    assert motions(stopped[failed:]) == []
+    done = commands.run("ronna-procedure", "resume", str(folder), "--accept", "--json", timeout_s=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    out = [(ASSISTANT, "withdraw"), (ASSISTANT, "home"), (MASTER, "withdraw"), (MASTER, "home")]
+    assert motions(journal_of(folder)[len(stopped) :])[: len(out)] == out
+    (target,) = json.loads(done.stdout)["targets"]
+    assert target["application_error_mm"] < SIGMAS * target["predicted_tre_mm"]
+
+
+def await_assistant(out: Path, what: str) -> Path:
+    """Return the folder of the run once the assistant is amid that motion on its axis."""
+    begun: list[Line] = []
+
+    def begins() -> bool:
+        folder = run_folder(out)
+        journal = None if folder is None else folder / JOURNAL_FILE
+        if journal is None or not journal.exists() or f'"what":"{what}"'.encode() not in journal.read_bytes():
+            return False
+        lines = read_journal(journal)
+        begun.extend(line for line in lines if line.get("arm") == ASSISTANT and line.get("what") == what)
+        return bool(begun)
+
+    eventually(begins, LIMIT_S)
+    folder = run_folder(out)
+    assert folder is not None
+    clock = open_clock(find_running(str(folder / "theatre")).ready["endpoints"]["clock"])
+    amid_s = float(str(begun[0]["theatre_time_s"])) + (IN_BORE_S if what == "insert" else 1.0)
+    eventually(lambda: clock.now_s() >= amid_s)
+    return folder
+
+
+def journal_of(run: Path) -> list[Line]:
+    return list(read_journal(run / JOURNAL_FILE))
+
+
+def motions(journal: Sequence[Line]) -> list[tuple[str, str]]:
+    """Each motion in a journal: of which arm, and what."""
+    return [(str(line["arm"]), str(line["what"])) for line in journal if line["entry"] == Entry.MOTION]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from documented import run_exercises
 from user_commands import Commands
 
@@ -31,6 +32,7 @@ def test_the_matrix_of_figure_11_loses_a_point_in_every_iteration_until_the_pair
         assert cell == MATRIX_FIDUCIALS - 1
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn() -> None:
     assert {name.split("-")[1] for name, picture in figures().items() if picture.startswith(PNG)} == {
         "4",

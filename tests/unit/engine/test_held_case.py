@@ -11,7 +11,7 @@ from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
@@ -32,7 +32,7 @@ def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
         translation_mm=here.apply([0.0, 0.0, 110.0]),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    cell.workcell.insert(Insertion("T1", target, 110.0))
+    cell.workcell.insert(InsertionAxis("T1", target, 110.0))
     cell.operator.asked.clear()
     return engine
 

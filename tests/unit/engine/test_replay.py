@@ -26,7 +26,7 @@ from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
@@ -225,7 +225,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
         if not cell.place.is_on_axis:
-            cell.insert(Insertion("T1", cell.tool_pose(), 10.0))
+            cell.insert(InsertionAxis("T1", cell.tool_pose(), 10.0))
             raise Killed
         cell.withdraw("T1")
         return Outcome(Approach(number=1))

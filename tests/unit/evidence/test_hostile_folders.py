@@ -178,7 +178,7 @@ FIELDS = {"pictures": (Entry.CLOSED, ""), "inputs": (Entry.CLOSED, ""), NOT_AS_L
 @pytest.mark.parametrize(
     ("field", "count"),
     [
-        ("pictures", 90_000),
+        pytest.param("pictures", 90_000, marks=pytest.mark.slow),
         ("pictures", 110_000),
         (NOT_AS_LEFT, 90_000),
         *(pytest.param(field, 500_000, marks=pytest.mark.slow) for field in FIELDS),

@@ -85,6 +85,7 @@ def test_the_strategy_with_the_least_predicted_error_is_chosen(
     assert chosen.strategy_for("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
 
 
+@pytest.mark.slow
 def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_not_at_the_holding_pose(
     make_arm: Callable[..., ArmSetting],
 ) -> None:

@@ -29,7 +29,7 @@ from procedures.runs.theatre_note import (
     find_former_run,
 )
 from procedures.steps.clinical import set_up
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
@@ -81,7 +81,7 @@ def warning_of(run: Path) -> str | None:
 def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_path: Path) -> None:
     workcell = RecordingCell(tmp_path).workcell
     workcell.mount.check(MountedTool.STEREO_HEAD)
-    held = Insertion("T1", workcell.tool_pose(), travel_mm=60.0)
+    held = InsertionAxis("T1", workcell.tool_pose(), travel_mm=60.0)
     told = describe_arm_without_record(ArmPlace(PlaceKind.ON_AXIS, held, moved=True), own=False)
     assert "on the axis of T1" in told
     assert "withdraw the guide along the axis" in told
@@ -275,7 +275,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     cell.arm.mounted = GUIDE
     cell.workcell.mount.check(MountedTool.GUIDE)
-    axis = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
+    axis = InsertionAxis("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
     with hold_theatre(theatre, cell.folder):
         cell.journal.write(Entry.MOTION, 0.0, what="insert", trajectory="T1", axis=axis)
         cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=False)

@@ -149,6 +149,7 @@ def test_two_strategies_are_compared_on_each_arm_and_scatter_between_arms_does_n
         assert rows[scenario, "best - improved"][1:] == [0.0, 0.0, 0.0, 0.0, None]
 
 
+@pytest.mark.slow
 def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_each_target() -> None:
     scene = Scene.of(1, SMALL, Markers.FREE, 1)
     numbers = range(3)
@@ -243,6 +244,7 @@ def test_the_direction_whose_errors_are_the_published_ones_is_the_fitted_one() -
     assert [row[-1] for row in fitted.rows] == pytest.approx([0.0] * 3, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     fit = identify_arm(1, 0, HERE.apply(SMALL.spheres_mm))
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
@@ -271,6 +273,7 @@ ARMS, BY_CHANCE, SPHERES = range(20), 6, 5
 LEAST_GAIN = 0.1  # of the rms error; by the markers' errors alone it is 0.29, by these arms 0.24
 
 
+@pytest.mark.slow
 def test_with_random_arms_the_proposed_places_leave_less_error_than_random_places() -> None:
     drawn = draw_phantom(Markers.FREE, (30.0, 120.0), 5)
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=tuple(HALF_AXES_MM[PATIENT]))

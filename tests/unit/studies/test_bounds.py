@@ -32,6 +32,7 @@ def test_a_count_has_the_tabulated_poisson_bounds(count: int, text: str) -> None
     assert bounds.number(count).text == text
 
 
+@pytest.mark.slow
 def test_95_percent_of_means_and_rms_lie_within_their_bounds() -> None:
     random = np.random.default_rng(3)
     means, roots = 0, 0

@@ -29,6 +29,7 @@ def trials() -> Trials:
     return Trials.plan(0, ARMS, places=(1,))
 
 
+@pytest.mark.slow
 def test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation(trials: Trials) -> None:
     fitted = np.array([condition(trials.linear(arm), trials.drawn[arm], CELLS) for arm in ARMS])
     as_drawn, given = trials.simulate(trials.drawn), trials.simulate(fitted)

@@ -12,7 +12,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, PlaceKind, arm_history, fold_history
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -41,10 +41,10 @@ def compared(history: ArmHistory) -> tuple[ArmHistory, object]:
     return replace(history, place=replace(history.place, axis=None)), axis
 
 
-def ahead(cell: RecordingCell) -> Insertion:
+def ahead(cell: RecordingCell) -> InsertionAxis:
     """A trajectory whose stand-off is where the guide is now."""
     held = back_along_axis(tool_pose(cell.arm.joints_rad, cell), -WAY_MM)
-    return Insertion("T1", held, WAY_MM, (1, -1) * 3)
+    return InsertionAxis("T1", held, WAY_MM, (1, -1) * 3)
 
 
 def nothing(_cell: RecordingCell) -> None:

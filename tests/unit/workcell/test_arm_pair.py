@@ -16,7 +16,7 @@ from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherA
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
-from ronna_hw.clock import HostClock
+from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import ASSISTANT, MASTER, DeviceConfig
 from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.errors import PersonNotNamed
@@ -34,8 +34,8 @@ CLOCK = HostClock()
 class WatchedArm(IdealArm):
     """An ideal arm whose last state is always new, unless it is frozen."""
 
-    def __init__(self, name: str, joints_rad: JointVector) -> None:
-        super().__init__(name, HOST, CLOCK)
+    def __init__(self, name: str, joints_rad: JointVector, clock: Clock = CLOCK) -> None:
+        super().__init__(name, HOST, clock)
         self.controller = Controller(joints_rad)
         self.frozen: ArmReading | None = None
         self.on_step: Callable[[], None] = lambda: None
@@ -196,6 +196,40 @@ def test_an_arm_whose_state_is_old_stops_both(
     with pytest.raises(BothArmsHalted, match="last state of the assistant is old"):
         pair.move(MASTER, turned(master, 1.0))
     assert master.state is Lifecycle.FAULT
+
+
+class LeapingClock(HostClock):
+    """A clock that can be ahead of the host's."""
+
+    ahead_s = 0.0
+
+    def now_s(self) -> float:
+        return super().now_s() + self.ahead_s
+
+
+def test_a_thread_that_the_host_suspends_takes_no_arm_for_silent() -> None:
+    clock = LeapingClock()
+
+    class SuspendedArm(WatchedArm):
+        def observe(self) -> LastKnown[ArmReading]:
+            known = super().observe()
+            clock.ahead_s += 1.0  # until its reader goes on
+            return known
+
+    arms = {role: SuspendedArm(f"robot.{role}", HOME_RAD, clock) for role in (MASTER, ASSISTANT)}
+    for arm in arms.values():
+        started(arm)
+    pair = ArmPair(arms, ACROSS, clock)
+    goal = turned(arms[MASTER], 1.0)
+    assert pair.move(MASTER, goal).joints_rad == pytest.approx(goal.target_rad)
+    for arm in arms.values():
+        arm.close()
+
+
+def test_an_arm_whose_telegrams_have_stopped_is_called_old(pair: ArmPair, assistant: WatchedArm) -> None:
+    assistant.frozen = replace(assistant.read_state(), validity=Validity.STALE)
+    with pytest.raises(OtherArmUnknown, match="the last state of the assistant is old"):
+        pair.move(MASTER, JointMove(HOME_RAD))
 
 
 def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(

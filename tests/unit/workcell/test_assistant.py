@@ -15,7 +15,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
-from procedures.workcell.arm_history import ArmHistory, ArmLog, Insertion, arm_history
+from procedures.workcell.arm_history import ArmHistory, ArmLog, InsertionAxis, arm_history
 from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
@@ -31,7 +31,6 @@ from sim.world.scene.assistant import KR6_HOME_DEG
 
 CLOCK = HostClock()
 BALL_MM = (0.0, 0.0, 160.0)
-FOUND_MM = (0.4, -0.3, 161.0)
 TRAVEL_MM = 100.0
 
 
@@ -64,7 +63,7 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
     )
     assistant.place_base(Transform.of(Frame.ROBOT, Frame.ROBOT))
     held = assistant.clamp_pose(assistant.joints_rad())
-    axis = Insertion("T1", held, TRAVEL_MM)
+    axis = InsertionAxis("T1", held, TRAVEL_MM)
     log.note(
         Entry.PLACED,
         joints_rad=list(assistant.joints_rad()),
@@ -144,13 +143,6 @@ def test_where_the_assistant_stands_outlasts_the_program(assistant: Assistant, c
     known = arm_history(lines, ASSISTANT).base
     assert known is not None
     assert known.translation_mm == pytest.approx((700.0, -500.0, 0.0))
-
-
-def test_the_clamp_is_where_the_ball_was_found(assistant: Assistant) -> None:
-    before_mm = assistant.flange_from_clamp.translation_mm
-    assistant.shift_tool(FOUND_MM)
-    shift_mm = assistant.flange_from_clamp.translation_mm - before_mm
-    assert shift_mm == pytest.approx((0.4, -0.3, 1.0))
 
 
 @pytest.mark.hazard(62)

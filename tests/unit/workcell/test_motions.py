@@ -15,7 +15,7 @@ from planned_arm import PlannedArm
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.operator.question import Question, Topic
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmHistory, ArmPlace, PlaceKind
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.motions import MotionFacts
@@ -72,7 +72,7 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
-    on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
+    on = InsertionAxis("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
     cell.workcell.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)), cell.workcell.home_rad)
     cell.workcell.withdraw("T1")
 
@@ -92,7 +92,7 @@ KINDS: dict[str, Callable[[RecordingCell], object]] = {
     "settle": lambda cell: cell.workcell.settle(ACROSS, (1, -1, 1, -1, 1, -1)),
     "settle nearby": lambda cell: cell.workcell.settle(cell.workcell.joints_rad(), (1, -1, 1, -1, 1, -1)),
     "line": lambda cell: cell.workcell.line_to(tool_at(cell, 40.0, 0.2)),
-    "insert": lambda cell: cell.workcell.insert(Insertion("T1", tool_at(cell, WAY_MM), WAY_MM)),
+    "insert": lambda cell: cell.workcell.insert(InsertionAxis("T1", tool_at(cell, WAY_MM), WAY_MM)),
     "withdraw": withdraw,
 }
 

@@ -13,7 +13,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, TipOffAxis, WrongTool
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.errors import NotClear
@@ -44,7 +44,7 @@ def with_guide(cell: RecordingCell) -> None:
     cell.workcell.set_home()
 
 
-def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+def insertion(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
     """A trajectory whose stand-off is where the guide is now."""
     here = tool_pose(cell.arm.joints_rad, cell)
     target = Transform.of(
@@ -53,10 +53,10 @@ def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
         translation_mm=here.apply([0.0, 0.0, WAY_MM]),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    return Insertion(trajectory, target, WAY_MM)
+    return InsertionAxis(trajectory, target, WAY_MM)
 
 
-def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+def inserted(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
     with_guide(cell)
     made = insertion(cell, trajectory)
     cell.workcell.insert(made)
@@ -224,7 +224,7 @@ def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCe
     inserted(cell)
     aside = tool_pose(turned(0.1), cell)
     with nothing_moves(cell, TipOffAxis, "PRO-015"):
-        cell.workcell.supervised.carry_out(cell.workcell.withdraw_motion(Insertion("T1", aside, WAY_MM)))
+        cell.workcell.supervised.carry_out(cell.workcell.withdraw_motion(InsertionAxis("T1", aside, WAY_MM)))
 
 
 @pytest.mark.hazard(24)

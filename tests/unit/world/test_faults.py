@@ -258,7 +258,9 @@ def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: s
         check_faults(parse_faults(line), draw_scene("mini"))
 
 
-@pytest.mark.parametrize("beginning", ["at 12.5 s: ", "at cycle 40: ", "now: "])
+@pytest.mark.parametrize(
+    "beginning", ["at 12.5 s: ", "at cycle 40: ", "now: ", "now: assistant ", "at cycle 40: assistant "]
+)
 def test_a_plain_line_reads_as_by_the_grammar(monkeypatch: pytest.MonkeyPatch, beginning: str) -> None:
     endings = {True: ("",), False: ("", " for 2 s", " for 0.25 s")}
     lines = [
@@ -273,7 +275,15 @@ def test_a_plain_line_reads_as_by_the_grammar(monkeypatch: pytest.MonkeyPatch, b
 
 
 @pytest.mark.parametrize(
-    "line", ["", "# nothing", "now: ur protective stop for 1 s", "at 1 s: ur lose five %", "robot drop 5 %"]
+    "line",
+    [
+        "",
+        "# nothing",
+        "now: assistant",
+        "now: ur protective stop for 1 s",
+        "at 1 s: ur lose five %",
+        "robot drop 5 %",
+    ],
 )
 def test_other_lines_are_left_to_the_grammar(line: str) -> None:
     assert read_plain_line(line, 1, FAULT_KINDS) is None

@@ -25,7 +25,7 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell import MountedTool
-from procedures.workcell.arm_history import ArmHistory, ArmPlace, Insertion, PlaceKind
+from procedures.workcell.arm_history import ArmHistory, ArmPlace, InsertionAxis, PlaceKind
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH, HEAD_CLAMP
@@ -171,7 +171,7 @@ def test_the_cart_is_not_pushed_while_a_guide_is_held_at_the_head(cell: Clinical
     )
     engine.run_to(engine.order.find("head_clamp"))
     cell.arm.joints_rad = tuple(angle + 0.3 for angle in cell.arm.joints_rad)
-    held = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0)
+    held = InsertionAxis("T1", cell.workcell.tool_pose(), travel_mm=60.0)
     cell.workcell.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, held)))
     with pytest.raises(StepRefused, match="held in front of the entry of T1"):
         engine.run_to()

@@ -32,6 +32,7 @@ def results(study: CorrespondenceStudy, folder: Path, **where: object) -> dict[s
     return add_up(ledger.results())
 
 
+@pytest.mark.slow
 def test_random_numbers_of_a_method_do_not_depend_on_its_worker(folder: Path) -> None:
     study = study_of(try_plugin(PAIRING, "mine:in_order"))
     assert results(study, folder / "1", workers=1) == results(study, folder / "2", workers=2)
