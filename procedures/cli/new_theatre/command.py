@@ -53,6 +53,14 @@ def new_theatre(
             help="Where the robot's telegrams arrive [default: as in the controller's Ethernet file].",
         ),
     ] = None,
+    assistant: Annotated[
+        str | None,
+        typer.Option(metavar="HOST[:PORT]", help="The controller of a second arm, the assistant; else none."),
+    ] = None,
+    assistant_stream: Annotated[
+        str | None,
+        typer.Option(metavar="udp://HOST:PORT", help="Where the telegrams of that arm arrive, likewise."),
+    ] = None,
     left: Annotated[
         str | None, typer.Option(metavar="CAMERA", help="The left camera, by serial number or address.")
     ] = None,
@@ -100,8 +108,18 @@ def new_theatre(
         streams = mistakes.collect(
             partial(searching.endpoint_of, "--stream"), () if stream is None else (stream,)
         )
+        assistants = mistakes.collect(
+            partial(searching.endpoint_of, "--assistant"), () if assistant is None else (assistant,)
+        )
+        assistant_streams = mistakes.collect(
+            partial(searching.endpoint_of, "--assistant-stream"),
+            () if assistant_stream is None else (assistant_stream,),
+        )
         mistakes.collect(partial(searching.endpoint_of, "--clock"), (clock,))
-        writing.with_options(searching.example_tables(finders, Search()), option or (), mistakes)
+        examples = searching.example_tables(finders, Search())
+        if assistants:
+            examples += searching.as_assistant(examples)
+        writing.with_options(examples, option or (), mistakes)
     copied = writing.CopiedRecords() if records is None else writing.read_records(records)
     if interface is None:
         cards = (searching.find_interfaces(_ask_interfaces()),)
@@ -113,6 +131,10 @@ def new_theatre(
     )
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders, search, (left, right), _choose, advance)
+    if assistants:
+        second = Search(controllers=assistants, stream=next(iter(assistant_streams), None))
+        with terminal.progress_bar("looking for the assistant") as advance:
+            found += searching.find_assistant(finders, second, _choose, advance)
     with searching.Mistakes() as mistakes:  # what fits no device as it was found
         found = writing.with_options(writing.with_tools(found, copied.tools), option or (), mistakes)
     name = name or out.stem

@@ -10,6 +10,7 @@ from typing import TypeVar
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import Progress
+from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
@@ -17,6 +18,7 @@ from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 A = TypeVar("A")
 T = TypeVar("T")
+ARM = "robot"  # table of the arms
 Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
 
 
@@ -48,13 +50,12 @@ def _controller(text: str) -> Endpoint:
     return parse_endpoint(full if ":" in host else f"{full}:{PROJECT_PORT}").require("tcp")
 
 
+_STREAM = (lambda text: parse_endpoint(text).require("udp"), "udp://HOST:PORT", "udp://192.168.10.20:59152")
+_CONTROLLER = (_controller, "HOST or HOST:PORT", "172.31.1.147")
 # Options that give an endpoint: how its text is read, its form in words, a fitting example.
 ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
-    "--stream": (
-        lambda text: parse_endpoint(text).require("udp"),
-        "udp://HOST:PORT",
-        "udp://192.168.10.20:59152",
-    ),
+    "--stream": _STREAM,
+    "--assistant-stream": _STREAM,
     "--clock": (
         lambda text: parse_endpoint(text).require("host", "shm"),
         "host: or shm:///PATH, as in the READY line of a simulated theatre",
@@ -65,13 +66,14 @@ ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
         "the path of a line, or tcp://HOST:PORT",
         "/dev/ttyUSB0",
     ),
-    "--controller": (_controller, "HOST or HOST:PORT", "172.31.1.147"),
+    "--controller": _CONTROLLER,
+    "--assistant": _CONTROLLER,
 }
 
 CHOSEN_BY = {  # options that select among devices found, by table
     "stereo": "--left ADDRESS --right ADDRESS",
     "tracker": "--serial LINE",
-    "robot": "--controller HOST:PORT",
+    ARM: "--controller HOST:PORT",
 }
 
 
@@ -167,6 +169,19 @@ def search_all(
         else:
             found.append(DeviceTable(table, chosen, is_found=True))
     return tuple(found)
+
+
+def find_assistant(
+    finders: Iterable[Finder], search: Search, choose: Choose, progress: Progress
+) -> tuple[DeviceTable, ...]:
+    """Search for a second arm at the controller named for it."""
+    arms = [finder for finder in finders if finder.table == ARM]
+    return as_assistant(search_all(arms, search, (None, None), choose, progress))
+
+
+def as_assistant(tables: Iterable[DeviceTable]) -> tuple[DeviceTable, ...]:
+    """Return the tables of arms among these as those of an assistant."""
+    return tuple(replace(one, table=f"{ARM}.{ASSISTANT}") for one in tables if one.table == ARM)
 
 
 def _select_pairs(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:

@@ -27,6 +27,7 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.work_progress import DepthStop
+from procedures.strategies.strategy import LAST_STRETCH_MM
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.tools import Sides
@@ -172,7 +173,11 @@ def _list_reached(
             try:
                 at_start = assistant.clamp_joints(one.start, near)
                 at_end = assistant.clamp_joints(one.held, at_start)
-                signs = tuple(1 if end >= begin else -1 for begin, end in zip(at_start, at_end, strict=True))
+                # Not those of the whole way: some joints turn back on it, and would rest on their other side.
+                before = assistant.clamp_joints(one.pose_at(one.travel_mm - LAST_STRETCH_MM), at_end)
+                signs = tuple(
+                    1 if after >= earlier else -1 for earlier, after in zip(before, at_end, strict=True)
+                )
                 axis = meeting.command(assistant, replace(one, arriving=signs), at_end)
                 start_rad = assistant.clamp_joints(axis.start, near, signs)
             except LimitError:

@@ -176,7 +176,7 @@ def test_a_signal_at_the_prompt_after_the_last_step_ends_a_finished_case(
     process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
     assert process.stdin is not None
     assert process.stdout is not None
-    process.stdin.write("run confirmation:T1\nto confirmation:T1\n")
+    process.stdin.write("to confirmation:T1\n")
     process.stdin.flush()
     assert any(line.startswith("done confirmation:T1") for line in process.stdout)
     process.send_signal(signal.SIGTERM)

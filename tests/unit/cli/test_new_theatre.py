@@ -308,3 +308,42 @@ def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out:
         assert numbered
         assert named in rest.partition("; (")[0]
     assert cameras.searches == []
+
+
+class Arms:
+    """An arm at each address that is asked, and none elsewhere."""
+
+    table = "robot"
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return [self._at(str(one)) for one in search.controllers]
+
+    def example(self, search: Search) -> Proposal:
+        return self._at("tcp://172.31.1.147:54602")
+
+    def _at(self, address: str) -> Proposal:
+        return Proposal("arm", "an arm", {ONLY: address}, (Option("pace", 0.1, False, "How fast."),))
+
+
+def test_a_second_arm_is_the_one_at_the_address_given_for_it(
+    cameras: Cameras, monkeypatch: pytest.MonkeyPatch, out: Path
+) -> None:
+    monkeypatch.setattr(registry, "load_finders", lambda: {"cameras": cameras, "arm": Arms()})
+    arms = "--controller", "10.0.0.1:1", "--assistant", "10.0.0.2:2"
+    code, _, said = new_theatre(out, *arms, "--option", "robot.assistant.pace=0.2")
+    robots = read_theatre_file(out).robot
+    assert code == 0, said
+    assert {role: one.endpoint for role, one in robots.items()} == {
+        "master": "tcp://10.0.0.1:1",
+        "assistant": "tcp://10.0.0.2:2",
+    }
+    assert [one.options for one in robots.values()] == [{}, {"pace": 0.2}]
+
+
+def test_without_a_controller_for_it_there_is_no_second_arm(
+    cameras: Cameras, monkeypatch: pytest.MonkeyPatch, out: Path
+) -> None:
+    monkeypatch.setattr(registry, "load_finders", lambda: {"cameras": cameras, "arm": Arms()})
+    code, _, _ = new_theatre(out, "--controller", "10.0.0.1:1")
+    assert code == 0
+    assert list(read_theatre_file(out).robot) == ["master"]
