@@ -68,11 +68,11 @@ FRAMES = 12  # of the tracker, averaged per look at a frame
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
 FRAMES_FROM_ENTRY_MM = (0.0, -200.0, 300.0)
-BALL_ABOVE_GUIDE_MM = 60.0
-LEAST_POSTURES = 5
+BALL_ABOVE_GUIDE_MM = 10.0  # higher, both arms would be in other postures than with the instrument
+LEAST_POSTURES = 8  # 16 looks: the instrument is then 0.07 mm off the bore, 2-D, after twelve looks 0.09
 LOOKS_PER_POSTURE = 2
 LOOKS_TRIED = 6  # for a posture: an arm stands in the way of the other in many
-HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(15.0), math.radians(30.0)
+HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(18.0), math.radians(40.0)
 ENOUGH_MM = 0.08  # stated error at which no more looks are taken
 
 

@@ -25,7 +25,7 @@ BALL_SPREAD_MM = np.array((40.0, 40.0, 60.0))  # either way, of the ball's place
 PLACES_SEED = 49
 # Close to the posture with the instrument: what the arms err there is part of the bases, the ways are short.
 BALL_TILT_RAD, BALL_TURN_RAD = math.radians(20.0), math.radians(30.0)
-POSTURES = 6  # of the assistant with its ball
+POSTURES = 8  # of the assistant with its ball
 MOST_POSTURES = 48  # that are tried: an arm stands in the way of the other in many
 OUT_OF_REACH_RAD = 2.0 * math.pi  # a pose out of reach counts as a way as long
 FLANGE_ONWARDS = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # instrument down
