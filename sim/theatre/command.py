@@ -342,8 +342,8 @@ def fault(
     line: Annotated[
         str | None,
         typer.Argument(
-            help="A fault such as 'tracker occlude marker 3 for 2 s' or 'assistant robot emergency stop', "
-            "or a whole line of a fault script."
+            help="A fault such as 'tracker occlude marker 3 for 2 s' or 'assistant robot emergency stop', or "
+            "a whole line of a fault script."
         ),
     ] = None,
     control: Annotated[

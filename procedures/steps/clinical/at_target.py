@@ -71,7 +71,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
         "tracker did not see the guide after each. One that was released before is a finding."
     )
     assisted: AssistedInsertion | None = Field(
-        default=None, description="InsertionAxis by the assistant; none by hand or on an earlier visit."
+        default=None, description="Insertion by the assistant; none by hand or on an earlier visit."
     )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
