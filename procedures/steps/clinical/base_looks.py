@@ -42,7 +42,9 @@ from procedures.steps.clinical.base_postures import (
     plan_ball_postures,
     plan_turns,
     turn_towards,
+    turns_about_axis,
     working_joints,
+    wrist_branches,
 )
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -92,7 +94,8 @@ class BaseMeasurement:
         self._cell, self._clock = context.workcell, context.setting.clock
         robot_from_ct = context.result(Correspondence).robot_from_ct.transform
         plan = context.result(CheckedPlan)
-        entries, tops, ways = [], [], []
+        self.held_rad = assistant.home_rad  # of the assistant in the last look at its ball
+        entries, tops, ways, axes = [], [], [], []
         for name in context.result(CheckedPaths).targets:
             planned = plan.trajectory(name)
             entry, target = robot_from_ct.apply([planned.entry_mm, planned.target_mm])
@@ -101,6 +104,8 @@ class BaseMeasurement:
             entries.append(entry)
             tops.append(target + stop_mm * outwards)
             ways.append(outwards)
+            axes.append((tops[-1] + stop_mm * outwards, -outwards))
+        self._axes = axes  # where the clamp begins to insert, and which way
         self._frames_mm = np.mean(entries, axis=0) + FRAMES_FROM_ENTRY_MM
         self._outwards = np.mean(ways, axis=0)
         self._ball_mm = np.mean(tops, axis=0) + BALL_ABOVE_GUIDE_MM * np.array((0.0, 0.0, 1.0))
@@ -126,9 +131,8 @@ class BaseMeasurement:
                 action="Clear the line of sight between tracker and both arms, then repeat the step.",
             )
         flange = self._assistant.flange_pose(self._assistant.joints_rad())
-        drawn = self._assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
         by_master = robot_from_marker(self._cell, self._cell.joints_rad()) @ master.inverse()
-        return between_bases((by_master @ assistant @ (flange @ drawn).inverse()).as_matrix())
+        return between_bases((by_master @ assistant @ (flange @ self._drawn_frame).inverse()).as_matrix())
 
     def look_at_frames(self) -> tuple[PosePairs, PosePairs]:
         """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.
@@ -154,9 +158,8 @@ class BaseMeasurement:
             frame.tool,
         )
         cell.return_home()
-        base = self._assistant.base
-        drawn = assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
-        frames_mm, from_base = base.inverse().apply(self._frames_mm), base.inverse() @ tracker
+        drawn, from_base = self._drawn_frame, self._tracker_in_base()
+        frames_mm = self._assistant.base.inverse().apply(self._frames_mm)
         home = assistant.flange_pose(assistant.home_rad).rigid.rotation
         facing = (home * drawn.rigid.rotation).as_matrix()[:, 2]
         towards = turn_towards(facing, from_base.translation_mm - frames_mm) * home
@@ -213,7 +216,7 @@ class BaseMeasurement:
         inwards = -base.inverse().rotation_matrix @ self._outwards
         reference = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
         postures = plan_ball_postures(reference, base, self._ball_mm, ball_mm)
-        near = working_joints(assistant, postures)
+        near = self._wrist_over_guides(working_joints(assistant, postures))
         looks: list[tuple[Array, Array, Array, JointVector, JointVector]] = []
         reasons: list[str] = []
         held = 0
@@ -234,6 +237,7 @@ class BaseMeasurement:
                 (base @ flange).apply(ball_mm), held, reasons
             ):
                 joints_rad = cell.joints_rad(), assistant.joints_rad()
+                self.held_rad = joints_rad[1]
                 looks.append((pose.as_matrix(), ball_in_head_mm, flange.as_matrix(), *joints_rad))
             held += len(looks) > before
             share = 0.5 + min(held / POSTURES, 1.0) / 2.0
@@ -252,6 +256,42 @@ class BaseMeasurement:
         cell.return_home()
         assistant.return_home()
         return fit()
+
+    def _wrist_over_guides(self, usual: JointVector) -> JointVector:
+        """Return joints in the branch of the wrist in which the instrument will be inserted.
+
+        That is the usual one unless it hides the assistant's frame from the tracker over a guide, and the
+        other does not: in the branch of the looks, the errors of the arm are known.
+        """
+        branch_of = self._assistant.arm.kinematics.branch_of
+        for near in sorted(
+            wrist_branches(self._assistant), key=lambda one: branch_of(one) != branch_of(usual)
+        ):
+            if all(self._shows_frame(place_mm, inwards, near) for place_mm, inwards in self._axes):
+                return near
+        return usual
+
+    def _shows_frame(self, place_mm: Array, inwards: Array, near: JointVector) -> bool:
+        """Return whether the tracker sees the assistant's frame at some turn about an axis."""
+        assistant, drawn = self._assistant, self._drawn_frame
+        tracker = self._tracker_in_base()
+        for turn in turns_about_axis(turn_towards((0.0, 0.0, 1.0), inwards, math.pi)):
+            clamp = Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.from_components(place_mm, turn))
+            with suppress(LimitError):
+                at = assistant.clamp_joints(clamp, near)
+                marker = assistant.flange_pose(at) @ drawn
+                if not explain_hidden_frame(tracker, marker, assistant.arm.kinematics, at):
+                    return True
+        return False
+
+    @property
+    def _drawn_frame(self) -> Transform:
+        return self._assistant.holder.flange_from_frame.transform(Frame.FLANGE, Frame.MARKER)
+
+    def _tracker_in_base(self) -> Transform:
+        """Return the tracker in the base of the assistant."""
+        tracker = self._context.result(GlobalLocalization).robot_from_tracker.transform
+        return self._assistant.base.inverse() @ tracker
 
     def _look_from_around(
         self, ball_mm: Array, number: int, reasons: list[str]

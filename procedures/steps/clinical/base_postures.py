@@ -27,6 +27,7 @@ PLACES_SEED = 49
 BALL_TILT_RAD, BALL_TURN_RAD = math.radians(20.0), math.radians(30.0)
 POSTURES = 8  # of the assistant with its ball
 MOST_POSTURES = 48  # that are tried: an arm stands in the way of the other in many
+TURN_STEP_RAD = math.radians(15.0)  # about the axis of an instrument
 OUT_OF_REACH_RAD = 2.0 * math.pi  # a pose out of reach counts as a way as long
 FLANGE_ONWARDS = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # instrument down
 
@@ -108,6 +109,12 @@ def working_joints(assistant: Assistant, flanges: Sequence[Transform]) -> JointV
         return way
 
     return min(wrist_branches(assistant), key=way_rad)
+
+
+def turns_about_axis(clamp: Rotation) -> list[Rotation]:
+    """Return a clamp turned about the axis of its instrument: the bore leaves that free."""
+    steps = range(round(2.0 * math.pi / TURN_STEP_RAD))
+    return [clamp * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD]) for step in steps]
 
 
 def wrist_branches(assistant: Assistant) -> tuple[JointVector, JointVector]:

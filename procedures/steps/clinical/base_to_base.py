@@ -21,7 +21,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import FramedPose, StepResult
+from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import Topic
 from procedures.steps.clinical.base_looks import (
     LOOKS_PER_POSTURE,
@@ -69,6 +69,7 @@ class KnownBases(StepResult, kind="base_to_base"):
     outliers: int = Field(description="Of these, those left out.")
     master_errors: tuple[float, ...] = Field(description="Of the master, as found; see `FoundArm`.")
     assistant_errors: tuple[float, ...] = Field(description="The same of the assistant.")
+    assistant_rad: Numbers6 = Field(description="Posture of the assistant in the last look.")
     region_mm: Numbers3 = Field(description="Middle of the looks at the ball, robot frame.")
     master_seen_mm: tuple[Numbers3, ...] = Field(
         description="Frame on the arm and spheres, both arms home, tracker frame."
@@ -135,6 +136,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
             outliers=int((~fit.used).sum()),
             master_errors=fit.master.errors,
             assistant_errors=fit.assistant.errors,
+            assistant_rad=measuring.held_rad,
             region_mm=_numbers(fit.region_mm),
             master_seen_mm=tuple(map(_numbers, seen[0])),
             assistant_seen_mm=_numbers(seen[1]),

@@ -6,20 +6,24 @@ and all ways are clear; of these the one nearest to the postures in which the ba
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.arm_errors import FoundArm
 from procedures.engine.context import StepContext
 from procedures.planning.errors import NotReachable
 from procedures.planning.tracker_sight import explain_hidden_frame
-from procedures.steps.clinical.base_postures import face_along, travel_rad, working_joints, wrist_branches
+from procedures.steps.clinical.base_postures import (
+    TURN_STEP_RAD,
+    face_along,
+    travel_rad,
+    turns_about_axis,
+    wrist_branches,
+)
 from procedures.steps.clinical.base_to_base import KnownBases, found_arms
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -38,7 +42,6 @@ from ronna_hw.vectors import JointVector, joint_vector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
-TURN_STEP_RAD = math.radians(15.0)
 
 
 class Approach(NamedTuple):
@@ -144,8 +147,7 @@ def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
     travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
     axes = []
-    for step in range(round(2.0 * math.pi / TURN_STEP_RAD)):
-        turn = guide.rigid.rotation * Rotation.from_rotvec([0.0, 0.0, step * TURN_STEP_RAD])
+    for turn in turns_about_axis(guide.rigid.rotation):
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
         axes.append(InsertionAxis(context.trajectory, held, travel_mm))
     return axes
@@ -156,8 +158,8 @@ def _list_reached(
 ) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 
-    First those over which the tracker can compare the frames of both arms, then those near the postures of
-    the ball: what the arms err there is part of the bases.
+    First those in the wrist's posture at the looks, for which it is known what the arm errs; of these, those
+    over which the tracker can compare the frames of both arms.
     """
     tracker = assistant.base.inverse() @ known.robot_from_tracker.transform
     frame = known.flange_from_frame.transform
@@ -166,9 +168,10 @@ def _list_reached(
     onwards = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
     flanges = [to_base @ one.held @ onto_flange for one in axes]
     away_rad = [float((onwards.inv() * flange.rigid.rotation).magnitude()) for flange in flanges]
-    usual = working_joints(assistant, [flanges[int(np.argmin(away_rad))]])
+    branch_of = assistant.arm.kinematics.branch_of
     found = []
     for near in wrist_branches(assistant):
+        other_wrist = branch_of(near) != branch_of(known.assistant_rad)
         for one, away in zip(axes, away_rad, strict=True):
             try:
                 at_start = assistant.clamp_joints(one.start, near)
@@ -185,7 +188,7 @@ def _list_reached(
             marker = assistant.flange_pose(start_rad) @ frame
             hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, start_rad))
             way_rad = travel_rad(assistant.home_rad, start_rad) + travel_rad(at_start, at_end)
-            rank = (hidden, near != usual, round(away / TURN_STEP_RAD), way_rad)
+            rank = (other_wrist, hidden, round(away / TURN_STEP_RAD), way_rad)
             found.append(_Candidate(rank, axis, start_rad, at_end))
     return found
 

@@ -173,6 +173,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
             outliers=1,
             master_errors=(0.1 + 0.2, -1.0),
             assistant_errors=(1 / 3, 0.0),
+            assistant_rad=HOME_RAD,
             region_mm=(750.0, 0.0, 480.0),
             master_seen_mm=((1.0, 2.0, 3.0),),
             assistant_seen_mm=(0.0, 0.0, 1 / 3),
