@@ -14,7 +14,7 @@ from procedures.engine.setting import CaseSetting
 from procedures.planning.motions import BACK, LINE, MOVE
 from procedures.planning.pose_name import HOME, PoseKind, PoseName
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.base_looks import LOOKS_PER_POSTURE
+from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE
 from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
 from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence

@@ -23,13 +23,10 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import Topic
-from procedures.steps.clinical.base_looks import (
-    LOOKS_PER_POSTURE,
-    BaseMeasurement,
-    between_bases,
-    stated_arms,
-)
+from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE, BallWatch
 from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
+from procedures.steps.clinical.base_visits import ArmVisits, between_bases, stated_arms
+from procedures.steps.clinical.frame_looks import FrameLooks
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.room import ROOM_READS, check_room
@@ -100,12 +97,13 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         "head. Nobody and nothing else may be within their reach",
         f"{2 * FRAME_LOOKS} looks at frames, {POSTURES * LOOKS_PER_POSTURE} at the ball",
     )
-    measuring = BaseMeasurement(context, assistant)
-    workcell.place_assistant(measuring.first_guess())
+    visits = ArmVisits(context, assistant)
+    frames, ball = FrameLooks(visits), BallWatch(visits)
+    workcell.place_assistant(frames.first_guess())
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)
-    workcell.surround_assistant(measuring.around())
-    master_looks, assistant_looks = measuring.look_at_frames()
+    workcell.surround_assistant(visits.around())
+    master_looks, assistant_looks = frames.look()
     records = workcell.calibrations
     assert records.arm is not None
     assert records.assistant_arm is not None
@@ -113,10 +111,10 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     by_frames = bases_by_frames(master_looks, assistant_looks, errors_mm)
     coarse = by_frames.bases
     workcell.place_assistant(_robot_from_base(coarse))
-    workcell.surround_assistant(measuring.around())
-    fit = measuring.look_at_ball(coarse)
+    workcell.surround_assistant(visits.around())
+    fit = ball.look(coarse)
     workcell.place_assistant(_robot_from_base(fit.bases))
-    workcell.surround_assistant(measuring.around())
+    workcell.surround_assistant(visits.around())
     seen = _see_platforms(context, assistant, context.result(GlobalLocalization).points_mm)
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
     apart_mm = float(np.linalg.norm((coarse.robot_from_base @ there_mm)[:3] - fit.region_mm))
@@ -136,7 +134,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
             outliers=int((~fit.used).sum()),
             master_errors=fit.master.errors,
             assistant_errors=fit.assistant.errors,
-            assistant_rad=measuring.held_rad,
+            assistant_rad=ball.held_rad,
             region_mm=_numbers(fit.region_mm),
             master_seen_mm=tuple(map(_numbers, seen[0])),
             assistant_seen_mm=_numbers(seen[1]),

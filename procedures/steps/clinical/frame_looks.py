@@ -1,0 +1,132 @@
+"""Looks of the tracker at the frames of both arms, turned in one region: bases within half a millimetre."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.base_to_base import LEAST_FRAME_LOOKS
+from procedures.calibration.errors import PosesOutOfReach
+from procedures.calibration.hand_eye import PosePairs
+from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.journal.errors import GateFailed
+from procedures.planning.tracker_sight import explain_hidden_frame
+from procedures.steps.clinical.base_postures import (
+    FRAME_LOOKS,
+    flange_of,
+    plan_turns,
+    turn_towards,
+    working_joints,
+)
+from procedures.steps.clinical.base_visits import ArmVisits, Mover, between_bases, list_possible
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.strategies.strategy import ONE_SIDE
+from procedures.workcell.tracker_look import mean_pose, robot_from_marker
+from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
+
+Array = NDArray[np.float64]
+
+FRAMES = 12  # of the tracker, averaged per look at a frame
+# Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
+# between the arms, clear of the one that rests at home.
+FROM_ENTRY_MM = (0.0, -200.0, 300.0)
+
+
+@dataclass(frozen=True)
+class FrameLooks:
+    """Looks at the frames of both arms."""
+
+    visits: ArmVisits
+
+    def first_guess(self) -> Transform:
+        """Return the base by one look at both frames at home, the assistant's as drawn."""
+        cell, assistant_arm = self.visits.cell, self.visits.assistant
+        frames = self.visits.read(CAREFUL_FRAMES)
+        on_master, on_assistant = cell.calibrations.tracker_frame.tool, assistant_arm.holder.frame
+        seen = [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, on_assistant)]
+        master, assistant = seen
+        if master is None or assistant is None:
+            name = on_master if master is None else on_assistant
+            raise GateFailed(
+                f"the tracker does not see the frame {name}",
+                expected="both arms home, their frames in view",
+                action="Clear the line of sight between tracker and both arms, then repeat the step.",
+            )
+        flange = assistant_arm.flange_pose(assistant_arm.joints_rad())
+        by_master = robot_from_marker(cell, cell.joints_rad()) @ master.inverse()
+        return between_bases(
+            (by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()).as_matrix()
+        )
+
+    def look(self) -> tuple[PosePairs, PosePairs]:
+        """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.
+
+        The assistant stays there: it goes on to hold its ball.
+        """
+        visits, cell, assistant = self.visits, self.visits.cell, self.visits.assistant
+        region_mm = np.mean([one.entry_mm for one in visits.planned_guides()], axis=0) + FROM_ENTRY_MM
+        frame = cell.calibrations.tracker_frame
+        marker_mm = frame.tool_from_marker.translation_mm
+        reference = cell.tool_pose(cell.home_rad).rigid.rotation
+        tracker = visits.context.result(GlobalLocalization).robot_from_tracker.transform
+        found = self._turn(
+            (
+                partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE)
+                for one in plan_turns(reference, region_mm, marker_mm)
+            ),
+            lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
+            Mover(
+                cell.joints_rad,
+                lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
+                lambda: cell.flange_pose(cell.joints_rad()),
+            ),
+            frame.tool,
+        )
+        cell.return_home()
+        drawn, from_base = visits.drawn_frame, visits.tracker_in_base
+        frames_mm = assistant.base.inverse().apply(region_mm)
+        home = assistant.flange_pose(assistant.home_rad).rigid.rotation
+        facing = (home * drawn.rigid.rotation).as_matrix()[:, 2]
+        towards = turn_towards(facing, from_base.translation_mm - frames_mm) * home
+        turns = [flange_of(one.pose) for one in plan_turns(towards, frames_mm, drawn.translation_mm)]
+        near = working_joints(assistant, turns[:FRAME_LOOKS])
+        other = self._turn(
+            (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in turns),
+            visits.explain_hidden,
+            visits.assistant_mover,
+            assistant.holder.frame,
+        )
+        return found, other
+
+    def _turn(
+        self,
+        plan: Iterable[Callable[[], JointVector]],
+        explain_hidden: Callable[[JointVector], str],
+        arm: Mover,
+        frame: str,
+    ) -> PosePairs:
+        flanges: list[Array] = []
+        seen: list[Array] = []
+        reasons: list[str] = []
+        for _ in self.visits.visit(list_possible(plan, reasons, explain_hidden), FRAME_LOOKS, arm, reasons):
+            pose = mean_pose(self.visits.read(FRAMES), frame, FRAMES // 2)
+            if pose is None:
+                reasons.append(f"{frame} not in view")
+                continue
+            flanges.append(arm.flange().as_matrix())
+            seen.append(pose.as_matrix())
+            self.visits.context.progress(len(seen) / FRAME_LOOKS / 4.0, f"turning the frame {frame}")
+            if len(seen) == FRAME_LOOKS:
+                break
+        if len(seen) < LEAST_FRAME_LOOKS:
+            raise PosesOutOfReach(
+                f"too few poses show the frame {frame}",
+                expected=f"{LEAST_FRAME_LOOKS}",
+                got=f"{len(seen)}; {', '.join(sorted(set(reasons)))}",
+            )
+        return PosePairs(np.array(flanges), np.array(seen))
