@@ -51,6 +51,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a
     assert targets(case.run) == targets(alone.run)
 
 
+@pytest.mark.slow  # ten pages at once, drawn by the processors
 def test_a_second_operator_and_eight_viewers_can_only_view_and_a_ninth_is_refused(
     start: OperatedCases, page: Any, browser: Any
 ) -> None:
