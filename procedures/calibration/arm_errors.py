@@ -6,20 +6,19 @@ deviations of the record, they are independent and of unit variance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from procedures.strategies.strategy import Sides
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, unit_errors
 from ronna_hw.frames import Transform, build_rigid
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
-Sides = Sequence[int] | None  # from which the joints arrived, +1 or -1, if known
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,17 +28,15 @@ class StatedArm:
     chain: Chain
     sizes: ErrorSizes
 
-    def displacements(
-        self, joints_rad: ArrayLike, points_mm: ArrayLike, arrived: Sequence[int] | None
-    ) -> Array:
+    def displacements(self, joints_rad: ArrayLike, points_mm: ArrayLike, arrived: Sides) -> Array:
         """Return displacements (p, 3, k) mm of points (p, 3) mm on its flange by a unit of each error.
 
         In the base of the arm; `joints_rad` is (p, axes), which `arrived` from these sides.
         """
         joints = np.asarray(joints_rad, dtype=float)
-        sides = (
-            np.zeros_like(joints) if arrived is None else np.tile(np.array(arrived, float), (len(joints), 1))
-        )
+        sides = np.zeros_like(joints)
+        if arrived is not None:
+            sides[:] = arrived
         return unit_errors(self.chain, joints, np.asarray(points_mm, dtype=float), self.sizes, sides)
 
 
@@ -54,7 +51,7 @@ class FoundArm:
         self,
         tool: Transform,
         joints_rad: JointVector,
-        arrived: Sequence[int] | None,
+        arrived: Sides,
         along_mm: tuple[float, float],
     ) -> Transform:
         """Return where a tool really is whose pose without these errors, in the base of the arm, is `tool`.
@@ -69,13 +66,3 @@ class FoundArm:
         rotation = Rotation.from_rotvec(np.cross(tool.rotation_matrix[:, 2], slope)) * tool.rigid.rotation
         origin_mm = places_mm[0] + moved_mm[0] - rotation.apply((0.0, 0.0, first_mm))
         return Transform(tool.target, tool.source, build_rigid(origin_mm, rotation))
-
-    def command(
-        self,
-        tool: Transform,
-        joints_rad: JointVector,
-        arrived: Sequence[int] | None,
-        along_mm: tuple[float, float],
-    ) -> Transform:
-        """Return the pose that leads the tool to `tool`; arguments as in `displace`."""
-        return tool @ self.displace(tool, joints_rad, arrived, along_mm).inverse() @ tool

@@ -10,7 +10,7 @@ two tools are apart in other postures of the region. Both arms must have been ca
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -127,10 +127,6 @@ class BallLooks:
     def region_mm(self) -> Array:
         """Middle of the places where the ball was seen, (3,) in the robot frame."""
         return np.asarray(_apply(self.robot_from_head, self.ball_mm).mean(axis=0))
-
-    def select(self, chosen: object) -> BallLooks:
-        """Return some of the looks."""
-        return BallLooks(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 @dataclass(frozen=True)

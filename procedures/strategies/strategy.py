@@ -33,6 +33,8 @@ OUTWARDS_RAD: tuple[float, ...] = (
     *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
 )
 
+# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
+Sides = Sequence[int] | None
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.

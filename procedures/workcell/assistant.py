@@ -14,7 +14,7 @@ from typing import NamedTuple
 from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
-from procedures.strategies.strategy import ONE_SIDE, approach_joints
+from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import (
     ArmLog,
     InsertionAxis,
@@ -23,7 +23,7 @@ from procedures.workcell.arm_history import (
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
-from procedures.workcell.tools import CarriedTool, Sides
+from procedures.workcell.tools import CarriedTool
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose

@@ -12,12 +12,12 @@ from functools import partial
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
-from procedures.strategies.strategy import ONE_SIDE, approach_joints
+from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, MotionKind, PlaceKind, stands_at
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tools import Sides, calibrated_arm
+from procedures.workcell.tools import calibrated_arm
 from ronna_hw.calibrated_arm.deviations import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import MASTER

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 from procedures.calibration.validity import MADE_BY_HAND
 from procedures.journal.journal import Entry
+from procedures.strategies.strategy import Sides
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import AnotherArm, InstrumentInGuide, SameArmTwice, WrongTool
 from ronna_hw.arm.catalogue import find_kinematics
@@ -19,9 +20,6 @@ from ronna_hw.config import ASSISTANT, MASTER, Calibrations
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
-Sides = Sequence[int] | None
 
 
 class MountedTool(StrEnum):

@@ -17,7 +17,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
-from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, approach_joints
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, Sides, approach_joints
 from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
@@ -32,7 +32,7 @@ from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, Othe
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_arm import SupervisedArm
-from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount
+from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, ToolMount
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose

@@ -31,10 +31,9 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.strategies.strategy import LAST_STRETCH_MM
+from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.tools import Sides
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.tool_record import GuideBore
@@ -90,10 +89,9 @@ class Meeting(NamedTuple):
 
     def command(self, assistant: Assistant, axis: InsertionAxis, held_rad: JointVector) -> InsertionAxis:
         """Return the axis along which the assistant, by its record, leads the instrument along `axis`."""
-        ends_mm = (0.0, self.bore.length_mm)
         held = assistant.base.inverse() @ axis.held
-        held = assistant.base @ self.assistant.command(held, held_rad, axis.arriving, ends_mm)
-        return replace(axis, held=held)
+        really = self.assistant.displace(held, held_rad, axis.arriving, (0.0, self.bore.length_mm))
+        return replace(axis, held=assistant.base @ held @ really.inverse() @ held)
 
 
 def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> Approach:

@@ -169,7 +169,7 @@ class TwoArms:
         )
 
     def fine_misses(self, fit: BallFit, count: int = MISSES) -> Array:
-        """The same by the fit, which predicts what both arms err there."""
+        """Misses (n, 3) mm of ball and head in new postures, less what the fit predicts."""
         base, found = fit.bases.robot_from_base, []
         for _ in range(count):
             pair = self._together(INSERTION_TILT_DEG)
@@ -185,7 +185,7 @@ class TwoArms:
         return np.array(found)
 
     def _miss_mm(self, pair: Pair, base: Array, head: Array, ball_mm: Array) -> Array:
-        """Where the ball is beside the head's tool centre, minus what the models of both arms say."""
+        """Error (3,) mm of where both models have the ball beside the tool centre of the head."""
         master, assistant, ball = pair
         believed_mm = apply(base @ assistant.believed, ball_mm) - (master.believed @ head)[:3, 3]
         return np.asarray(ball - (master.true @ self._head_true)[:3, 3] - believed_mm)

@@ -63,7 +63,7 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
 
 
 class Trouble(NamedTuple):
-    """What happens while the assistant leads the instrument, and how the case must stop."""
+    """Fault during the insertion or the withdrawal, and how the case must stop."""
 
     during: str  # motion of the assistant
     happens: Happening

@@ -1,4 +1,4 @@
-"""Where the assistant of a drawn scene waits, and what it leaves free."""
+"""Home of the assistant in a drawn scene: it leaves the way of the master free."""
 
 from __future__ import annotations
 
