@@ -91,7 +91,7 @@ class ArmPair:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
         self._around[role] = replace(surroundings, owner=role)
         with suppress(OtherArmUnknown):  # else before its next motion
-            self._surround_with_other(role)
+            self.look_around(role)
 
     def look_around(self, role: str) -> None:
         """Surround one arm with the other where that is now, as `move` does, before motions are previewed.
@@ -99,6 +99,11 @@ class ArmPair:
         Raises DUAL-003 if the state of the other is unknown.
         """
         self._surround_with_other(role)
+
+    def rest_apart(self, joints_rad: Mapping[str, JointVector]) -> bool:
+        """Return whether both arms, at these joints, would keep the distance that is planned between them."""
+        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT))
+        return world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm >= PLANNED_APART_MM
 
     def place_assistant(self, base: Pose) -> None:
         """Take another pose ROBOT <- base of the assistant, as measured better."""
@@ -323,9 +328,6 @@ class ArmPair:
 
 class ReplayedPair(ArmPair):
     """Pair of stand-ins: what stopped an arm is in its answers, and nothing comes close."""
-
-    def surround(self, role: str, surroundings: Surroundings) -> None:
-        """Do nothing."""
 
     def look_around(self, role: str) -> None:
         """Do nothing."""

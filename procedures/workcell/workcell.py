@@ -289,6 +289,12 @@ class Workcell(SupervisedArm):
         assert self._around_assistant is not None, "what surrounds the assistant is known first"
         return self._require_assistant().rests_clear(joints_rad, self._around_assistant[0])
 
+    def rest_apart(self, role: str, joints_rad: JointVector) -> bool:
+        """Return whether an arm, at these joints, would keep its distance from the other where that rests."""
+        assert self._pair is not None, "where the assistant stands is known first"
+        here_rad = {MASTER: self.joints_rad(), ASSISTANT: self._require_assistant().joints_rad()}
+        return self._pair.rest_apart(here_rad | {role: joints_rad})
+
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
         if self._pair is not None:
@@ -506,8 +512,8 @@ class Workcell(SupervisedArm):
                 (on or axis).check_on_axis(pose)
 
     def _via_home(self, direct: PlannedMotion) -> PlannedMotion:
-        """Return a motion that may lead via home if its direct path is not clear."""
-        if self._log.home_rad is None:
+        """Return a motion that may lead via home if its direct path is not clear, unless it begins there."""
+        if self._log.home_rad is None or self.place.is_home:
             return direct
         return replace(direct, replacement=(self.home_motion(), direct))
 

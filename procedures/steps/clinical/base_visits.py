@@ -31,6 +31,7 @@ from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
+from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import LimitError
@@ -43,6 +44,7 @@ Array = NDArray[np.float64]
 class Mover(NamedTuple):
     """One of the arms, as it is moved and read for a look."""
 
+    role: str
     joints_rad: Callable[[], JointVector]
     settle: Callable[[JointVector], object]
     flange: Callable[[], Transform]
@@ -87,7 +89,12 @@ class ArmVisits:
     def assistant_mover(self) -> Mover:
         """The assistant, each joint arriving from one side."""
         one = self.assistant
-        return Mover(one.joints_rad, one.settle, lambda: one.flange_pose(one.joints_rad(), ONE_SIDE))
+        return Mover(
+            ASSISTANT,
+            one.joints_rad,
+            one.settle,
+            lambda: one.flange_pose(one.joints_rad(), ONE_SIDE),
+        )
 
     def explain_hidden(self, joints_rad: JointVector) -> str:
         """Explain why the tracker does not see the assistant's frame at these joints, or return ''."""
@@ -123,10 +130,14 @@ class ArmVisits:
     ) -> Iterator[None]:
         """Move to postures, `at_once` of them ordered for a short way; yield after each arrival.
 
-        Leaves out those that are not clear. Raises what trips an arm.
+        Leaves out those that are not clear, without a try if the other arm stands there. Raises what trips an
+        arm.
         """
         while batch := tuple(islice(possible, at_once)):
             for joints_rad in order_by_travel(arm.joints_rad(), batch):
+                if not self.cell.rest_apart(arm.role, joints_rad):
+                    reasons.append("too close to the other arm")
+                    continue
                 try:
                     arm.settle(joints_rad)
                 except (LimitError, NotClear) as error:

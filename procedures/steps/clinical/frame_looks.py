@@ -26,6 +26,7 @@ from procedures.steps.clinical.base_visits import ArmVisits, Mover, between_base
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.tracker_look import mean_pose, robot_from_marker
+from ronna_hw.config import MASTER
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -81,6 +82,7 @@ class FrameLooks:
             ),
             lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
             Mover(
+                MASTER,
                 cell.joints_rad,
                 lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
                 lambda: cell.flange_pose(cell.joints_rad()),

@@ -21,7 +21,7 @@ from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
