@@ -206,6 +206,7 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
+    base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
 
     def with_line(self, line: Line) -> ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
@@ -225,7 +226,8 @@ class ArmHistory:
                 return self._with_look(line)
             case Entry.BASE:
                 base = FramedPose.model_validate(line["robot_from_base"])
-                return replace(self, base=base.transform)
+                uncertain_mm = cast("float", line.get("uncertain_mm", 0.0))
+                return replace(self, base=base.transform, base_uncertain_mm=uncertain_mm)
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 place = replace(

@@ -74,6 +74,7 @@ class ArmPair:
         """
         self._arms = {role: arms[role] for role in ROLES}
         self._bases = {MASTER: Pose((0.0, 0.0, 0.0)), ASSISTANT: assistant_base}
+        self._uncertain_mm = 0.0  # of the assistant's base, at its arm
         self._clock = clock
         self._instrument_inside = instrument_inside
         self._around = dict.fromkeys(ROLES, Surroundings())
@@ -103,11 +104,15 @@ class ArmPair:
     def rest_apart(self, joints_rad: Mapping[str, JointVector]) -> bool:
         """Return whether both arms, at these joints, would keep the distance that is planned between them."""
         world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT))
-        return world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm >= PLANNED_APART_MM
+        apart_mm = world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm
+        return apart_mm >= PLANNED_APART_MM + self._uncertain_mm
 
-    def place_assistant(self, base: Pose) -> None:
-        """Take another pose ROBOT <- base of the assistant, as measured better."""
-        self._bases[ASSISTANT] = base
+    def place_assistant(self, base: Pose, uncertain_mm: float) -> None:
+        """Take another pose ROBOT <- base of the assistant, as measured better.
+
+        By `uncertain_mm` the assistant may be elsewhere: both arms keep that much more distance.
+        """
+        self._bases[ASSISTANT], self._uncertain_mm = base, uncertain_mm
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of the tools that may come close to the other arm, by role; none to end that."""
@@ -159,7 +164,8 @@ class ArmPair:
             self._at_rest_rad = {}
             paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
             world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm)
-            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S)
+            margin_mm = PLANNED_APART_MM + self._uncertain_mm
+            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S, margin_mm)
             for role, arm in self._arms.items():
                 arm.surround(self._around[role])
             return self._drive({role: motion.drive for role, motion in motions.items()})
@@ -202,11 +208,12 @@ class ArmPair:
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
         live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
-        near = live.find_near(joints[MASTER], joints[ASSISTANT], APART_MM)
+        least_mm = APART_MM + self._uncertain_mm
+        near = live.find_near(joints[MASTER], joints[ASSISTANT], least_mm)
         if near is not None:
             bodies = f"{near.first} of the {MASTER} and {near.second} of the {ASSISTANT}"
             words = f"{bodies} are {near.distance_mm:.1f} mm apart"
-            return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
+            return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
         return None
 
     @contextmanager
@@ -313,7 +320,8 @@ class ArmPair:
     def _grown_mm(self, role: str) -> float:
         """Return the thickening of the other arm that turns obstacle margins into those between two arms."""
         around = self._around[role]
-        return max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+        grown_mm = max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+        return grown_mm + self._uncertain_mm
 
     def _stop_one(self, arm: RobotArm, kind: StopKind) -> None:
         if kind is StopKind.HOLD and arm.state is Lifecycle.HOLD:

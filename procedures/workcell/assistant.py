@@ -108,11 +108,13 @@ class Assistant(SupervisedArm):
             )
         return self.history.base
 
-    def place_base(self, robot_from_base: Transform) -> None:
+    def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
         """Take the base as known. The journal has it before either arm moves: the way out needs it."""
-        known, pose = self._log.history.base, FramedPose.of(robot_from_base)
-        if known is None or pose != FramedPose.of(known):
-            self._log.write(Entry.BASE, robot_from_base=pose.model_dump(mode="json"))
+        known, pose = self._log.history, FramedPose.of(robot_from_base)
+        same = known.base is not None and pose == FramedPose.of(known.base)
+        if not same or uncertain_mm != known.base_uncertain_mm:
+            plain = pose.model_dump(mode="json")
+            self._log.write(Entry.BASE, robot_from_base=plain, uncertain_mm=uncertain_mm)
 
     def require_on_axis(self) -> None:
         """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""

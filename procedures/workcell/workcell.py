@@ -255,18 +255,21 @@ class Workcell(SupervisedArm):
 
     # Two arms
 
-    def place_assistant(self, robot_from_base: Transform) -> None:
-        """Take the assistant's base as known: from now on either arm may move, watched with the other."""
+    def place_assistant(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
+        """Take the assistant's base as known: from now on either arm may move, watched with the other.
+
+        `uncertain_mm` is by how much the arm may be elsewhere.
+        """
         assistant = self._require_assistant()
         base = Pose.from_matrix(robot_from_base.as_matrix().tolist())
-        assistant.place_base(robot_from_base)
+        assistant.place_base(robot_from_base, uncertain_mm)
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
             self._pair = self._make_pair(arms, base, clock, lambda: self.instrument.inside)
             self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
-        self._pair.place_assistant(base)
+        self._pair.place_assistant(base, uncertain_mm)
 
     def surround_assistant(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set what surrounds the assistant, in the robot frame; its tool is its own.
@@ -512,8 +515,8 @@ class Workcell(SupervisedArm):
                 (on or axis).check_on_axis(pose)
 
     def _via_home(self, direct: PlannedMotion) -> PlannedMotion:
-        """Return a motion that may lead via home if its direct path is not clear, unless it begins there."""
-        if self._log.home_rad is None or self.place.is_home:
+        """Return a motion that may lead via home if its direct path is not clear."""
+        if self._log.home_rad is None:
             return direct
         return replace(direct, replacement=(self.home_motion(), direct))
 

@@ -26,7 +26,7 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE, BallWatch
 from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
 from procedures.steps.clinical.base_visits import ArmVisits, between_bases, stated_arms
-from procedures.steps.clinical.frame_looks import FrameLooks
+from procedures.steps.clinical.frame_looks import FIRST_GUESS_MM, FrameLooks
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.room import ROOM_READS, check_room
@@ -99,7 +99,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     )
     visits = ArmVisits(context, assistant)
     frames, ball = FrameLooks(visits), BallWatch(visits)
-    workcell.place_assistant(frames.first_guess())
+    workcell.place_assistant(frames.first_guess(), FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)
     workcell.surround_assistant(visits.around())

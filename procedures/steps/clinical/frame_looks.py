@@ -32,6 +32,8 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
+# Three sigma of the frame's turn on its flange (half a degree) over 0.7 m from home, and of its place (1 mm).
+FIRST_GUESS_MM = 20.0
 FRAMES = 12  # of the tracker, averaged per look at a frame
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
