@@ -56,6 +56,7 @@ class Halt:
     arm: str
     reason: str
     instrument: str | None
+    kind: StopKind = StopKind.PROTECTIVE
 
 
 class ArmPair:
@@ -150,7 +151,7 @@ class ArmPair:
     def _surround_with_other(self, role: str) -> JointVector:
         """Surround an arm with the other one, where it rests; return the joints of that."""
         other, around = _other(role), self._around[role]
-        rests_rad = self._joints(other)
+        rests_rad = self._joints_now(other)
         obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
         self._arms[role].surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
         return rests_rad
@@ -173,7 +174,7 @@ class ArmPair:
     def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
         """Bring both arms to rest and hold them there; never raises."""
         if self.halted is None:
-            self.halted = Halt(arm, reason, self._instrument_inside())
+            self.halted = Halt(arm, reason, self._instrument_inside(), kind)
             logger(device=f"robot.{arm}").warning("both arms are stopped", cause=reason)
         stops = [
             threading.Thread(target=self._stop_one, args=(one, kind))
@@ -186,21 +187,31 @@ class ArmPair:
             stop.join()
 
     def watch(self) -> None:
-        """Look at both arms once; stop both for what stopped one, a distance, or an age."""
+        """Look at both arms once; stop both for what stopped one, a distance, or an age.
+
+        Only then is the cause asked for, which a driver may wait for its controller to tell.
+        """
         found = self._find_trouble()
-        if found is not None:
-            role, reason, kind = found
-            self.stop(reason, role, kind)
+        if found is None:
+            return
+        role, reason, kind = found
+        is_first = self.halted is None
+        self.stop(reason, role, kind)
+        fault = self._arms[role].fault
+        if is_first and self.halted is not None and fault is not None:
+            self.halted = replace(self.halted, reason=f"{reason}: {summary_of(fault)}")
 
     def _find_trouble(self) -> tuple[str, str, StopKind] | None:
         joints: dict[str, JointVector] = {}
         for role, arm in self._arms.items():
-            if (state := arm.state) is not self._expected.get(role, state):
-                why = "" if arm.fault is None else f": {summary_of(arm.fault)}"
-                kind = StopKind.HOLD if state is Lifecycle.HOLD else StopKind.PROTECTIVE
-                return role, f"the {role} has gone to {state}{why}", kind
+            # First: a thread that the host suspends in between finds no arm silent.
+            now_s = self._clock.now_s()
+            seen = arm.observe()  # unlike `state`, never waits: the other arm moves meanwhile
+            if seen.state is not self._expected.get(role, seen.state):
+                kind = StopKind.HOLD if seen.state is Lifecycle.HOLD else StopKind.PROTECTIVE
+                return role, f"the {role} has gone to {seen.state}", kind
             try:
-                joints[role] = self._joints(role)
+                joints[role] = self._joints(role, seen.reading, now_s)
             except OtherArmUnknown as error:
                 return role, error.summary, StopKind.PROTECTIVE
             if (rests_rad := self._at_rest_rad.get(role)) is not None:
@@ -270,9 +281,9 @@ class ArmPair:
         if errors and self.halted is None:  # refused before it began, or stopped since the last look
             self.watch()
         for error in errors.values():
-            if isinstance(error, ForceLimitExceeded):  # both arms are held, as asked for: nothing is latched
-                self.halted = None
-                raise error
+            # Both arms are held, as asked for: nothing is latched, unless something else has stopped them.
+            if isinstance(error, ForceLimitExceeded) and (halt := self.halted) is not None:
+                self.halted = None if halt.kind is StopKind.HOLD and halt.arm in errors else halt
         if self.halted is not None:
             self._refuse(next(iter(errors.values()), None))
         for error in errors.values():
@@ -289,10 +300,13 @@ class ArmPair:
         where = "" if inside is None else f"; an instrument is in the guide, and in {inside}"
         raise BothArmsHalted(f"both arms are halted: {self.halted.reason}{where}") from cause
 
-    def _joints(self, role: str) -> JointVector:
-        """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
-        now_s = self._clock.now_s()  # first: a thread that the host suspends in between finds no arm silent
-        reading = self._arms[role].observe().reading
+    def _joints_now(self, role: str) -> JointVector:
+        """Return the joints of an arm as last reported. Raises as `_joints`."""
+        now_s = self._clock.now_s()
+        return self._joints(role, self._arms[role].observe().reading, now_s)
+
+    def _joints(self, role: str, reading: ArmReading | None, now_s: float) -> JointVector:
+        """Return the joints in the last reading of an arm. Raises DUAL-003 if it is too old."""
         if reading is None or reading.validity not in (Validity.OK, Validity.STALE):
             raise OtherArmUnknown(f"the state of the {role} is not known")
         age_s = now_s - reading.stamp.theatre_time_s
@@ -307,7 +321,7 @@ class ArmPair:
 
     def _sampled_path(self, role: str, motion: Motion) -> SampledPath:
         arm, limits = self._arms[role], self._arms[role].limits()
-        plan = plan_motion(arm.kinematics, self._joints(role), motion, limits)
+        plan = plan_motion(arm.kinematics, self._joints_now(role), motion, limits)
         return SampledPath.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:

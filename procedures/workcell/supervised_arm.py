@@ -53,6 +53,11 @@ class SupervisedArm(ABC):
         self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release, look_around)
 
     @property
+    def name(self) -> str:
+        """Name of the arm, as messages have it."""
+        return self._name
+
+    @property
     @abstractmethod
     def carries(self) -> str:
         """Name of the load, as questions name it."""

@@ -23,15 +23,15 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.room import read_localized
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
-from ronna_hw.config import ASSISTANT
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import LimitError
@@ -85,6 +85,11 @@ class ArmVisits:
         tracker = self.context.result(GlobalLocalization).robot_from_tracker.transform
         return self.assistant.base.inverse() @ tracker
 
+    def master_mover(self, settle: Callable[[JointVector], object]) -> Mover:
+        """Return the master, which `settle` moves so that each joint arrives from one side."""
+        cell = self.cell
+        return Mover(MASTER, cell.joints_rad, settle, lambda: cell.flange_pose(cell.joints_rad(), ONE_SIDE))
+
     @property
     def assistant_mover(self) -> Mover:
         """The assistant, each joint arriving from one side."""
@@ -122,8 +127,8 @@ class ArmVisits:
         return guides
 
     def read(self, count: int) -> list[TrackerFrame]:
-        """Read frames of the tracker, both arms at rest."""
-        return read_frames_at_rest(self.cell.tracker, self.context.setting.clock, count=count)[0]
+        """Read frames of the tracker, both arms at rest, in that of the localization."""
+        return read_localized(self.context, count)
 
     def visit(
         self, possible: Iterator[JointVector], at_once: int, arm: Mover, reasons: list[str]

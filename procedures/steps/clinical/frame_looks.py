@@ -26,7 +26,6 @@ from procedures.steps.clinical.base_visits import ArmVisits, Mover, between_base
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.tracker_look import mean_pose, robot_from_marker
-from ronna_hw.config import MASTER
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -83,12 +82,7 @@ class FrameLooks:
                 for one in plan_turns(reference, region_mm, marker_mm)
             ),
             lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
-            Mover(
-                MASTER,
-                cell.joints_rad,
-                lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
-                lambda: cell.flange_pose(cell.joints_rad()),
-            ),
+            visits.master_mover(partial(cell.settle, arriving=ONE_SIDE, allow_detour=True)),
             frame.tool,
         )
         cell.return_home()
