@@ -64,7 +64,7 @@ def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm(variant
 
 
 @pytest.mark.parametrize("kind", ["linearised", "exact", "none"])
-@pytest.mark.parametrize("variant", ["ur5", "ur5e"])
+@pytest.mark.parametrize("variant", ["ur5", pytest.param("ur5e", marks=pytest.mark.slow)])
 def test_a_record_of_an_arm_whose_factory_measured_it_counts_no_deviation_twice(
     variant: str, kind: Literal["linearised", "exact", "none"]
 ) -> None:
