@@ -185,9 +185,8 @@ class ArmPair:
         joints: dict[str, JointVector] = {}
         for role, arm in self._arms.items():
             if (state := arm.state) is not self._expected.get(role, state):
-                why = "" if arm.fault is None else f": {summary_of(arm.fault)}"
                 kind = StopKind.HOLD if state is Lifecycle.HOLD else StopKind.PROTECTIVE
-                return role, f"the {role} has gone to {state}{why}", kind
+                return role, self._tell_state(role, state), kind
             try:
                 joints[role] = self._joints(role)
             except OtherArmUnknown as error:
@@ -203,6 +202,10 @@ class ArmPair:
             words = f"{bodies} are {near.distance_mm:.1f} mm apart"
             return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
         return None
+
+    def _tell_state(self, role: str, state: Lifecycle) -> str:
+        fault = self._arms[role].fault
+        return f"the {role} has gone to {state}" + ("" if fault is None else f": {summary_of(fault)}")
 
     @contextmanager
     def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
@@ -223,6 +226,9 @@ class ArmPair:
         """Drive the motions, watched, and return what each returns once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
+            if state is Lifecycle.FAULT:  # since the last motion: it halts both, as on the way
+                self.stop(self._tell_state(role, state), role)
+                self._require_released()
             if state not in RUNNING:
                 raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
         self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
