@@ -98,7 +98,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         f"{2 * FRAME_LOOKS} looks at frames, {POSTURES * LOOKS_PER_POSTURE} at the ball",
     )
     visits = ArmVisits(context, assistant)
-    _return_home(visits)
+    bring_arms_home(visits)
     frames, ball = FrameLooks(visits), BallWatch(visits)
     workcell.place_assistant(frames.first_guess())
     surround_stereo_head(context, workcell.joints_rad())
@@ -145,10 +145,10 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     )
 
 
-def _return_home(visits: ArmVisits) -> None:
-    """Bring an arm home that a fault of an earlier attempt left away: that attempt knew the bases."""
+def bring_arms_home(visits: ArmVisits) -> None:
+    """Bring home what a fault of an earlier attempt left away, the master first as after its looks."""
     cell, assistant = visits.cell, visits.assistant
-    if assistant.history.base is None or not cell.is_any_arm_out:
+    if assistant.history.base is None or not cell.is_any_arm_out:  # that attempt knew the bases
         return
     cell.place_assistant(assistant.base)
     surround_stereo_head(visits.context, cell.joints_rad())
