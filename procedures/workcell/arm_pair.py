@@ -227,6 +227,10 @@ class ArmPair:
             return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
         return None
 
+    def _tell_state(self, role: str, state: Lifecycle) -> str:
+        fault = self._arms[role].fault
+        return f"the {role} has gone to {state}" + ("" if fault is None else f": {summary_of(fault)}")
+
     @contextmanager
     def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
         """Hold the right to move. Raises DUAL-001, DUAL-002, TOOL-001."""
@@ -246,6 +250,9 @@ class ArmPair:
         """Drive the motions, watched, and return what each returns once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
+            if state is Lifecycle.FAULT:  # since the last motion: it halts both, as on the way
+                self.stop(self._tell_state(role, state), role)
+                self._require_released()
             if state not in RUNNING:
                 raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
         self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}

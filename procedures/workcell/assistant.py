@@ -294,7 +294,9 @@ class Assistant(SupervisedArm):
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
-        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
+        assert motion.axis is not None, "an insertion leads along an axis"
+        start = self._line(motion.axis, 0.0, INSERTION_SPEED_MM_S).target
+        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N, start)
 
     @property
     def senses_force(self) -> bool:

@@ -99,6 +99,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         f"{2 * FRAME_LOOKS} looks at frames, {POSTURES * LOOKS_PER_POSTURE} at the ball",
     )
     visits = ArmVisits(context, assistant)
+    bring_arms_home(visits)
     frames, ball = FrameLooks(visits), BallWatch(visits)
     workcell.place_assistant(frames.first_guess(), FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.joints_rad())
@@ -143,6 +144,20 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         summary=f"head and ball meet within {fit.meeting_mm:.2f} mm by {len(fit.used)} looks at the ball; "
         f"by the tracker within {by_frames_mm:.2f} mm, {apart_mm:.2f} mm from that",
     )
+
+
+def bring_arms_home(visits: ArmVisits) -> None:
+    """Bring home what a fault of an earlier attempt left away, the master first as after its looks."""
+    cell, assistant = visits.cell, visits.assistant
+    if assistant.history.base is None or not cell.is_any_arm_out:  # that attempt knew the bases
+        return
+    cell.place_assistant(assistant.base)
+    surround_stereo_head(visits.context, cell.joints_rad())
+    cell.start()
+    cell.surround_assistant(visits.around())
+    for arm in cell.supervised_arms:
+        if arm.place.is_out:
+            arm.return_home()
 
 
 def require_platforms_unmoved(context: StepContext) -> None:

@@ -156,6 +156,17 @@ def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
 
 
 @pytest.mark.hazard(58)
+def test_a_fault_of_the_resting_arm_between_two_motions_halts_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    assistant.stop(StopKind.PROTECTIVE)
+    with pytest.raises(BothArmsHalted, match="the assistant has gone to fault"):
+        pair.move(MASTER, turned(master, 10.0))
+    assert master.controller.joints_rad == HOME_RAD
+    assert pair.halted is not None
+
+
+@pytest.mark.hazard(58)
 @pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
 @pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
 def test_a_stop_of_one_arm_stops_and_holds_both(
