@@ -154,7 +154,7 @@ def test_platforms_are_compared_with_both_arms_home_and_by_what_is_seen_where_it
         base_to_base, "_see_platforms", lambda *_: (SPHERES_MM + shift_mm, there_mm + shift_mm)
     )
     require_platforms_unmoved(context_with_bases())
-    with pytest.raises(GateFailed, match="both arms home.*not home: assistant"):
+    with pytest.raises(GateFailed, match=r"both arms home.*not home: assistant"):
         require_platforms_unmoved(context_with_bases(PlaceKind.AWAY))
     shift_mm[1] = 8.5
     with pytest.raises(GateFailed, match="too little of what showed"):
