@@ -179,7 +179,7 @@ def motions(journal: Sequence[Line]) -> list[tuple[str, str]]:
     return [(str(line["arm"]), str(line["what"])) for line in journal if line["entry"] == Entry.MOTION]
 
 
-@pytest.mark.hazard(62)
+@pytest.mark.hazard(63)
 def test_an_instrument_in_the_holder_is_taken_out_before_the_assistant_goes_home(
     commands: Commands, tmp_path: Path
 ) -> None:
