@@ -13,13 +13,13 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, displacement_against_head
 from procedures.steps.errors import CartNotLocked
 
-SCENES, TRIALS_PER_SCENE = 10, 20
+SCENES, TRIALS_PER_SCENE = 5, 20
 ROLLED_MM = 1.0
 pytestmark = pytest.mark.hazard(49)
 
 
 def looks() -> Iterator[tuple[TrackedCase, RoomWatch, RoomReading]]:
-    """The first look of 200 cases, of 12 frames: fewer than the step takes."""
+    """The first look of 100 cases, of 12 frames: fewer than the step takes."""
     for seed in range(SCENES):
         case = TrackedCase(seed)
         for _ in range(TRIALS_PER_SCENE):

@@ -14,7 +14,7 @@ HEAD_MM, CART_MM = 0.5, 1.7
 READING_S = 0.2
 LATE_SHARE = 0.005  # of the carts that move while the arm does: noticed one motion later, in the same pose
 MOST_HIDDEN = 0.1  # of the approaches: 3 of the 150 targets of 50 scenes are hidden by the arm itself
-SIZES = [(2, 6), pytest.param(50, 20, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])]  # scenes, trials
+SIZES = [(1, 6), pytest.param(50, 20, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])]  # scenes, trials
 
 
 def ended(scenes: int, trials: int, moved: Moved, shift_mm: float, *, covers: bool) -> Iterator[Ended]:

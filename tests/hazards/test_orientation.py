@@ -14,7 +14,7 @@ from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM
 from sim.world.rigid import apply
 
-RUNS = [40, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
+RUNS = [20, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
 SPOILT = [
     *((turn, "HFS") for turn in (*MIRRORS.values(), *TURNS.values())),
     *((np.eye(3), one) for one in LABELS),

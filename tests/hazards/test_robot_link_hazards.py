@@ -32,6 +32,8 @@ TAKEN_STEP_SHARE = 0.25  # what a controller takes in one cycle
 TWO_UNTOLD_SPEED_FRACTION = 0.08  # at which three steps at once are below that
 AWAY_RAD = 0.5
 LARGEST_ERROR_MM = 1.5  # at the target, as without any loss
+# A killed program is that of tests/system/robot/test_kuka_driver.py.
+HALTS = [signal.SIGSTOP, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
 GENEROUS_S = 5.0  # for limits that are not the subject of a test: these machines stall
 
 MOVER = """
@@ -263,7 +265,7 @@ def test_a_controller_that_dies_during_a_motion_latches_a_fault_and_no_more_pose
 
 
 @pytest.mark.hazard(30)
-@pytest.mark.parametrize("halt", [signal.SIGSTOP, signal.SIGKILL])
+@pytest.mark.parametrize("halt", HALTS)
 def test_the_arm_comes_to_rest_before_its_target_when_the_program_driving_it_halts(
     robot_cell: Any, halt: signal.Signals
 ) -> None:

@@ -15,14 +15,20 @@ PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 GIVEN = 38  # rows of the list that the project began with
 
 
+@pytest.fixture(scope="module")
+def bound() -> list[hazard_matrix.BoundTest]:
+    """All tests with a hazard mark."""
+    return hazard_matrix.find_bound_tests()
+
+
 def test_the_hazards_are_numbered_without_gaps() -> None:
     numbers = [hazard.number for hazard in hazard_matrix.read_hazards()]
     assert numbers == list(range(1, len(numbers) + 1))
     assert len(numbers) >= GIVEN
 
 
-def test_every_hazard_has_a_test_that_make_test_all_runs() -> None:
-    run = {test.number for test in hazard_matrix.find_bound_tests() if test.runs_in != "make soak"}
+def test_every_hazard_has_a_test_that_make_test_all_runs(bound: list[hazard_matrix.BoundTest]) -> None:
+    run = {test.number for test in bound if test.runs_in != "make soak"}
     assert {hazard.number for hazard in hazard_matrix.read_hazards()} - run == set()
 
 
@@ -46,6 +52,7 @@ def test_sample(number):
 """
 
 
+@pytest.mark.slow
 def test_a_hazard_without_a_passing_test_fails_the_run(tmp_path: Path) -> None:
     sample = tmp_path / "test_sample.py"
     sample.write_text(SAMPLE)
@@ -60,9 +67,10 @@ def test_a_hazard_without_a_passing_test_fails_the_run(tmp_path: Path) -> None:
     assert "7, 11, 13" in done.stdout.splitlines()
 
 
-def test_every_bound_test_names_a_known_hazard() -> None:
-    bound = {test.number for test in hazard_matrix.find_bound_tests()}
-    assert bound - {hazard.number for hazard in hazard_matrix.read_hazards()} == set()
+def test_every_bound_test_names_a_known_hazard(bound: list[hazard_matrix.BoundTest]) -> None:
+    assert {test.number for test in bound} - {
+        hazard.number for hazard in hazard_matrix.read_hazards()
+    } == set()
 
 
 def test_marks_are_found_on_functions_classes_modules_and_parameters(tmp_path: Path) -> None:

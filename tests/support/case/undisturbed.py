@@ -10,26 +10,28 @@ import pytest
 from shared_by_workers import made_once
 from user_commands import Commands
 
-MINI_SEED_3 = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
+MINI_SEED_3, MINI_SEED_7 = (
+    ("run", "--sim", "--scene", "mini", "--seed", str(seed), "--json") for seed in (3, 7)
+)
 
 
 def undisturbed_mini(factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What seed 3 of the mini scene printed, run once for all tests."""
-    outcome: dict[str, Any] = json.loads(_run_mini(factory)[1])
+    outcome: dict[str, Any] = json.loads(_run(factory, "undisturbed-3", MINI_SEED_3)[1])
     return outcome
 
 
-def undisturbed_mini_runs(factory: pytest.TempPathFactory) -> Path:
-    """Folder of runs with that one case."""
-    return _run_mini(factory)[0]
+def finished_mini(factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder of runs with seed 7 of the mini scene alone, to be read only, and what it printed."""
+    return _run(factory, "undisturbed-7", MINI_SEED_7)
 
 
-def _run_mini(factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def _run(factory: pytest.TempPathFactory, name: str, case: tuple[str, ...]) -> tuple[Path, str]:
     def run(out: Path) -> str:
         commands = Commands()
-        done = commands.run("ronna-procedure", *MINI_SEED_3, "--out", str(out))
+        done = commands.run("ronna-procedure", *case, "--out", str(out))
         assert done.returncode == 0, done.stderr
         assert commands.await_no_survivors() == []
         return done.stdout
 
-    return made_once(factory, "undisturbed_mini", run)
+    return made_once(factory, name, run)

@@ -199,6 +199,7 @@ def test_an_absence_that_begins_during_a_grab_only_costs_time(cameras):
     assert pair.state is Lifecycle.ACTIVE
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(4)
 def test_an_absence_that_begins_while_areas_are_set_only_costs_time(cameras):
     pair = cameras.streaming(heartbeat_ms=10_000)

@@ -19,6 +19,7 @@ from pseudo_terminal import Terminal
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
 from shared_by_workers import made_once
+from undisturbed import MINI_SEED_7, finished_mini
 from user_commands import Commands, in_this_process
 from waiting import HANG_LIMIT_S
 
@@ -48,7 +49,6 @@ MEASURED = {
     "ct_import", "fiducial_localization", "plan_check", "head_clamp", "cart_lock", "global_localization",
     "correspondence", "path_check", "relocalization", "registration", "tool_check",
 }  # fmt: skip
-CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
 MOVING = "positioning:T1"
 FACTS = re.compile(  # what moves, how far, what follows, how close to what and to the head, how fast
     r"first: the (stereo head|guide) moves \d+ mm\nthen: .+\n"
@@ -67,14 +67,8 @@ class MiniRun:
 
 
 @pytest.fixture(scope="module")
-def finished(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> MiniRun:
-    def run(out: Path) -> str:
-        done = shared_commands.run("ronna-procedure", *CASE, "--out", str(out))
-        assert done.returncode == 0, done.stderr
-        assert shared_commands.await_no_survivors() == []
-        return done.stdout
-
-    return MiniRun(*made_once(tmp_path_factory, "finished", run))
+def finished(tmp_path_factory: pytest.TempPathFactory) -> MiniRun:
+    return MiniRun(*finished_mini(tmp_path_factory))
 
 
 def test_the_run_loads_as_arrays_that_agree_with_its_outcome_and_its_records(finished: MiniRun) -> None:
@@ -343,7 +337,7 @@ def interrupted(
         if request.param is None:
             said = _typed(out)
         else:
-            process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
+            process = shared_commands.start("ronna-procedure", *MINI_SEED_7, "--out", str(out))
             await_motion_in(out, MOVING)
             process.send_signal(request.param)
             _, said = process.communicate(timeout=HANG_LIMIT_S)
@@ -353,7 +347,7 @@ def interrupted(
         return said
 
     def _typed(out: Path) -> str:
-        terminal = Terminal(shared_commands, *CASE[:-1], "--out", str(out))  # `--json` is for scripts
+        terminal = Terminal(shared_commands, *MINI_SEED_7[:-1], "--out", str(out))  # `--json` is for scripts
         try:
             terminal.read_until(lambda: moved_in(out, MOVING))
             terminal.end_by_ctrl_c()

@@ -30,7 +30,7 @@ def _runs(pid: int) -> bool:
     return status.rpartition(")")[2].split()[0] != "Z"
 
 
-@pytest.mark.parametrize("lifetime_s", [0.0, 0.1])
+@pytest.mark.parametrize("lifetime_s", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 @pytest.mark.parametrize("device", ["polaris", "theatre"])
 def test_a_simulator_ends_and_gives_the_reason_when_its_parent_dies_during_start_up(
     device: str, lifetime_s: float, tmp_path: Path

@@ -118,6 +118,7 @@ def _run_mini(out: Path) -> subprocess.CompletedProcess[str]:
     return in_this_process(ronna_procedure, "run", "--sim", "--scene", "mini", "--out", out)
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(33)
 def test_a_full_disk_is_reported_and_leaves_no_partial_files(commands: Commands, tmp_path: Path) -> None:
     """A limit on the size of a file stands in for a full disk: the first CT slice already exceeds it."""

@@ -47,6 +47,7 @@ def test_stored_looks_are_recomputed_into_a_record_for_the_theatre_file(looks: P
     assert "contribution of the arm, mm" in shown.stdout
 
 
+@pytest.mark.slow
 def test_stored_looks_can_be_written_directly_into_the_theatre_file(looks: Path, tmp_path: Path) -> None:
     scene = FrameCell.of(3, calibrated=True).scene
     theatre = theatre_of(tmp_path, scene)

@@ -26,6 +26,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
         sys.modules.pop(file.stem, None)
 
 
+@pytest.mark.slow
 def test_the_pairing_of_the_page_is_compared_with_ours_with_its_bounds(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,14 +48,12 @@ def test_every_sphere_is_found_at_its_true_position(case: Path) -> None:
         assert errors[nearest] @ np.linalg.solve(covariance, errors[nearest]) < 25.0  # chi², 3 degrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "exit_code", "said"),
     [
         (("--tilt-deg", 2), 1, "CT-007: the scanner states a gantry tilt of 2 degrees"),
-        pytest.param(
-            *(("--tilt-deg", 2, "--tilt-hidden"), 3, "mm longer in one direction than in another"),
-            marks=pytest.mark.slow,
-        ),
+        (("--tilt-deg", 2, "--tilt-hidden"), 3, "mm longer in one direction than in another"),
     ],
 )
 def test_spheres_sheared_by_a_tilt_are_refused_whatever_the_headers_say(
@@ -68,12 +66,14 @@ def test_spheres_sheared_by_a_tilt_are_refused_whatever_the_headers_say(
     assert said in done.stderr
 
 
+@pytest.mark.slow
 def test_the_plan_is_accepted_for_its_series(case: Path) -> None:
     done = in_this_process(ronna_plan, "check", case / "plan.toml", "--ct", case / "ct", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["passed"] is True
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_its_parent_when_asked_to(tmp_path: Path) -> None:
     line = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
     assert ends_with_its_parent(line, begun=lambda: any((tmp_path / "ct").glob("*.dcm")))

@@ -359,6 +359,7 @@ def test_a_structure_near_a_trajectory_is_listed_or_refuses_the_plan(case):
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-027")
 
 
+@pytest.mark.slow
 def test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged(case):
     before = case[0].read_bytes()
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -62,7 +62,7 @@ def test_a_detached_simulator_outlives_its_command_gives_its_variables_and_is_st
     assert started.returncode == 0, started.stderr
     assert started.stdout.startswith("READY {")
     assert "ronna-sim stop polaris" in started.stderr
-    lines = sim.run("ronna-sim", "env", "polaris").stdout
+    lines = in_this_process(ronna_sim, "env", "polaris").stdout
     shown = subprocess.run(
         ("sh", "-c", f'{lines}\necho "$LINE"; ls -l "${{LINE#serial://}}"'),
         capture_output=True,
@@ -73,7 +73,7 @@ def test_a_detached_simulator_outlives_its_command_gives_its_variables_and_is_st
     assert sim.run("ronna-sim", "stop").returncode == 0
     assert sim.await_no_survivors() == []
     assert list(own_register.iterdir()) == []
-    assert sim.run("ronna-sim", "env").returncode == EXIT_REFUSED
+    assert in_this_process(ronna_sim, "env").returncode == EXIT_REFUSED
 
 
 def test_a_detached_simulator_that_cannot_start_says_why_with_its_own_exit_code(sim: Commands) -> None:

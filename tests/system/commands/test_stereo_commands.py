@@ -143,6 +143,7 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     assert calibrations.tool_tip.flange_from_tool != before.tool_tip.flange_from_tool  # it shares the mount
 
 
+@pytest.mark.slow
 def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:
@@ -266,17 +267,22 @@ def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
     ask_control_port(control, "clear_faults")
 
 
+UNMEASURABLE = [
+    (None, "STE-002: both cameras: the image is completely dark"),
+    pytest.param(
+        *("camera darken right", "STE-002: both cameras: the image is completely dark"),
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        *("camera saturate both", "STE-011: both cameras: the image is saturated"), marks=pytest.mark.slow
+    ),
+    ("camera saturate left", "STE-011: left camera: the image is saturated; right camera: the image is"),
+    ("camera glare left 90 px", "STE-003: left camera: no sphere in view; right camera: the image is"),
+]
+
+
 @pytest.mark.hazard(27)
-@pytest.mark.parametrize(
-    ("line", "shown"),
-    [
-        (None, "STE-002: both cameras: the image is completely dark"),
-        ("camera darken right", "STE-002: both cameras: the image is completely dark"),
-        ("camera saturate both", "STE-011: both cameras: the image is saturated"),
-        ("camera saturate left", "STE-011: left camera: the image is saturated; right camera: the image is"),
-        ("camera glare left 90 px", "STE-003: left camera: no sphere in view; right camera: the image is"),
-    ],
-)
+@pytest.mark.parametrize(("line", "shown"), UNMEASURABLE)
 def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
     stereo: Callable[..., Said],
     theatre: Path,

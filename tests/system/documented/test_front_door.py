@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from undisturbed import undisturbed_mini_runs
+from undisturbed import finished_mini
 from waiting import eventually
 
 from ronna_hw import open_theatre, simulated_theatre
@@ -105,7 +105,7 @@ def test_the_python_of_the_readme_runs(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (tmp_path / "runs").symlink_to(undisturbed_mini_runs(tmp_path_factory))
+    (tmp_path / "runs").symlink_to(finished_mini(tmp_path_factory)[0])
     monkeypatch.chdir(tmp_path)
     run_python_of(ROOT / "README.md")
     targets, *spheres = capsys.readouterr().out.splitlines()

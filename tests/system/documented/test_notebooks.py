@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from documented import NOTEBOOKS, execute_notebook, final_sentence
-from undisturbed import undisturbed_mini_runs
+from undisturbed import finished_mini
 from user_commands import in_this_process
 
 from studies.cli import app
@@ -26,7 +26,7 @@ def test_the_committed_notebooks_have_no_output_and_begin_with_what_a_reader_nee
 def test_one_case_is_read_from_the_ct_to_the_error(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    (tmp_path / "runs").symlink_to(undisturbed_mini_runs(tmp_path_factory))
+    (tmp_path / "runs").symlink_to(finished_mini(tmp_path_factory)[0])
     cells = execute_notebook("one-case.ipynb", tmp_path)
     assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
 

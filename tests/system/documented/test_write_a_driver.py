@@ -139,6 +139,7 @@ def doctor(package: Path, endpoint: str) -> tuple[int, list[dict[str, Any]]]:
     return done.returncode, [one for one in findings if one["subject"].split()[0] in ("line", "device")]
 
 
+@pytest.mark.slow
 def test_the_doctor_shows_the_findings_of_the_probe_on_the_page(package: Path, device: str) -> None:
     code, (line, tracker) = doctor(package, device)
     assert (code, line["well"], tracker["well"]) == (3, True, True)  # for a case, arm and cameras are missing

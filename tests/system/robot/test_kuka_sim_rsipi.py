@@ -98,7 +98,7 @@ def run_client(config: Path, mode: str, stall_s: float = 0.0) -> dict[str, Any]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize("mode", ["absolute", "relative"])
+@pytest.mark.parametrize("mode", ["absolute", pytest.param("relative", marks=pytest.mark.slow)])
 def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
     with simulator(config, mode) as child:
         assert child.ready["wiring"] == "inferred"
@@ -117,6 +117,7 @@ def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
     assert seen["moved"]["Y"] != seen["pose"]["Y"]
 
 
+@pytest.mark.slow
 def test_an_absolute_correction_arrives_despite_lost_replies_and_a_stalling_client(
     config: Path, tmp_path: Path
 ) -> None:
@@ -143,6 +144,7 @@ def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
     assert said.ethernet.only_send is (name == "OnlySend")
 
 
+@pytest.mark.slow
 def test_the_next_client_is_served_after_one_was_killed(config: Path) -> None:
     with simulator(config, "absolute") as child:
         with subprocess.Popen(

@@ -77,6 +77,7 @@ def test_every_case_passes_at_the_pace_of_a_real_line(commands: Any) -> None:
     assert cases(whole_suite(commands, "--throttle", timeout_s=800.0), "SKIP") == set()
 
 
+@pytest.mark.slow
 def test_cases_that_reset_the_unit_are_skipped_without_permission(commands: Any) -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
         run = commands.run(
@@ -88,7 +89,7 @@ def test_cases_that_reset_the_unit_are_skipped_without_permission(commands: Any)
     assert all("--allow destructive" in reason for reason in left_out.values())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_run_ends_its_simulator(commands: Any, number: int) -> None:
     run = commands.start("ronna-conformance", "tracker", "--sim")
     deadline = time.monotonic() + 30.0

@@ -158,6 +158,7 @@ def test_a_unit_that_lost_power_is_found_again_when_it_is_back(world: World, tra
     assert sees(tracker.read_frame())
 
 
+@pytest.mark.slow
 def test_a_stalled_unit_measures_the_same_as_one_that_never_stalled(world: World) -> None:
     world.set_fault_script("")
 

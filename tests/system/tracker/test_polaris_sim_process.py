@@ -25,7 +25,7 @@ from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.named_scenes import robot_frame
 
 ANSWER_LIMIT_S = 5.0
-ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
+ENDPOINTS = ("serial-pty", pytest.param("tcp://127.0.0.1:0", marks=pytest.mark.slow))
 
 
 class Host:
@@ -189,6 +189,7 @@ def test_a_throttled_line_takes_the_time_of_its_baud_rate(start: Callable[..., C
     host.close()
 
 
+@pytest.mark.slow
 def test_two_units_of_one_scene_measure_the_same_bit_for_bit(start: Callable[..., ChildProcess]) -> None:
     def record() -> dict[bytes, bytes]:
         host = Host(start().ready["endpoint"])

@@ -26,6 +26,7 @@ from sim.world.world import World
 pytest.importorskip("ndicapy")
 
 PTY, TCP = "serial-pty", "tcp://127.0.0.1:0"
+SLOW_TCP = pytest.param(TCP, marks=pytest.mark.slow)  # the client reads the same bytes from both
 SCENE = draw_scene("bench")
 STRAYS = len(SCENE.tracker.strays_mm)
 # Three planar tools whose 18 segments differ by 3 mm and more, and triangles, which a unit finds too alike.
@@ -85,14 +86,14 @@ def started(endpoint: str) -> Iterator[dict[str, Any]]:
         yield child.ready
 
 
-@pytest.fixture(scope="module", params=[PTY, TCP], ids=["pty", "tcp"])
+@pytest.fixture(scope="module", params=[PTY, SLOW_TCP], ids=["pty", "tcp"])
 def unit(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
     """A unit that the tests of this file share."""
     with started(request.param) as ready:
         yield ready
 
 
-@pytest.fixture(params=[PTY, TCP], ids=["pty", "tcp"])
+@pytest.fixture(params=[PTY, SLOW_TCP], ids=["pty", "tcp"])
 def fresh_unit(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
     """A unit that has heard no command: which bits a bad line turns over is settled by their number."""
     with started(request.param) as ready:
@@ -136,7 +137,7 @@ def test_ndicapi_finds_the_unit_by_probing_the_line(unit: dict[str, Any]) -> Non
     [
         pytest.param(endpoint, count, id=f"{name}-{count}", marks=marks)
         for endpoint, name, count, marks in (
-            (TCP, "tcp", 1, ()),
+            (TCP, "tcp", 1, pytest.mark.slow),
             (PTY, "pty", 3, ()),
             (TCP, "tcp", len(TOOLS), ()),
             (PTY, "pty", 1, pytest.mark.slow),

@@ -202,7 +202,7 @@ def test_a_violation_states_axis_value_and_limit() -> None:
 
 
 @pytest.mark.hazard(18)
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(data=st.data())
 def test_next_to_every_limit_the_check_of_all_axes_says_what_the_rules_one_by_one_say(
     data: st.DataObject,

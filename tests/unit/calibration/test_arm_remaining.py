@@ -116,7 +116,10 @@ def by_deviation_of(flat: Array, sides: Array, tool_mm: Array) -> Array:
 
 
 @pytest.mark.parametrize("draws", [700, pytest.param(1500, marks=pytest.mark.slow)])  # an rms to 4 or 3 %
-@pytest.mark.parametrize("sides", [SIDES, None], ids=["known sides", "unknown sides"])
+@pytest.mark.parametrize(
+    "sides",
+    [pytest.param(SIDES, id="known sides"), pytest.param(None, id="unknown sides", marks=pytest.mark.slow)],
+)
 def test_the_predicted_error_is_that_of_arms_drawn_with_the_covariance(
     result: ArmResult, sides: Array | None, draws: int
 ) -> None:

@@ -82,6 +82,7 @@ def test_with_a_record_of_the_arm_its_errors_are_those_of_the_record_whatever_is
         assert ErrorSizes.stated(typed, more) == ErrorSizes(0.1, *3 * (pytest.approx(0.16),))
 
 
+@pytest.mark.slow
 def test_harmonics_displace_like_those_of_random_arms_with_any_phase() -> None:
     generator, flat = np.random.default_rng(1), []
     sizes_rad = np.array(HARMONIC_RAD)

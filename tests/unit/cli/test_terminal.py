@@ -299,8 +299,8 @@ def spoken(arguments: str, environment: str, script: str = SPEAKING) -> subproce
     ("arguments", "environment", "shown"),
     [
         ("", "", "none"),
-        ("--verbose", "", "info"),
-        ("--verbose", "debug", "debug"),
+        pytest.param("--verbose", "", "info", marks=pytest.mark.slow),
+        pytest.param("--verbose", "debug", "debug", marks=pytest.mark.slow),
         ("--verbose", "tracker=debug", "debug of the tracker"),
         ("--verbose --log-level tracker=error", "tracker=debug,stereo=error", "errors"),
     ],

@@ -17,8 +17,10 @@ from sim.world.world import _FAULTS, _STAND, World
 Change = Callable[[tuple[bytes, ...]], bytes]
 
 FEW = 40
+TAKE_LONG = ("results of a run", "DICOM JPEG", "DICOM RLE", "DICOM JPEG 2000", "DICOM JPEG-LS")
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
-ON_THE_WIRE = {  # parsers that take some microseconds
+MUTANTS = {  # of parsers that take some microseconds, and of some that take a tenth of a second
+    **dict.fromkeys(TAKE_LONG, 12),
     **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 1000),
     "Polaris text": 300,
 }
@@ -155,7 +157,7 @@ def test_a_parser_accepts_valid_input_and_reads_or_refuses_mutants(
     parser = all_parsers[name]
     for good in parser.good:
         parser.take(good)
-    count = ON_THE_WIRE.get(name, FEW)
+    count = MUTANTS.get(name, FEW)
     with bounded_cost():
         read = feed(parser, count, seed=1)
     if name in REFUSING:

@@ -62,7 +62,10 @@ def test_the_hash_covers_every_field_of_a_record(change: dict[str, Any]) -> None
     assert replace(one, **change).sha256 != one.sha256
 
 
-@pytest.mark.parametrize("own_hash", [True, False], ids=["own hash", "another hash"])
+@pytest.mark.parametrize(
+    "own_hash",
+    [pytest.param(True, id="own hash"), pytest.param(False, id="another hash", marks=pytest.mark.slow)],
+)
 def test_a_record_of_nested_lists_is_refused_at_bounded_cost(tmp_path: Path, own_hash: bool) -> None:
     nested = [reduce(lambda inner, _: [inner], range(50), 0) for _ in range(19_000)]
     record = Record("a", "k", {}, {"x": nested})

@@ -125,7 +125,7 @@ def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker(make_s
 
 
 @pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.0, 0.3, 1.0], [0.6, 0.6, 0.5]], ids=str)
-@pytest.mark.parametrize("longer_mm", [0.7, 1.2])
+@pytest.mark.parametrize("longer_mm", [0.7, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
     make_scan: Make, way: list[float], longer_mm: float
 ) -> None:

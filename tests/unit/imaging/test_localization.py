@@ -51,7 +51,12 @@ def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans
 
 @pytest.mark.parametrize(
     ("protocol", "kind", "limit_mm"),
-    [(GOOD, "post", 0.010), (POOR, "post", 0.025), (GOOD, "streaks", 0.035), (POOR, "streaks", 0.050)],
+    [
+        (GOOD, "post", 0.010),
+        pytest.param(POOR, "post", 0.025, marks=pytest.mark.slow),
+        pytest.param(GOOD, "streaks", 0.035, marks=pytest.mark.slow),
+        (POOR, "streaks", 0.050),
+    ],
     ids=["good", "poor", "good with streaks", "poor with streaks"],
 )
 @pytest.mark.parametrize("scans", [3, pytest.param(5, marks=pytest.mark.slow)])

@@ -143,7 +143,9 @@ def test_markers_scanned_well_say_nothing(make_scan: Callable[..., Any]) -> None
     assert localize(four_balls(make_scan), expected=4).warnings == ()
 
 
-@pytest.mark.parametrize(("feed", "way"), [(1.01, "more"), (0.99, "less")])
+@pytest.mark.parametrize(
+    ("feed", "way"), [(1.01, "more"), pytest.param(0.99, "less", marks=pytest.mark.slow)]
+)
 def test_a_feed_off_by_one_percent_is_told_with_its_size(
     make_scan: Callable[..., Any], feed: float, way: str
 ) -> None:
@@ -153,7 +155,9 @@ def test_a_feed_off_by_one_percent_is_told_with_its_size(
     assert float(told[1]) == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize(("feed", "way"), [(1.02, "more"), (0.98, "less")])
+@pytest.mark.parametrize(
+    ("feed", "way"), [pytest.param(1.02, "more", marks=pytest.mark.slow), (0.98, "less")]
+)
 def test_a_feed_off_by_two_percent_is_refused(make_scan: Callable[..., Any], feed: float, way: str) -> None:
     with pytest.raises(SlicesMisplaced, match=rf"feed (1\.9|2\.0|2\.1) % {way}.*limit 1\.5 %"):
         localize(four_balls(make_scan, feed=feed), expected=4)

@@ -40,6 +40,7 @@ def test_a_ball_whose_own_screw_shades_it_from_the_side_is_found(metal: str) -> 
     check_found(volume, ball)
 
 
+@pytest.mark.slow
 def test_twins_on_steel_are_both_found() -> None:
     twins = [Mounted((x, -6.2, 0.4), BELOW, "steel") for x in (-7.3, 6.7)]
     check_found(scan(*twins), *twins)

@@ -209,7 +209,7 @@ class CutLine(UnitInProcess):
         return data
 
 
-@pytest.mark.parametrize("hung_up", [True, False])
+@pytest.mark.parametrize("hung_up", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_line_that_ends_after_any_byte_of_a_bring_up_is_an_error_with_a_code(hung_up: bool) -> None:
     endless = 1 << 30
     whole = CutLine(endless, hung_up=hung_up)

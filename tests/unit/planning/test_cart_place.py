@@ -94,7 +94,7 @@ def test_a_cart_is_pushed_and_then_turned() -> None:
 
 
 @pytest.mark.hazard(48)
-@pytest.mark.parametrize("places", [8, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("places", [4, pytest.param(20, marks=pytest.mark.slow)])
 def test_a_position_serves_exactly_where_the_path_check_passes(places: int) -> None:
     setting, known = _setting(), _known()
     random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (places, 3))

@@ -136,7 +136,7 @@ def test_the_skin_is_taken_from_the_ct_and_not_from_the_ellipsoid() -> None:
 
 
 def test_objects_on_the_skin_are_not_taken_for_skin() -> None:
-    radius_mm, voxel_mm = 88.0, 3.0
+    radius_mm, voxel_mm = 88.0, 4.0
     axis = np.arange(-129.0, 130.0, voxel_mm)
     z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
     points = np.stack([x, y, z], axis=-1)

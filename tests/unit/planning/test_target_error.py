@@ -24,6 +24,7 @@ from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
+from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -65,20 +66,25 @@ LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
 
 
 @pytest.mark.parametrize(
-    "sizes",
+    ("sizes", "candidates"),
     [
-        pytest.param(ErrorSizes(), marks=pytest.mark.slow, id="all"),
-        pytest.param(ErrorSizes(links=0.0, joints=0.0), id="tool"),
+        pytest.param(ErrorSizes(), CANDIDATES, marks=pytest.mark.slow, id="all"),
+        pytest.param(ErrorSizes(links=0.0, joints=0.0), CANDIDATES, marks=pytest.mark.slow, id="tool"),
+        pytest.param(ErrorSizes(links=0.0, joints=0.0), CANDIDATES[-2:], id="tool, of two"),
     ],
 )
 def test_the_strategy_with_the_least_predicted_error_is_chosen(
-    make_arm: Callable[..., ArmSetting], sizes: ErrorSizes
+    make_arm: Callable[..., ArmSetting],
+    monkeypatch: pytest.MonkeyPatch,
+    sizes: ErrorSizes,
+    candidates: tuple[Strategy, ...],
 ) -> None:
+    monkeypatch.setattr("procedures.planning.target_error.CANDIDATES", candidates)
     setting = make_arm(strategy=find_strategy("best"), sizes=sizes)
     chosen = choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT).strategy
     assert isinstance(chosen, BestOfEach)
     predicted_mm = {}
-    for one in CANDIDATES:
+    for one in candidates:
         alone = replace(setting, strategy=one)
         check = choose_free_angles(alone, [LEANING], FIDUCIALS, SIGHT).check
         predicted_mm[one.name] = predict_arm_error_mm(alone, check, LEANING)

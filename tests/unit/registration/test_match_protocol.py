@@ -53,6 +53,7 @@ def share(seen: Counter[str], what: str) -> float:
     return seen[what] / seen.total()
 
 
+@pytest.mark.slow
 def test_five_to_eight_fiducials_are_paired(tools):
     seen = outcomes(range(5, 9), 60, tools)
     assert seen["false"] == 0

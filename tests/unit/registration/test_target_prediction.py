@@ -113,9 +113,8 @@ def _worst(points_mm: Array, largest_mm: float = 3.0) -> UnnoticedPoint:
     )
 
 
-@pytest.mark.parametrize(
-    ("directions", "draws"), [(600, 300), pytest.param(3000, 1000, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("directions", "draws"), [(600, 300), (3000, 1000)])
 def test_the_worst_point_displaced_as_stated_shifts_the_target_as_stated_and_passes_every_other_time(
     directions: int, draws: int
 ) -> None:
@@ -175,9 +174,8 @@ def test_what_displaces_the_target_alone_is_not_widened_since_no_residual_tests_
     assert both.limit_mm() == pytest.approx(wanted.limit_mm())
 
 
-@pytest.mark.parametrize(
-    ("size", "least", "most"), [pytest.param(1.0, 0.94, 0.98, marks=pytest.mark.slow), (1.7, 0.90, 0.97)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "least", "most"), [(1.0, 0.94, 0.98), (1.7, 0.90, 0.97)])
 def test_the_limit_learns_that_errors_are_larger_than_stated(size: float, least: float, most: float) -> None:
     generator = np.random.default_rng(7)
     sources = [OWN, SharedErrors("arm", 0.1 * generator.normal(size=(5, 3, 2)), np.zeros((3, 2)))]

@@ -39,6 +39,7 @@ def test_outliers_on_a_fifth_of_the_rim_do_not_pull_the_centre():
     assert np.all(fit.weights[:48] < 0.05)
 
 
+@pytest.mark.slow
 def test_the_centre_covariance_matches_the_noise():
     generator = np.random.default_rng(4)
     centres, predicted = [], []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -54,6 +54,7 @@ def run(settings, twist, repeatability_mm=0.0, start=None):
         )
 
 
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
@@ -71,7 +72,7 @@ def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, dire
     assert np.linalg.norm(recorded_point(pose, residual) - SPHERE_MM) < 0.003
 
 
-@pytest.mark.parametrize("starts", [200, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("starts", [100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest(starts):
     """With 0.015 mm of repeatability per axis, 999 of 1,000 starts at 5 mm end within 8 steps."""
     generator = np.random.default_rng(11)

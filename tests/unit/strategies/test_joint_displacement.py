@@ -49,6 +49,7 @@ def test_the_tool_is_at_every_fiducial(arm):
         assert np.allclose(pose.translation_mm, ROOM.apply(fiducial), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_no_other_orientation_needs_less_joint_motion():
     """A general optimizer over the three angles of the tool finds the same."""
     at_target = ARM.guide_joints(target_pose(LEANING, ROOM))

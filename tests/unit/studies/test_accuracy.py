@@ -81,6 +81,7 @@ def test_the_errors_of_an_arm_do_not_depend_on_the_other_arms_in_the_run() -> No
     np.testing.assert_array_equal(alone[0], among[2])
 
 
+@pytest.mark.slow
 def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms() -> None:
     numbers = range(400)
     arms = RandomArms.draw(0, numbers)
@@ -94,7 +95,7 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
         assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
-@pytest.mark.parametrize("strategy", ["nos", "ocs"])
+@pytest.mark.parametrize("strategy", ["nos", pytest.param("ocs", marks=pytest.mark.slow)])
 def test_harmonics_and_sag_alone_have_the_size_that_is_predicted(strategy: str) -> None:
     numbers = range(400)
     found = errors_mm(strategy, RandomArms.draw(0, numbers).only(Source.JOINTS), Sizes(0.0, 0.0), numbers)
@@ -164,6 +165,7 @@ def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_e
             )
 
 
+@pytest.mark.slow
 def test_known_backlash_helps_only_where_the_approach_is_controlled() -> None:
     arms, scene = RandomArms.draw(1, range(3)).only(Source.BACKLASH), Scene.of(1, SMALL, Markers.FREE, 1)
     quiet = replace(scene.chance(range(3)), servo=np.zeros((3, 2, 5, 3)))

@@ -51,6 +51,7 @@ def test_one_value_has_no_bounds() -> None:
     assert bounds.mean([1.0]).text == bounds.root_mean_square(1.0, 1.0, 1.0).text == ""
 
 
+@pytest.mark.slow
 def test_bounds_change_the_plot_of_a_zero_count() -> None:
     drawn = {
         count: bars("t", "y", {"5": {"ours": bounds.percent(0, count)}}, logarithmic=True)

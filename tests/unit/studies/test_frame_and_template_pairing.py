@@ -44,6 +44,7 @@ def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest
     assert largest_e < np.diff(np.sort(apart)).min() < largest_e + 0.1
 
 
+@pytest.mark.slow
 def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by_all: None) -> None:
     assert len(SCANS) == 17
     study = ClinicalStudy(readings(40))

@@ -145,6 +145,7 @@ def test_chi_squared_rests_on_a_familys_spheres_in_all_protocols_and_its_tail_is
     assert {row[0] for row in fifth.rows if row[3] == "NO"} >= {"errors outside 99 %, ends"}
 
 
+@pytest.mark.slow
 def test_the_protocols_of_tables_2_and_3_recover_the_error_of_manual_localization() -> None:
     """Many sets with people alone: FLE from FRE, against the truth and between scans."""
     random = np.random.default_rng(4)

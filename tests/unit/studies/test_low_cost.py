@@ -249,6 +249,7 @@ def test_one_arm_alone_says_nothing_about_dependence_on_the_arm() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_an_arm_behind_its_driver_goes_where_it_is_sent_and_states_its_factorys_kinematics() -> None:
     truth = draw_ur5(0, 1, 2)
     world = World.create(draw_room(0).model_copy(update={"arm": truth}), paced=False)
@@ -272,6 +273,7 @@ def room() -> Iterator[tuple[InstantArm, Judge, object]]:
         yield InstantArm(draw_ur5(0, 0, 1), world, 0), Judge(scene, world), tracker
 
 
+@pytest.mark.slow
 def test_the_arm_alone_repeats_as_its_data_sheet_states(room: tuple[InstantArm, Judge, object]) -> None:
     arm, judge, _ = room
     poses = [named_pose(np.add(PHANTOM_MM, (0.0, 0.0, up)), REFERENCE) for up in (0.0, 80.0)]
@@ -279,6 +281,7 @@ def test_the_arm_alone_repeats_as_its_data_sheet_states(room: tuple[InstantArm, 
     assert found_mm == pytest.approx(REPEATABILITY_MM, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_vicra_sees_both_frames_with_the_tool_at_every_target(
     room: tuple[InstantArm, Judge, object],
 ) -> None:

@@ -19,6 +19,8 @@ from studies.strategies.one_experiment import (
     condition,
 )
 
+pytestmark = pytest.mark.slow  # its trials take ten seconds to plan
+
 ARMS = range(2)
 COUNTS = (3, 4, 5)
 
@@ -29,7 +31,6 @@ def trials() -> Trials:
     return Trials.plan(0, ARMS, places=(1,))
 
 
-@pytest.mark.slow
 def test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation(trials: Trials) -> None:
     fitted = np.array([condition(trials.linear(arm), trials.drawn[arm], CELLS) for arm in ARMS])
     as_drawn, given = trials.simulate(trials.drawn), trials.simulate(fitted)
@@ -98,7 +99,6 @@ def test_nos_keeps_its_free_angle_at_every_target(trials: Trials) -> None:
         assert free_angle_rad(rotation, target) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.slow
 def test_the_study_shows_the_fitted_arms_and_what_was_not_fitted_beside_table_4() -> None:
     study = OneExperimentStudy(arms=2)
     (unit,) = study.units()

@@ -56,6 +56,7 @@ def results(study, folder: Path, **where: object) -> dict[str, dict[str, float]]
     return add_up(ledger.results())
 
 
+@pytest.mark.slow
 def test_one_process_and_a_pool_of_two_give_the_same_numbers(tmp_path: Path) -> None:
     study = RegistrationStudy(10, seed=5, fiducials=(3,))
     assert results(study, tmp_path / "1", workers=1) == results(study, tmp_path / "2", workers=2)
@@ -203,6 +204,7 @@ def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
         Ledger(tmp_path, SMALL)
 
 
+@pytest.mark.slow
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     sums = results(SMALL, tmp_path, workers=1)
     found = outcome_shares(sums)

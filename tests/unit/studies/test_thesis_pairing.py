@@ -44,7 +44,8 @@ def test_at_the_small_e_three_markers_match_the_thesis() -> None:
     assert least < outcome(3, SMALL_E_MM).unsuccessful < most
 
 
-@pytest.mark.parametrize("markers", [3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("markers", [3, 4])
 def test_at_the_small_e_a_strict_validation_brings_three_and_four_markers_into_the_thesis_range(
     markers: int,
 ) -> None:

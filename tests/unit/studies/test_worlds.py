@@ -59,7 +59,7 @@ def test_the_same_seed_and_number_draw_the_same_world_whatever_else_is_drawn(sce
 built = cache(draw_scene)
 
 
-@pytest.mark.parametrize("scene", ["mini", "default"])
+@pytest.mark.parametrize("scene", ["mini", pytest.param("default", marks=pytest.mark.slow)])
 def test_every_drawn_script_is_valid_in_its_scene(scene: str) -> None:
     drawn = [draw_world(1, number, scene) for number in range(200)]
     for world in drawn:

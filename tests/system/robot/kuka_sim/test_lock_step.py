@@ -68,6 +68,7 @@ def test_an_idle_world_rests_whatever_its_client_does_until_somebody_waits(
     assert not clock.is_streaming()
 
 
+@pytest.mark.slow
 def test_the_true_pose_after_a_motion_is_identical_bit_for_bit(cell: Callable[..., Cell]) -> None:
     goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
     found = []

@@ -125,7 +125,7 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
     rng = random.Random(5)
     bodies = Bodies(arm, AROUND)
     joints: list[JointVector] = []
-    for _ in range(100):
+    for _ in range(40):
         A1, A2, A3, A4, A5, A6 = (
             rng.uniform(low, high) for low, high in zip(arm.lower_rad, arm.upper_rad, strict=True)
         )

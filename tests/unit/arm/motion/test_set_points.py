@@ -56,7 +56,7 @@ def _run(motion: PathMotion, start: JointVector, stop_at: int | None = None) -> 
     return sent
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(start=joint_vectors, target=joint_vectors, stop_at=st.integers(1, 600))
 def test_a_joint_move_stays_straight_in_joint_space_even_when_stopped(
     start: JointVector, target: JointVector, stop_at: int

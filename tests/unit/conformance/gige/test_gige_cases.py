@@ -130,7 +130,13 @@ MISTAKES: dict[str, tuple[str, Mistake]] = {
 }
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        pytest.param(one, marks=() if number % 3 == 0 else pytest.mark.slow)
+        for number, one in enumerate(MISTAKES)
+    ],
+)
 def test_each_mistake_is_found_by_its_case(
     make_stand: Callable[[], Stand], monkeypatch: Patch, mistake: str
 ) -> None:

@@ -156,6 +156,7 @@ def test_values_are_recovered_from_their_spectra(voxels: BallVoxels) -> None:
     np.testing.assert_allclose(grid.products(spectra, spectra), columns.T @ columns, rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_covariance_matches_the_actual_errors(voxels: BallVoxels) -> None:
     squares = []
     for seed in range(16):

@@ -66,6 +66,7 @@ def fitted(region: Region, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.
     return found
 
 
+@pytest.mark.slow
 def test_streak_bands_do_not_pull_the_centre_and_the_covariance_is_honest() -> None:
     chi2 = []
     for seed in range(12):

@@ -200,7 +200,7 @@ def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_cle
 
 
 @pytest.mark.hazard(18)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(before=st.integers(0, AT_SPEED), losses=LOSSES)
 def test_every_executed_step_is_one_prepared_step_whatever_is_lost(before: int, losses: list[Loss]) -> None:
     controller = _moving(before)
@@ -232,7 +232,7 @@ def test_a_point_too_far_from_the_held_one_is_not_sent_again() -> None:
     assert controller.taken[-1] == held
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(before=st.integers(1, 200), losses=LOSSES)
 def test_a_stop_during_lost_replies_is_smooth_and_ends_at_rest(before: int, losses: list[Loss]) -> None:
     here = MODEL.forward(START)
@@ -282,7 +282,7 @@ def test_a_reply_lost_just_before_a_gap_is_sent_again_after_it() -> None:
 
 
 @pytest.mark.hazard(18)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(before=st.integers(0, AT_SPEED), losses=LOSSES)
 @example(before=AT_SPEED, losses=["reply"] * 4)
 @example(before=AT_SPEED, losses=["reply"] * 30)

@@ -141,6 +141,7 @@ def test_an_installed_method_is_found_by_its_name_for_its_own_kind_only(folder: 
         try_plugin(PAIRING, "staying")
 
 
+@pytest.mark.slow
 def test_our_localizer_and_strategy_pass_the_trial_as_user_methods(folder: Path) -> None:
     (folder / "ours.py").write_text(
         "from procedures.imaging import localize\n"

@@ -100,6 +100,7 @@ def test_a_failure_during_a_run_names_the_method_and_the_unit(folder: Path) -> N
         results(study, folder / "out", workers=1)
 
 
+@pytest.mark.slow
 def test_a_method_that_exits_during_a_run_is_reported_with_its_unit_and_finished_units_are_kept(
     folder: Path,
 ) -> None:

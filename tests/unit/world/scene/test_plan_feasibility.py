@@ -82,7 +82,7 @@ def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.n
 
 @pytest.mark.parametrize("markers", [3, 5, 8])
 def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
-    for seed in range(100, 112):
+    for seed in range(100, 104):
         reach, ends = reach_of(draw_scene("default", seed=seed, markers=markers))
         assert reach.is_feasible(ends)
 
