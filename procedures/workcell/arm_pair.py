@@ -238,6 +238,7 @@ class ArmPair:
             raise OtherArmMoving("another motion is under way")
         try:
             self._require_released()
+            self._require_no_fault()
             if not with_instrument and (place := self._instrument_inside()) is not None:
                 raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
             self._live = LivePair(self._placed(MASTER), self._placed(ASSISTANT))
@@ -250,9 +251,6 @@ class ArmPair:
         """Drive the motions, watched, and return what each returns once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
-            if state is Lifecycle.FAULT:  # since the last motion: it halts both, as on the way
-                self.stop(self._tell_state(role, state), role)
-                self._require_released()
             if state not in RUNNING:
                 raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
         self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
@@ -296,6 +294,13 @@ class ArmPair:
         for error in errors.values():
             raise error
         return ends
+
+    def _require_no_fault(self) -> None:
+        """Halt both for a fault since the last motion, as for one on the way. Raises DUAL-001."""
+        for role, arm in self._arms.items():
+            if (state := arm.state) is Lifecycle.FAULT:
+                self.stop(self._tell_state(role, state), role)
+        self._require_released()
 
     def _require_released(self) -> None:
         if self.halted is not None:

@@ -156,14 +156,15 @@ def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
 
 
 @pytest.mark.hazard(58)
-def test_a_fault_of_the_resting_arm_between_two_motions_halts_both(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+@pytest.mark.parametrize("moved", [MASTER, ASSISTANT])
+def test_a_fault_between_two_motions_halts_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, moved: str
 ) -> None:
     assistant.stop(StopKind.PROTECTIVE)
     with pytest.raises(BothArmsHalted, match="the assistant has gone to fault"):
-        pair.move(MASTER, turned(master, 10.0))
-    assert master.controller.joints_rad == HOME_RAD
-    assert pair.halted is not None
+        pair.move(moved, turned(master, 10.0))
+    assert master.controller.joints_rad == assistant.controller.joints_rad == HOME_RAD
+    assert {master.state, assistant.state} == {Lifecycle.FAULT}
 
 
 @pytest.mark.hazard(58)
