@@ -31,7 +31,8 @@ from procedures.calibration.frame_calibration import (
 from procedures.calibration.hand_eye import solve
 from procedures.calibration.head_model import pose_record
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.errors import LimitError

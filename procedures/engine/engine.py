@@ -269,9 +269,7 @@ class Engine:
             self.questions.request_instrument_removal()
             if assistant is not None and assistant.place.is_out:
                 workcell.start()
-                workcell.hold_instrument(0.0)
                 assistant.return_home()
-                workcell.touch({})
             workcell.compare_place()
             if not workcell.place.is_home:
                 if (axis_place := workcell.place.axis) is not None:

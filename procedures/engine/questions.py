@@ -11,9 +11,10 @@ from procedures.engine.setting import CaseSetting
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Task, Topic
-from ronna_hw.wire.room_tasks import OUT
+from ronna_hw.wire.room_tasks import EMPTY, OUT
 
 IS_OUT, INSIDE = "out", "inside"
+EMPTYING = "take the instrument out of the assistant's holder"
 # In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
 IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
@@ -124,19 +125,28 @@ class Questions:
         return readings
 
     def request_instrument_removal(self) -> None:
-        """Have any instrument in the guide removed. Raises PRO-002 unless the operator confirms."""
-        instrument = self._setting.workcell.instrument
-        if (place := instrument.inside) is None:
+        """Have any instrument in the guide, and in the assistant's holder, removed.
+
+        Raises PRO-002 unless the operator confirms.
+        """
+        workcell = self._setting.workcell
+        instrument, assistant = workcell.instrument, workcell.assistant
+        held = None if assistant is None else assistant.history.held
+        place = instrument.inside
+        if held is not None and place is None:
+            self._empty_holder(held.trajectory)
+        if place is None:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
-        is_in_doubt = self._setting.workcell.place.assumed
+        is_in_doubt = workcell.place.assumed
         look = (
             f"look whether one is there; if so, {removal_words(place)}"
             if is_in_doubt
             else removal_words(place)
         )
         self.perform_task(Task(OUT, look, trajectory))
-        asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide?"
+        from_holder = "" if held is None else ", and out of the assistant's holder"
+        asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide{from_holder}?"
         if place == IN_DIVOT:
             asked = f"Is {place} lowered, and are hands clear of it and of the guide?"
         doubt = "the journal does not say whether one went in; " if is_in_doubt else ""
@@ -155,6 +165,24 @@ class Questions:
                 action=f"By hand, {removal_words(place)}; then repeat the step or send the arm home.",
             )
         instrument.record_removal()
+        workcell.release_instrument()
+
+    def _empty_holder(self, trajectory: str) -> None:
+        self.perform_task(Task(EMPTY, EMPTYING, trajectory))
+        question = Question(
+            Topic.INSTRUMENT_OUT,
+            "Is the assistant's holder empty?",
+            "an instrument may be in it; afterwards the assistant may move: stand clear before you answer",
+            (IS_OUT, INSIDE),
+            trajectory,
+            timeout_s=None,
+        )
+        if self.ask(question).word != IS_OUT:
+            raise NotConfirmed(
+                "an instrument is still in the assistant's holder",
+                action=f"By hand, {EMPTYING}; then repeat the step or send the arms home.",
+            )
+        self._setting.workcell.release_instrument()
 
 
 def removal_words(place: str) -> str:

@@ -49,7 +49,7 @@ TORN_FILE = "journal.torn"  # torn end of a journal, cut off when the run is res
 ROOM_BYTES = 1 << 20  # a last line names every file of the run and every slice of its CT, some 150 bytes each
 BLOCK_BYTES = 4096  # what a power loss may tear or empty at the end of a file
 # A result, or where an instrument is, must not share a block with lines that follow it: spaces fill the rest.
-FILLING = (Entry.RESULT, Entry.INSTRUMENT)
+FILLING = (Entry.RESULT, Entry.INSTRUMENT, Entry.HELD)
 OF_EVERY_LINE = ("sequence", "previous", "entry", "host_time", "theatre_time_s")
 ONLY_LEAVING = "only_leaving"  # of a restart: to send the arm home or acknowledge a fault, and run no step
 ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)

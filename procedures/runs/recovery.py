@@ -145,7 +145,7 @@ def _restore_arm(
     if (assistant := workcell.assistant) is not None and set_up.assistant_home_rad is not None:
         assistant.restore_home(set_up.assistant_home_rad)
         if (base := assistant.history.base) is not None:  # also if void by now: from there the way out begins
-            workcell.place_assistant(base)
+            workcell.place_assistant(base, assistant.history.base_uncertain_mm)
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(

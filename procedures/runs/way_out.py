@@ -17,10 +17,10 @@ from procedures.engine.errors import RecoveryRefused
 from procedures.engine.run_folder import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
-from procedures.steps.clinical.assisted_insertion import surround_holder
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.insertion_axis import surround_at_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
@@ -31,6 +31,7 @@ from procedures.steps.clinical.surroundings import (
 )
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import stands_at
+from procedures.workcell.assistant import Assistant
 from procedures.workcell.ball_watcher import build_ball_surroundings, build_free_surroundings, build_stand
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.frames import Transform
@@ -52,26 +53,34 @@ def surround(engine: Engine) -> None:
     workcell, keys = engine.setting.workcell, engine.order.sequence
     _surround_guide_or_head(engine, keys)
     assistant = workcell.assistant
-    if assistant is None or not assistant.place.is_out:
+    if assistant is None or assistant.history.base is None:
         return
     trajectory = assistant.place.trajectory or workcell.place.trajectory
-    if trajectory is None:  # it showed its ball, with nothing in its clamp; or somebody has jogged it
-        _surround_assistant(engine, keys)
+    registration = _find_guide_registration(engine)
+    if trajectory is None or registration is None:  # it shows its ball; or somebody has jogged it
+        _surround_assistant(engine, keys, assistant)
         return
-    stop = workcell.history.stops.get(trajectory, {})
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
-    surround_holder(at_target, float(str(stop.get("read_mm", 0.0))))
+    surround_at_guide(at_target, assistant.joints_rad(), registration.robot_from_ct)
 
 
-def _surround_assistant(engine: Engine, keys: Sequence[StepKey]) -> None:
-    """Set the bodies around an assistant on no axis: the head as first found."""
-    workcell, found = engine.setting.workcell, engine.case.find(Correspondence, None)
-    if found is None or workcell.assistant is None or workcell.assistant.history.base is None:
+def _surround_assistant(engine: Engine, keys: Sequence[StepKey], assistant: Assistant) -> None:
+    """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
+    workcell, case = engine.setting.workcell, engine.case
+    standing = case.find(Correspondence, None)
+    former = [record for record in case.records if record.kind == Correspondence.kind]
+    if standing is None and not former:
+        if assistant.place.is_out:
+            raise RecoveryRefused(
+                "the assistant is not home, and no result gives the position of the head",
+                action="Jog it home with its controller's pendant, then resume again.",
+            )
         return
+    found = parse_record(former[-1], Correspondence) if standing is None else standing.result
     over = next(key for key in keys if key.name == Relocalization.kind)
     head = workcell.flange_from(MountedTool.STEREO_HEAD)
     scene = planning_scene_of(engine.context(over))
-    workcell.surround_assistant(scene.with_stereo_head(found.result.robot_from_ct.transform, head, None))
+    workcell.surround_assistant(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:

@@ -51,11 +51,11 @@ def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
 
 
 def needs_arm_home(context: StepContext) -> tuple[str, ...]:
-    """Require the arm at home, so that it is not over the head while staff work at cart or clamp."""
-    place = context.workcell.place
-    if place.is_home:
+    """Require every arm at home, so that none is over the head while staff work at cart or clamp."""
+    away = [arm for arm in context.workcell.supervised_arms if not arm.place.is_home]
+    if not away:
         return ()
-    return place.hold_reasons or ("the arm is not home: send it there first (home)",)
+    return away[0].place.hold_reasons or (f"the {away[0].name} is not home: send it there first (home)",)
 
 
 def needs_insertion(context: StepContext) -> tuple[str, ...]:

@@ -103,6 +103,18 @@ class InsertionAxis:
             )
 
 
+@dataclass(frozen=True)
+class HeldInstrument:
+    """Instrument that is, or may be, in the assistant's holder.
+
+    Its tip is `tip_mm` beyond the clamp; `at_bore` are the parts of the guide that it may come close to.
+    """
+
+    trajectory: str
+    tip_mm: float
+    at_bore: tuple[str, ...]
+
+
 class MotionKind(StrEnum):
     """Kind of motion, as recorded in the journal."""
 
@@ -206,6 +218,8 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
+    base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
+    held: HeldInstrument | None = None  # by an assistant
 
     def with_line(self, line: Line) -> ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
@@ -225,13 +239,16 @@ class ArmHistory:
                 return self._with_look(line)
             case Entry.BASE:
                 base = FramedPose.model_validate(line["robot_from_base"])
-                return replace(self, base=base.transform)
+                uncertain_mm = cast("float", line.get("uncertain_mm", 0.0))
+                return replace(self, base=base.transform, base_uncertain_mm=uncertain_mm)
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 place = replace(
                     self.place, instrument_may_be_inside=inside, assumed=line.get("assumed") is True
                 )
                 return replace(self, place=place, instrument_out=inside is None)
+            case Entry.HELD:
+                return replace(self, held=_held(line) if line["held"] else None)
             case Entry.STAGE:
                 return self._with_stage(line)
             case Entry.TRACKER:
@@ -362,6 +379,11 @@ def is_any_arm_out(chain: Chain, lost: Sequence[Line] = ()) -> bool:
 
 def _joints_rad(line: Line) -> JointVector:
     return cast("JointVector", tuple(cast("list[float]", line["joints_rad"])))
+
+
+def _held(line: Line) -> HeldInstrument:
+    tip_mm, at_bore = cast("float", line["tip_mm"]), cast("list[str]", line["at_bore"])
+    return HeldInstrument(str(line["trajectory"]), tip_mm, tuple(at_bore))
 
 
 def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:

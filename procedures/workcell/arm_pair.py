@@ -56,6 +56,7 @@ class Halt:
     arm: str
     reason: str
     instrument: str | None
+    kind: StopKind = StopKind.PROTECTIVE
 
 
 class ArmPair:
@@ -74,6 +75,7 @@ class ArmPair:
         """
         self._arms = {role: arms[role] for role in ROLES}
         self._bases = {MASTER: Pose((0.0, 0.0, 0.0)), ASSISTANT: assistant_base}
+        self._uncertain_mm = 0.0  # of the assistant's base, at its arm
         self._clock = clock
         self._instrument_inside = instrument_inside
         self._around = dict.fromkeys(ROLES, Surroundings())
@@ -91,7 +93,7 @@ class ArmPair:
         """Declare the tool and the surroundings of one arm, in its own base, without the other arm."""
         self._around[role] = replace(surroundings, owner=role)
         with suppress(OtherArmUnknown):  # else before its next motion
-            self._surround_with_other(role)
+            self.look_around(role)
 
     def look_around(self, role: str) -> None:
         """Surround one arm with the other where that is now, as `move` does, before motions are previewed.
@@ -100,9 +102,18 @@ class ArmPair:
         """
         self._surround_with_other(role)
 
-    def place_assistant(self, base: Pose) -> None:
-        """Take another pose ROBOT <- base of the assistant, as measured better."""
-        self._bases[ASSISTANT] = base
+    def rest_apart(self, joints_rad: Mapping[str, JointVector]) -> bool:
+        """Return whether both arms, at these joints, would keep the distance that is planned between them."""
+        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT))
+        apart_mm = world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm
+        return apart_mm >= PLANNED_APART_MM + self._uncertain_mm
+
+    def place_assistant(self, base: Pose, uncertain_mm: float) -> None:
+        """Take another pose ROBOT <- base of the assistant, as measured better.
+
+        By `uncertain_mm` the assistant may be elsewhere: both arms keep that much more distance.
+        """
+        self._bases[ASSISTANT], self._uncertain_mm = base, uncertain_mm
 
     def touch(self, parts: Mapping[str, Collection[str]]) -> None:
         """Name the parts of the tools that may come close to the other arm, by role; none to end that."""
@@ -140,7 +151,7 @@ class ArmPair:
     def _surround_with_other(self, role: str) -> JointVector:
         """Surround an arm with the other one, where it rests; return the joints of that."""
         other, around = _other(role), self._around[role]
-        rests_rad = self._joints(other)
+        rests_rad = self._joints_now(other)
         obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
         self._arms[role].surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
         return rests_rad
@@ -154,7 +165,8 @@ class ArmPair:
             self._at_rest_rad = {}
             paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
             world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm)
-            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S)
+            margin_mm = PLANNED_APART_MM + self._uncertain_mm
+            require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S, margin_mm)
             for role, arm in self._arms.items():
                 arm.surround(self._around[role])
             return self._drive({role: motion.drive for role, motion in motions.items()})
@@ -162,7 +174,7 @@ class ArmPair:
     def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
         """Bring both arms to rest and hold them there; never raises."""
         if self.halted is None:
-            self.halted = Halt(arm, reason, self._instrument_inside())
+            self.halted = Halt(arm, reason, self._instrument_inside(), kind)
             logger(device=f"robot.{arm}").warning("both arms are stopped", cause=reason)
         stops = [
             threading.Thread(target=self._stop_one, args=(one, kind))
@@ -175,21 +187,31 @@ class ArmPair:
             stop.join()
 
     def watch(self) -> None:
-        """Look at both arms once; stop both for what stopped one, a distance, or an age."""
+        """Look at both arms once; stop both for what stopped one, a distance, or an age.
+
+        Only then is the cause asked for, which a driver may wait for its controller to tell.
+        """
         found = self._find_trouble()
-        if found is not None:
-            role, reason, kind = found
-            self.stop(reason, role, kind)
+        if found is None:
+            return
+        role, reason, kind = found
+        is_first = self.halted is None
+        self.stop(reason, role, kind)
+        fault = self._arms[role].fault
+        if is_first and self.halted is not None and fault is not None:
+            self.halted = replace(self.halted, reason=f"{reason}: {summary_of(fault)}")
 
     def _find_trouble(self) -> tuple[str, str, StopKind] | None:
         joints: dict[str, JointVector] = {}
         for role, arm in self._arms.items():
-            if (state := arm.state) is not self._expected.get(role, state):
-                why = "" if arm.fault is None else f": {summary_of(arm.fault)}"
-                kind = StopKind.HOLD if state is Lifecycle.HOLD else StopKind.PROTECTIVE
-                return role, f"the {role} has gone to {state}{why}", kind
+            # First: a thread that the host suspends in between finds no arm silent.
+            now_s = self._clock.now_s()
+            seen = arm.observe()  # unlike `state`, never waits: the other arm moves meanwhile
+            if seen.state is not self._expected.get(role, seen.state):
+                kind = StopKind.HOLD if seen.state is Lifecycle.HOLD else StopKind.PROTECTIVE
+                return role, f"the {role} has gone to {seen.state}", kind
             try:
-                joints[role] = self._joints(role)
+                joints[role] = self._joints(role, seen.reading, now_s)
             except OtherArmUnknown as error:
                 return role, error.summary, StopKind.PROTECTIVE
             if (rests_rad := self._at_rest_rad.get(role)) is not None:
@@ -197,12 +219,17 @@ class ArmPair:
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
         live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
-        near = live.find_near(joints[MASTER], joints[ASSISTANT], APART_MM)
+        least_mm = APART_MM + self._uncertain_mm
+        near = live.find_near(joints[MASTER], joints[ASSISTANT], least_mm)
         if near is not None:
             bodies = f"{near.first} of the {MASTER} and {near.second} of the {ASSISTANT}"
             words = f"{bodies} are {near.distance_mm:.1f} mm apart"
-            return MASTER, f"{words}: expected at least {APART_MM:g} mm", StopKind.PROTECTIVE
+            return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
         return None
+
+    def _tell_state(self, role: str, state: Lifecycle) -> str:
+        fault = self._arms[role].fault
+        return f"the {role} has gone to {state}" + ("" if fault is None else f": {summary_of(fault)}")
 
     @contextmanager
     def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
@@ -223,6 +250,9 @@ class ArmPair:
         """Drive the motions, watched, and return what each returns once all have ended."""
         resting = {role: arm.state for role, arm in self._arms.items() if role not in motions}
         for role, state in resting.items():
+            if state is Lifecycle.FAULT:  # since the last motion: it halts both, as on the way
+                self.stop(self._tell_state(role, state), role)
+                self._require_released()
             if state not in RUNNING:
                 raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
         self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
@@ -258,9 +288,9 @@ class ArmPair:
         if errors and self.halted is None:  # refused before it began, or stopped since the last look
             self.watch()
         for error in errors.values():
-            if isinstance(error, ForceLimitExceeded):  # both arms are held, as asked for: nothing is latched
-                self.halted = None
-                raise error
+            # Both arms are held, as asked for: nothing is latched, unless something else has stopped them.
+            if isinstance(error, ForceLimitExceeded) and (halt := self.halted) is not None:
+                self.halted = None if halt.kind is StopKind.HOLD and halt.arm in errors else halt
         if self.halted is not None:
             self._refuse(next(iter(errors.values()), None))
         for error in errors.values():
@@ -277,10 +307,13 @@ class ArmPair:
         where = "" if inside is None else f"; an instrument is in the guide, and in {inside}"
         raise BothArmsHalted(f"both arms are halted: {self.halted.reason}{where}") from cause
 
-    def _joints(self, role: str) -> JointVector:
-        """Return the joints of an arm as last reported. Raises DUAL-003 if that was too long ago."""
-        now_s = self._clock.now_s()  # first: a thread that the host suspends in between finds no arm silent
-        reading = self._arms[role].observe().reading
+    def _joints_now(self, role: str) -> JointVector:
+        """Return the joints of an arm as last reported. Raises as `_joints`."""
+        now_s = self._clock.now_s()
+        return self._joints(role, self._arms[role].observe().reading, now_s)
+
+    def _joints(self, role: str, reading: ArmReading | None, now_s: float) -> JointVector:
+        """Return the joints in the last reading of an arm. Raises DUAL-003 if it is too old."""
         if reading is None or reading.validity not in (Validity.OK, Validity.STALE):
             raise OtherArmUnknown(f"the state of the {role} is not known")
         age_s = now_s - reading.stamp.theatre_time_s
@@ -295,7 +328,7 @@ class ArmPair:
 
     def _sampled_path(self, role: str, motion: Motion) -> SampledPath:
         arm, limits = self._arms[role], self._arms[role].limits()
-        plan = plan_motion(arm.kinematics, self._joints(role), motion, limits)
+        plan = plan_motion(arm.kinematics, self._joints_now(role), motion, limits)
         return SampledPath.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:
@@ -308,7 +341,8 @@ class ArmPair:
     def _grown_mm(self, role: str) -> float:
         """Return the thickening of the other arm that turns obstacle margins into those between two arms."""
         around = self._around[role]
-        return max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+        grown_mm = max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+        return grown_mm + self._uncertain_mm
 
     def _stop_one(self, arm: RobotArm, kind: StopKind) -> None:
         if kind is StopKind.HOLD and arm.state is Lifecycle.HOLD:
@@ -323,9 +357,6 @@ class ArmPair:
 
 class ReplayedPair(ArmPair):
     """Pair of stand-ins: what stopped an arm is in its answers, and nothing comes close."""
-
-    def surround(self, role: str, surroundings: Surroundings) -> None:
-        """Do nothing."""
 
     def look_around(self, role: str) -> None:
         """Do nothing."""

@@ -17,6 +17,7 @@ from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import (
     ArmLog,
+    HeldInstrument,
     InsertionAxis,
     MotionKind,
 )
@@ -92,7 +93,6 @@ class Assistant(SupervisedArm):
         self.holder: HolderCalibration = holder
         self._instrument_inside = instrument_inside
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
-        self._tip_mm = 0.0  # of the instrument beyond the clamp; 0 while none is held
 
     @property
     def carries(self) -> str:
@@ -108,11 +108,13 @@ class Assistant(SupervisedArm):
             )
         return self.history.base
 
-    def place_base(self, robot_from_base: Transform) -> None:
+    def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
         """Take the base as known. The journal has it before either arm moves: the way out needs it."""
-        known, pose = self._log.history.base, FramedPose.of(robot_from_base)
-        if known is None or pose != FramedPose.of(known):
-            self._log.write(Entry.BASE, robot_from_base=pose.model_dump(mode="json"))
+        known, pose = self._log.history, FramedPose.of(robot_from_base)
+        same = known.base is not None and pose == FramedPose.of(known.base)
+        if not same or uncertain_mm != known.base_uncertain_mm:
+            plain = pose.model_dump(mode="json")
+            self._log.write(Entry.BASE, robot_from_base=plain, uncertain_mm=uncertain_mm)
 
     def require_on_axis(self) -> None:
         """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""
@@ -124,14 +126,17 @@ class Assistant(SupervisedArm):
         """Return the joints for a flange pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.calibrated.compensate(flange, near, arriving).joints_rad
 
-    def surroundings(self, around: Surroundings, near_rad: JointVector | None = None) -> Surroundings:
+    def surroundings(
+        self, around: Surroundings, near_rad: JointVector | None = None, tip_mm: float | None = None
+    ) -> Surroundings:
         """Return surroundings given in the robot frame for the assistant, with the tool that it carries.
 
-        They are exact near `near_rad`, by default home; see `CalibratedArm.as_controller_sees`.
+        They are exact near `near_rad`, by default home; see `CalibratedArm.as_controller_sees`. `tip_mm` as
+        for `tool`.
         """
         to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
         seen = self.calibrated.as_controller_sees(around.moved(to_base), near_rad or self.home_rad)
-        return replace(seen, tool=self.tool)
+        return replace(seen, tool=self.tool(tip_mm))
 
     @property
     def flange_from_clamp(self) -> Transform:
@@ -170,27 +175,42 @@ class Assistant(SupervisedArm):
                     return f"{refused.first} at {refused.second}"
         return ""
 
-    def rests_clear(self, joints_rad: JointVector, around: Surroundings) -> bool:
-        """Return whether the arm, with what it holds, keeps its margin where it rests.
+    def rests_clear(self, joints_rad: JointVector, around: Surroundings, tip_mm: float) -> bool:
+        """Return whether the arm, with an instrument in its holder, keeps its margin where it rests.
 
         A path is checked leniently where it begins: there, bodies that are too close may stay so.
         """
-        surroundings = self.surroundings(around, joints_rad)
+        surroundings = self.surroundings(around, joints_rad, tip_mm)
         gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
         return not (gaps_mm < surroundings.margin_mm).any()
 
-    def hold_instrument(self, tip_mm: float) -> None:
-        """Take the instrument as held, its tip this far beyond the clamp; 0 if it holds none."""
-        self._tip_mm = tip_mm
+    def hold_instrument(self, held: HeldInstrument) -> None:
+        """Take an instrument as held. The journal has it before anybody is asked to put it in."""
+        self._log.write(
+            Entry.HELD,
+            trajectory=held.trajectory,
+            held=True,
+            tip_mm=held.tip_mm,
+            at_bore=list(held.at_bore),
+        )
 
-    @property
-    def tool(self) -> tuple[Part, ...]:
-        """Bodies of the holder, and of the instrument while one is held, flange frame."""
-        bodies = holder_bodies(self.holder)
-        if not self._tip_mm:
+    def release_instrument(self) -> None:
+        """Take the holder as empty, once that is confirmed."""
+        if (held := self.history.held) is not None:
+            self._log.write(Entry.HELD, trajectory=held.trajectory, held=False)
+
+    def tool(self, tip_mm: float | None = None) -> tuple[Part, ...]:
+        """Return the bodies of the holder and of the instrument in it, flange frame.
+
+        `tip_mm` is how far its tip is beyond the clamp, by default that of the instrument held, if any.
+        """
+        bodies, held = holder_bodies(self.holder), self.history.held
+        if tip_mm is None and held is not None:
+            tip_mm = held.tip_mm
+        if not tip_mm:
             return bodies
         clamp = self.flange_from_clamp
-        middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, self._tip_mm))
+        middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, tip_mm))
         return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
     # Motion
@@ -226,6 +246,7 @@ class Assistant(SupervisedArm):
 
     def insert(self, axis: InsertionAxis, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight along the axis to the held pose of the clamp, faster where guided."""
+        self.inserted = None
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
     def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
@@ -240,6 +261,14 @@ class Assistant(SupervisedArm):
     def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
         return self.supervised.carry_out(self.withdraw_motion(guided))
+
+    def note_inserted(self, inserted: Inserted) -> None:
+        """Keep the end of a stretch, with the largest force of the insertion so far."""
+        before = self.inserted
+        peaks_N = [
+            one.peak_force_N for one in (before, inserted) if one is not None and one.peak_force_N is not None
+        ]
+        self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
 
     def retreat(self, guided: GuidedStretch | None = None) -> None:
         """Withdraw the instrument once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
@@ -265,7 +294,9 @@ class Assistant(SupervisedArm):
         inserts = motion.what is MotionKind.INSERT and self.senses_force
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
-        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N)
+        assert motion.axis is not None, "an insertion leads along an axis"
+        start = self._line(motion.axis, 0.0, INSERTION_SPEED_MM_S).target
+        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N, start)
 
     @property
     def senses_force(self) -> bool:

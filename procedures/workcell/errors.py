@@ -54,8 +54,8 @@ class BothArmsHalted(RefusedError):
 
     code = "DUAL-001"
     action = (
-        "Find out why, take any instrument out of the guide by hand, then let a named person acknowledge "
-        "both arms. Nothing retreats by itself."
+        "Find out why, touching neither arm nor instrument, then let a named person acknowledge both arms. "
+        "Nothing retreats by itself: the assistant leads its instrument out once that is confirmed."
     )
 
 

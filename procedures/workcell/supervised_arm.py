@@ -18,7 +18,7 @@ from procedures.workcell.device_views import ArmView
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import calibrated_arm
-from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import MASTER
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
@@ -51,6 +51,11 @@ class SupervisedArm(ABC):
         self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
         self._computed = self._calibrated(arm().kinematics)
         self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release, look_around)
+
+    @property
+    def name(self) -> str:
+        """Name of the arm, as messages have it."""
+        return self._name
 
     @property
     @abstractmethod

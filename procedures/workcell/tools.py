@@ -14,7 +14,8 @@ from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import AnotherArm, InstrumentInGuide, SameArmTwice, WrongTool
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations
 from ronna_hw.errors import RonnaError

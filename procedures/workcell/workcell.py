@@ -22,11 +22,12 @@ from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
     ArmLog,
+    HeldInstrument,
     InsertionAxis,
     MotionKind,
 )
 from procedures.workcell.arm_pair import ArmPair, Halt
-from procedures.workcell.assistant import Assistant
+from procedures.workcell.assistant import AT_GUIDE, Assistant
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion
@@ -255,18 +256,27 @@ class Workcell(SupervisedArm):
 
     # Two arms
 
-    def place_assistant(self, robot_from_base: Transform) -> None:
-        """Take the assistant's base as known: from now on either arm may move, watched with the other."""
+    def place_assistant(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
+        """Take the assistant's base as known: from now on either arm may move, watched with the other.
+
+        `uncertain_mm` is by how much the arm may be elsewhere.
+        """
         assistant = self._require_assistant()
         base = Pose.from_matrix(robot_from_base.as_matrix().tolist())
-        assistant.place_base(robot_from_base)
+        assistant.place_base(robot_from_base, uncertain_mm)
         if self._pair is None:
             arms, clock = self._theatre.arms, self._theatre.clock
             self._pair = self._make_pair(arms, base, clock, lambda: self.instrument.inside)
             self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
-        self._pair.place_assistant(base)
+            known = (
+                self.surroundings or Surroundings()
+            )  # the arms of a theatre have the same radii and margins
+            bare = replace(known, obstacles=(), corridor=None, zone=None, tool=assistant.tool())
+            self._pair.surround(ASSISTANT, bare)  # until its own surroundings are declared
+        self._pair.place_assistant(base, uncertain_mm)
+        self._allow_contact()
 
     def surround_assistant(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set what surrounds the assistant, in the robot frame; its tool is its own.
@@ -278,21 +288,38 @@ class Workcell(SupervisedArm):
         self._around_assistant = surroundings, near_rad
         self._pair.surround(ASSISTANT, assistant.surroundings(surroundings, near_rad))
 
-    def hold_instrument(self, tip_mm: float) -> None:
-        """Take an instrument as held by the assistant, its tip this far beyond the clamp; 0 for none."""
-        self._require_assistant().hold_instrument(tip_mm)
+    def hold_instrument(self, held: HeldInstrument) -> None:
+        """Take an instrument as held by the assistant, which may come close to the guide from now on."""
+        self._require_assistant().hold_instrument(held)
+        self._take_into_account()
+
+    def release_instrument(self) -> None:
+        """Take the assistant's holder as empty, once that is confirmed; it keeps its distance again."""
+        if self.assistant is not None and self.assistant.history.held is not None:
+            self.assistant.release_instrument()
+            self._take_into_account()
+
+    def _take_into_account(self) -> None:
+        self._allow_contact()
         if self._around_assistant is not None:
             self.surround_assistant(*self._around_assistant)
 
-    def assistant_rests_clear(self, joints_rad: JointVector) -> bool:
-        """Return whether the assistant, with what it holds, keeps its margin at these joints."""
-        assert self._around_assistant is not None, "what surrounds the assistant is known first"
-        return self._require_assistant().rests_clear(joints_rad, self._around_assistant[0])
-
-    def touch(self, parts: Mapping[str, Collection[str]]) -> None:
-        """Name the parts of both tools that may touch, by role, while an instrument is led to the guide."""
+    def _allow_contact(self) -> None:
+        """Let the instrument in the holder come close to the guide, and nothing without one."""
+        held = self._require_assistant().history.held
         if self._pair is not None:
-            self._pair.touch(parts)
+            self._pair.touch({} if held is None else {MASTER: held.at_bore, ASSISTANT: AT_GUIDE})
+
+    def assistant_rests_clear(self, joints_rad: JointVector, tip_mm: float) -> bool:
+        """Return whether the assistant, with such an instrument, keeps its margin at these joints."""
+        assert self._around_assistant is not None, "what surrounds the assistant is known first"
+        return self._require_assistant().rests_clear(joints_rad, self._around_assistant[0], tip_mm)
+
+    def rest_apart(self, role: str, joints_rad: JointVector) -> bool:
+        """Return whether an arm, at these joints, would keep its distance from the other where that rests."""
+        assert self._pair is not None, "where the assistant stands is known first"
+        here_rad = {MASTER: self.joints_rad(), ASSISTANT: self._require_assistant().joints_rad()}
+        return self._pair.rest_apart(here_rad | {role: joints_rad})
 
     @property
     def halt(self) -> Halt | None:
@@ -319,8 +346,9 @@ class Workcell(SupervisedArm):
             if assistant.has_passed(leg, motion):
                 return self._theatre.arms[ASSISTANT].read_state()
             if (insertion := assistant.force_limited(leg, motion, limit_N)) is not None:
-                assistant.inserted = self._pair.insert(role, insertion)
-                return assistant.inserted.reading
+                inserted = self._pair.insert(role, insertion)
+                assistant.note_inserted(inserted)
+                return inserted.reading
             return self._pair.move(role, leg, with_instrument=True)
         return self._pair.move(role, leg)
 
@@ -349,7 +377,8 @@ class Workcell(SupervisedArm):
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""
         arms = (self._arm,) if self.assistant is None else (self._arm, self._theatre.arms[ASSISTANT])
-        if self._arm.state is Lifecycle.CONFIGURED and not self._starts_still(arms):
+        starting = any(arm.state is Lifecycle.CONFIGURED for arm in arms)
+        if starting and not self._starts_still(arms):
             self.instrument.require_out("start the arm")
         self.supervised.start((*arms, self.stereo) if cameras else arms)
 

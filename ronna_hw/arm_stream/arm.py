@@ -74,6 +74,7 @@ class StreamedArm(ABC, Generic[S]):
         self._planner = MotionPlanner(self._name, connections.faults.arm, limits)
         self._follower = MotionFollower(connections, watch, limits.cycle_s)
         self._readings = StreamReadings(connections, senses_force=self.senses_force)
+        self._stated: tuple[S | None, tuple[Fact, ...]] = None, ()  # the last state, and its facts
 
     # What a driver adds:
 
@@ -146,8 +147,9 @@ class StreamedArm(ABC, Generic[S]):
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
         reported = self.connections.reported
-        facts = () if reported is None else tuple(self._controller_facts(reported))
-        return self._guard.last_known(self._readings.newest(streaming=streaming), facts)
+        if reported is not self._stated[0]:
+            self._stated = reported, () if reported is None else tuple(self._controller_facts(reported))
+        return self._guard.last_known(self._readings.newest(streaming=streaming), self._stated[1])
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self.connections.recorder = sink

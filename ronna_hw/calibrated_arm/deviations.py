@@ -1,4 +1,4 @@
-"""Deviations of an arm from its nominal chain, and compensation of commanded poses.
+"""Deviations of an arm from its nominal chain.
 
 The effective angle of a joint is
 
@@ -7,34 +7,23 @@ The effective angle of a joint is
 where `flank`, -1 to 1, is the side from which the joint arrived, and g(q) the horizontal lever arm of the
 wrist about the joint, relative to that of the stretched arm. At its far end every link is displaced by a
 small translation and a small rotation.
-
-A controller knows only the nominal chain. It is given an offset pose, from which the deviations lead to the
-wanted one. They are small and smooth, so each iteration leaves a thousandth of the error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import Unreachable
-from ronna_hw.arm.kinematics import Chain, Kinematics
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 HARMONICS = (1, 2)  # per turn of a joint
+WRIST_JOINTS = 2  # the last ones, which carry no lever worth counting
 FLANK_SHARE = 0.5  # of the backlash, to either side
-CLOSE_MM = 1e-5  # resolution of a record's numbers
-CLOSE_RAD = 1e-8
-MOST_ROUNDS = 8  # four suffice for an uncalibrated arm away from singularities
 
 
 @dataclass(frozen=True)
@@ -83,77 +72,6 @@ class ArmDeviations:
             parts.append(row[begin:end].reshape(shape))
             begin = end
         return cls(*parts)
-
-
-class Compensation(NamedTuple):
-    """Joints that place the flange at the desired pose, and the pose to command."""
-
-    joints_rad: JointVector
-    commanded: Pose
-
-
-class CalibratedArm:
-    """Arm model with deviations; identical to the nominal arm if there are none."""
-
-    def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
-        self.nominal = nominal
-        self._deviations = deviations
-
-    @property
-    def is_nominal(self) -> bool:
-        """Whether the arm has no known deviations."""
-        return self._deviations is None
-
-    def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
-        """Return the flange pose in the robot base.
-
-        `flanks`, +1 or -1, give the side of its backlash on which each joint rests: the direction in which it
-        arrived. Without them, each joint is assumed to be in the middle.
-        """
-        if self._deviations is None:
-            return self.nominal.forward(joints_rad)
-        sides: ArrayLike = 0.0 if flanks is None else np.asarray(flanks, dtype=float)
-        pose = flange_poses(self.nominal.chain, self._deviations, joints_rad, sides)[0]
-        return Pose.from_matrix(pose.tolist())
-
-    def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
-        """Transform the surroundings into the controller's coordinates, exactly at the given joints.
-
-        The driver of the controller checks clearances with the nominal chain. Within reach of one head the
-        deviations vary by some tenths of a millimetre, which margins and corridors allow for.
-        """
-        if self._deviations is None:
-            return surroundings
-        return surroundings.moved(self.nominal.forward(at_rad).compose(self.forward(at_rad).inverse()))
-
-    def flange_pose(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Transform:
-        """Return the flange pose as a checked transform, ROBOT <- FLANGE."""
-        return self.forward(joints_rad, flanks).to_transform()
-
-    def compensate(
-        self, flange: Transform, near: JointVector, flanks: Sequence[float] | None = None
-    ) -> Compensation:
-        """Find the joints, in the branch of `near`, that place the flange at a pose ROBOT <- FLANGE.
-
-        `flanks` as in `forward`, after arrival. Raises ARM-001 to ARM-003 like `Kinematics.solve_branch`;
-        ARM-001 also near a singularity, where no commanded pose leads to the wanted one.
-        """
-        branch = self.nominal.branch_of(near)
-        wanted = Pose.from_transform(flange)
-        commanded = wanted
-        for _ in range(MOST_ROUNDS):
-            joints = self.nominal.solve_branch(commanded, branch, near)
-            if self._deviations is None:
-                return Compensation(joints, commanded)
-            reached = self.forward(joints, flanks)
-            if reached.distance_mm(wanted) < CLOSE_MM and reached.angle_rad(wanted) < CLOSE_RAD:
-                return Compensation(joints, commanded)
-            commanded = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)
-        raise Unreachable(
-            "the calibrated arm does not reach the pose exactly",
-            limit=f"{CLOSE_MM} mm after {MOST_ROUNDS} rounds",
-            got=f"{reached.distance_mm(wanted):.2g} mm",
-        )
 
 
 def flange_poses(
@@ -219,17 +137,27 @@ def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
         axes.append(turned @ np.array(joint.axis))
         turned = turned @ rotations(joints_rad[:, number, None] * np.array(joint.axis))
         place = place + turned @ np.array(joint.to_next_mm)
-    wrist = len(chain.joints) - 2
+    wrist = len(chain.joints) - WRIST_JOINTS
     levers = np.zeros_like(joints_rad)
-    for number in range(wrist):
-        x_mm, y_mm, _ = (places[wrist] - places[number]).T
-        axis_x, axis_y, _ = axes[number].T
-        # Stretched, all links are across the axis; what lies along it has no lever.
-        across = [np.cross(chain.joints[number].axis, one.to_next_mm) for one in chain.joints[number:wrist]]
-        stretched_mm = sum(float(np.linalg.norm(link)) for link in across)
-        if stretched_mm > 0.0:
-            levers[:, number] = (x_mm * axis_y - y_mm * axis_x) / stretched_mm
+    for number, length_mm in enumerate(stretched_mm(chain)):
+        if length_mm > 0.0:
+            x_mm, y_mm, _ = (places[wrist] - places[number]).T
+            axis_x, axis_y, _ = axes[number].T
+            levers[:, number] = (x_mm * axis_y - y_mm * axis_x) / length_mm
     return levers
+
+
+def stretched_mm(chain: Chain) -> list[float]:
+    """Return how far the wrist of the stretched arm is from each joint; 0 for the wrist joints.
+
+    Stretched, all links are across the axis of the joint; what lies along it has no lever.
+    """
+    wrist = len(chain.joints) - WRIST_JOINTS
+    across = (
+        [np.cross(joint.axis, link.to_next_mm) for link in chain.joints[number:wrist]]
+        for number, joint in enumerate(chain.joints)
+    )
+    return [float(sum(np.linalg.norm(link) for link in links)) for links in across]
 
 
 def rotations(vectors_rad: Array) -> Array:

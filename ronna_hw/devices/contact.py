@@ -26,12 +26,16 @@ class Insertion:
 
     The target ROBOT <- TOOL is the depth stop: no set-point lies beyond it. With a force limit the arm stops
     when the force on the tool has changed by more since the start, in any direction.
+
+    An arm that is calibrated outside its controller is sent along a line that leads along the axis with the
+    arm's errors; its controller has that line beside the z axis of TOOL. It then begins at `start`.
     """
 
     target: Transform
     flange_from_tool: Transform
     speed_mm_s: float = INSERTION_SPEED_MM_S
     force_limit_N: float | None = None
+    start: Transform | None = None
 
 
 @dataclass(frozen=True)

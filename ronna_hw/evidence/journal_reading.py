@@ -52,6 +52,7 @@ class Entry(StrEnum):
     PLACED = "placed"  # the arm by its measured joints: home as set up, or not where the lines before say
     BASE = "base"  # of the assistant, as known from then on: needed for every way out
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
+    HELD = "held"  # by the assistant: an instrument may be in its holder from then on, or is out of it again
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
     TRACKER = "tracker"  # moved since the localization, and followed
     WORK = "work"  # manual work, and its readings

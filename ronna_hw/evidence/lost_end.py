@@ -114,6 +114,8 @@ def _says_work(line: Line) -> bool:
     match line:
         case {"entry": Entry.INSTRUMENT, "trajectory": str(), "inside": bool()}:
             return True
+        case {"entry": Entry.HELD, "trajectory": str(), "held": bool()}:
+            return True
         case {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "done": bool()}:
             return True
         case {"entry": Entry.STAGE, "trajectory": str(), "stop": Mapping()}:

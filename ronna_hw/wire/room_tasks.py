@@ -10,6 +10,7 @@ DRILL = "drill"
 DURA = "dura"
 INSERT = "insert"  # the instrument, up to its stop
 HOLDER = "holder"  # put the instrument into the assistant's holder, its depth stop at the clamp
+EMPTY = "empty"  # take the instrument out of that holder
 SEATED = "seated"  # look whether the stop rests on the guide; the gap in mm is read
 OUT = "out"  # take the instrument out of the guide, or the divot from it
 HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
@@ -27,6 +28,7 @@ TASKS = (
     DURA,
     INSERT,
     HOLDER,
+    EMPTY,
     SEATED,
     OUT,
     HEAD_CLAMP,

@@ -20,14 +20,20 @@ from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.insertion_axis import ABOVE_GUIDE_MM, Meeting, find_axis, surround_at_guide
+from procedures.steps.clinical.insertion_axis import (
+    ABOVE_GUIDE_MM,
+    Meeting,
+    find_axis,
+    registered_here,
+    surround_at_guide,
+)
 from procedures.steps.clinical.results import AssistedInsertion
-from procedures.steps.clinical.room import room_watch
+from procedures.steps.clinical.room import read_localized
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
-from procedures.workcell.assistant import AT_GUIDE, BORE_SPEED_MM_S, Assistant, GuidedStretch
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
-from ronna_hw.config import ASSISTANT, MASTER
+from procedures.workcell.arm_history import HeldInstrument
+from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
+from procedures.workcell.tracker_look import mean_pose
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
@@ -58,11 +64,11 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     context.request_instrument_removal()
     known = _require_bases(context)
     stood = _has_stood(context, assistant, known)
-    surround_holder(context, stop.read_mm)
-    _present_holder(context, assistant)
+    surround_at_guide(context, assistant.joints_rad(), registered_here(context))
+    _present_holder(context, assistant, stop.read_mm)
+    workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
-    workcell.hold_instrument(stop.read_mm)
     axis, start_rad, via_rad = find_axis(context, assistant, stop, known)
     workcell.start()
     assistant.supervised.confirm(
@@ -78,7 +84,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         assistant.go(joints_rad)
     assistant.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, assistant, axis, known)
-    seen_apart = _require_seen_coaxial(context, assistant, known, stood=stood)
+    seen_apart = _require_seen_coaxial(context, assistant, axis, known, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
@@ -109,15 +115,14 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     )
 
 
-def _present_holder(context: StepContext, assistant: Assistant) -> None:
+def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -> None:
     """Turn the flange where the arm itself is in the way of the instrument in its holder. Raises PLAN-007."""
     workcell, here_rad = context.workcell, assistant.joints_rad()
     steps = range(round(math.pi / LOADING_STEP_RAD) + 1)
     turns_rad = [side * step * LOADING_STEP_RAD for step in steps for side in (1, -1)]
     postures = [(*here_rad[:-1], here_rad[-1] + turn_rad) for turn_rad in turns_rad]
-    clear = (joint_vector(one) for one in postures if workcell.assistant_rests_clear(joint_vector(one)))
+    clear = (one for one in map(joint_vector, postures) if workcell.assistant_rests_clear(one, tip_mm))
     loading_rad = next(clear, None)
-    workcell.hold_instrument(0.0)
     if loading_rad is None:
         raise NotReachable(
             f"no turn of the assistant's flange leaves room for the instrument at {context.trajectory}",
@@ -149,18 +154,6 @@ def _require_bases(context: StepContext) -> KnownBases:
     return known
 
 
-def surround_holder(context: StepContext, tip_mm: float) -> None:
-    """Take the holder with its instrument, and what it may come close to, into account at the guide.
-
-    `tip_mm` is how far the instrument reaches beyond the clamp.
-    """
-    workcell, assistant = context.workcell, context.workcell.assistant
-    assert assistant is not None
-    workcell.hold_instrument(tip_mm)
-    workcell.touch({MASTER: _parts_at_bore(context), ASSISTANT: AT_GUIDE})
-    surround_at_guide(context, assistant.joints_rad())
-
-
 def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
     """Have the assistant lead the instrument straight out, once the operator confirms it."""
     assistant = context.workcell.assistant
@@ -171,13 +164,9 @@ def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
 
 def send_assistant_home(context: StepContext) -> None:
     """Send the assistant home after the instrument was taken out of its holder."""
-    workcell, assistant = context.workcell, context.workcell.assistant
-    if assistant is None:
-        return
-    if assistant.place.is_out:
-        workcell.hold_instrument(0.0)
+    assistant = context.workcell.assistant
+    if assistant is not None and assistant.place.is_out:
         assistant.return_home()
-    workcell.touch({})
 
 
 def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
@@ -234,14 +223,12 @@ def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) ->
 
 def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
     """Return the mean poses of frames, in the tracker frame of the localization; None for a hidden one."""
-    room = room_watch(context)
-    read, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
-    frames = [room.as_localized(one) for one in read]
+    frames = read_localized(context)
     return [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names]
 
 
 def _require_seen_coaxial(
-    context: StepContext, assistant: Assistant, known: KnownBases, *, stood: bool
+    context: StepContext, assistant: Assistant, axis: InsertionAxis, known: KnownBases, *, stood: bool
 ) -> tuple[float, float] | tuple[None, None]:
     """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007.
 
@@ -263,12 +250,16 @@ def _require_seen_coaxial(
             "it has just seen the assistant where it stood"
         )
         return None, None
-    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad())
+    held_on = workcell.place.axis
+    arrived = None if held_on is None else held_on.arriving
+    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad(), axis.arriving)
     by_joints = (flange @ known.flange_from_frame.transform).rigid
     turn = known.robot_from_tracker.transform.rigid.rotation
     # From the master's frame: the tracker's smooth error is much the same for both.
     seen_mm = turn.apply(on_assistant.translation_mm - on_master.translation_mm)
-    by_master = workcell.flange_pose(workcell.joints_rad()) @ known.flange_from_master_frame.transform
+    by_master = (
+        workcell.flange_pose(workcell.joints_rad(), arrived) @ known.flange_from_master_frame.transform
+    )
     held_mm = by_joints.translation - by_master.translation_mm
     apart_mm = float(np.linalg.norm(seen_mm - held_mm))
     turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())

@@ -26,6 +26,7 @@ from procedures.steps.clinical.assisted_insertion import (
     send_assistant_home,
     withdraw_assistant,
 )
+from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -159,11 +160,12 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    assisted = stage is STAGES[-1] and context.workcell.assistant is not None
-    if assisted:
-        work_so_far.assisted = insert_with_assistant(context, stop)
-    else:
+    assistant = context.workcell.assistant
+    if stage is not STAGES[-1] or assistant is None:
         context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
+    elif not (assistant.place.is_on_axis and work_so_far.assisted and context.doubt(KnownBases) is None):
+        work_so_far.assisted = None
+        work_so_far.assisted = insert_with_assistant(context, stop)
     question = Question(
         stage.topic,
         f"at {trajectory}: {stage.done_statement}",

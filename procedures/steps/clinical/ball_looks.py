@@ -29,7 +29,7 @@ from procedures.steps.clinical.base_postures import (
     working_joints,
     wrist_branches,
 )
-from procedures.steps.clinical.base_visits import ArmVisits, Mover, PlannedGuide, list_possible, stated_arms
+from procedures.steps.clinical.base_visits import ArmVisits, PlannedGuide, list_possible, stated_arms
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
@@ -141,7 +141,7 @@ class BallWatch:
         for allow_detour in (False, True):
             plan = (partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE) for one in around)
             settle = partial(cell.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
-            arm = Mover(cell.joints_rad, settle, lambda: cell.flange_pose(cell.joints_rad()))
+            arm = self._visits.master_mover(settle)
             for _ in self._visits.visit(list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
                 seen = cell.look()
                 if seen.point is None:
@@ -151,5 +151,5 @@ class BallWatch:
                 looks += 1
                 if looks == LOOKS_PER_POSTURE:
                     return
-            if looks:
+            if looks or cell.place.is_home:
                 return

@@ -26,15 +26,15 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE, BallWatch
 from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
 from procedures.steps.clinical.base_visits import ArmVisits, between_bases, stated_arms
-from procedures.steps.clinical.frame_looks import FrameLooks
+from procedures.steps.clinical.frame_looks import FIRST_GUESS_MM, FrameLooks
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.room import ROOM_READS, check_room, read_localized
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
+from procedures.workcell.tracker_look import mean_pose
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 # assistant counts from 0.2 mm on, or from three standard errors where these places show less.
 LEAST_SPREAD_MM, MOST_UNCERTAIN_MM, SIGMAS = 20.0, 0.4, 3.0
 SAME_SPHERE_MM = 8.0  # from one reading to the next
+LEAST_PAIRS = 3  # for position and direction
 
 
 class KnownBases(StepResult, kind="base_to_base"):
@@ -98,8 +99,9 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         f"{2 * FRAME_LOOKS} looks at frames, {POSTURES * LOOKS_PER_POSTURE} at the ball",
     )
     visits = ArmVisits(context, assistant)
+    bring_arms_home(visits)
     frames, ball = FrameLooks(visits), BallWatch(visits)
-    workcell.place_assistant(frames.first_guess())
+    workcell.place_assistant(frames.first_guess(), FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)
     workcell.surround_assistant(visits.around())
@@ -144,6 +146,20 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     )
 
 
+def bring_arms_home(visits: ArmVisits) -> None:
+    """Bring home what a fault of an earlier attempt left away, the master first as after its looks."""
+    cell, assistant = visits.cell, visits.assistant
+    if assistant.history.base is None or not cell.is_any_arm_out:  # that attempt knew the bases
+        return
+    cell.place_assistant(assistant.base)
+    surround_stereo_head(visits.context, cell.joints_rad())
+    cell.start()
+    cell.surround_assistant(visits.around())
+    for arm in cell.supervised_arms:
+        if arm.place.is_out:
+            arm.return_home()
+
+
 def require_platforms_unmoved(context: StepContext) -> None:
     """Require both platforms where they were measured, with both arms home. Raises CAL-023, PRO-007.
 
@@ -157,6 +173,12 @@ def require_platforms_unmoved(context: StepContext) -> None:
     )
     if assistant is None or known is None:
         return
+    if away := [arm.name for arm in context.workcell.supervised_arms if not arm.place.is_home]:
+        raise GateFailed(
+            "whether a platform has moved shows with both arms home",
+            got=f"not home: {', '.join(away)}",
+            action="Send the arms home, then repeat the step.",
+        )
     before_mm = np.array(known.master_seen_mm)
     now_mm, assistant_mm = _see_platforms(context, assistant, before_mm)
     pairs = [
@@ -165,6 +187,13 @@ def require_platforms_unmoved(context: StepContext) -> None:
         if math.dist(now_mm[nearest := int(np.argmin(np.linalg.norm(now_mm - one, axis=1)))], one)
         < SAME_SPHERE_MM
     ]
+    if len(pairs) < LEAST_PAIRS:
+        raise GateFailed(
+            "too little of what showed how the tracker stands is where it was",
+            expected=f"{LEAST_PAIRS} of {len(before_mm)} markers and spheres within {SAME_SPHERE_MM:g} mm",
+            got=f"{len(pairs)}",
+            action="Clear the line of sight; if the tracker, head or a cart was moved, localize again.",
+        )
     master_before, master_now = (np.array(places) for places in zip(*pairs, strict=True))
     shift = platform_shift(
         master_before,
@@ -191,7 +220,7 @@ def _see_platforms(context: StepContext, assistant: Assistant, spheres_mm: objec
     Both arms are home. Raises PRO-007 if a frame is not in view.
     """
     workcell = context.workcell
-    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=CAREFUL_FRAMES)
+    frames = read_localized(context)
     on_master = workcell.calibrations.tracker_frame.tool
     poses = {
         name: mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, assistant.holder.frame)

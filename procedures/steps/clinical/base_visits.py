@@ -23,14 +23,15 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.room import read_localized
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import LimitError
@@ -43,6 +44,7 @@ Array = NDArray[np.float64]
 class Mover(NamedTuple):
     """One of the arms, as it is moved and read for a look."""
 
+    role: str
     joints_rad: Callable[[], JointVector]
     settle: Callable[[JointVector], object]
     flange: Callable[[], Transform]
@@ -83,11 +85,21 @@ class ArmVisits:
         tracker = self.context.result(GlobalLocalization).robot_from_tracker.transform
         return self.assistant.base.inverse() @ tracker
 
+    def master_mover(self, settle: Callable[[JointVector], object]) -> Mover:
+        """Return the master, which `settle` moves so that each joint arrives from one side."""
+        cell = self.cell
+        return Mover(MASTER, cell.joints_rad, settle, lambda: cell.flange_pose(cell.joints_rad(), ONE_SIDE))
+
     @property
     def assistant_mover(self) -> Mover:
         """The assistant, each joint arriving from one side."""
         one = self.assistant
-        return Mover(one.joints_rad, one.settle, lambda: one.flange_pose(one.joints_rad(), ONE_SIDE))
+        return Mover(
+            ASSISTANT,
+            one.joints_rad,
+            one.settle,
+            lambda: one.flange_pose(one.joints_rad(), ONE_SIDE),
+        )
 
     def explain_hidden(self, joints_rad: JointVector) -> str:
         """Explain why the tracker does not see the assistant's frame at these joints, or return ''."""
@@ -115,18 +127,22 @@ class ArmVisits:
         return guides
 
     def read(self, count: int) -> list[TrackerFrame]:
-        """Read frames of the tracker, both arms at rest."""
-        return read_frames_at_rest(self.cell.tracker, self.context.setting.clock, count=count)[0]
+        """Read frames of the tracker, both arms at rest, in that of the localization."""
+        return read_localized(self.context, count)
 
     def visit(
         self, possible: Iterator[JointVector], at_once: int, arm: Mover, reasons: list[str]
     ) -> Iterator[None]:
         """Move to postures, `at_once` of them ordered for a short way; yield after each arrival.
 
-        Leaves out those that are not clear. Raises what trips an arm.
+        Leaves out those that are not clear, without a try if the other arm stands there. Raises what trips an
+        arm.
         """
         while batch := tuple(islice(possible, at_once)):
             for joints_rad in order_by_travel(arm.joints_rad(), batch):
+                if not self.cell.rest_apart(arm.role, joints_rad):
+                    reasons.append("too close to the other arm")
+                    continue
                 try:
                     arm.settle(joints_rad)
                 except (LimitError, NotClear) as error:

@@ -31,6 +31,8 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
+# Three sigma of the frame's turn on its flange (half a degree) over 0.7 m from home, and of its place (1 mm).
+FIRST_GUESS_MM = 20.0
 FRAMES = 12  # of the tracker, averaged per look at a frame
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
@@ -80,11 +82,7 @@ class FrameLooks:
                 for one in plan_turns(reference, region_mm, marker_mm)
             ),
             lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
-            Mover(
-                cell.joints_rad,
-                lambda joints: cell.settle(joints, ONE_SIDE, allow_detour=True),
-                lambda: cell.flange_pose(cell.joints_rad()),
-            ),
+            visits.master_mover(partial(cell.settle, arriving=ONE_SIDE, allow_detour=True)),
             frame.tool,
         )
         cell.return_home()

@@ -96,7 +96,7 @@ class Meeting(NamedTuple):
 
 def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
-    meeting = Meeting.of(context, known)
+    meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
     turns = _list_turns(context, stop, meeting)
     found = _list_reached(assistant, turns, known, meeting)
     here_rad, in_sight = assistant.joints_rad(), 0
@@ -105,7 +105,7 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
         if _hides_head(context, one):
             continue
         in_sight += 1
-        surround_at_guide(context, one.held_rad)
+        surround_at_guide(context, one.held_rad, robot_from_ct)
         onto = assistant.settle_motion(one.start_rad, one.axis.arriving)
         along = assistant.insert_motion(assistant.axis_in_base(one.axis), one.start_rad)
         blocked = assistant.explain_blocked([along], one.start_rad)
@@ -123,19 +123,26 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
     )
 
 
-def surround_at_guide(context: StepContext, near_rad: JointVector) -> None:
+def registered_here(context: StepContext) -> Transform:
+    """Return the pose ROBOT <- CT for this trajectory: by its own registration, or by the first match."""
+
+    def own(made: Sequence[RegisteredRobot]) -> RegisteredRobot | None:
+        here = [one for one in made if context.trajectory in one.trajectories] or list(made)
+        return here[-1] if here else None
+
+    registered = context.result_among(RegisteredRobot, own)
+    return (registered or context.result(Correspondence)).robot_from_ct.transform
+
+
+def surround_at_guide(context: StepContext, near_rad: JointVector, robot_from_ct: Transform) -> None:
     """Surround the assistant with the patient, leaving the corridor of this trajectory open.
 
     `near_rad` is where it is to be exact: the corridor is as narrow as what an uncalibrated arm errs.
     """
     workcell = context.workcell
-    robot_from_ct = context.result_among(RegisteredRobot, lambda made: made[-1] if made else None)
-    by = (
-        context.result(Correspondence).robot_from_ct if robot_from_ct is None else robot_from_ct.robot_from_ct
-    )
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
     guide = workcell.flange_from(MountedTool.GUIDE)
-    around = planning_scene_of(context).with_guide(by.transform, guide, trajectory)
+    around = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
     workcell.surround_assistant(around, near_rad)
 
 

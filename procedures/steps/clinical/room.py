@@ -26,8 +26,10 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
 from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.collision_config import BodyFrame
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -90,7 +92,9 @@ class ExpectedSight:
                     sight, robot_from_tracker=assistant.base.inverse() @ sight.robot_from_tracker
                 )
                 there_rad = assistant_rad or assistant.joints_rad()
-                seen &= from_base.seen(assistant.arm.kinematics, Surroundings(tool=assistant.tool), there_rad)
+                seen &= from_base.seen(
+                    assistant.arm.kinematics, Surroundings(tool=assistant.tool()), there_rad
+                )
             if int(seen.sum()) >= LEAST_POINTS:
                 return False
         return True
@@ -138,6 +142,13 @@ def room_watch(context: StepContext) -> RoomWatch:
     followed = partial(find_followed_registration, trajectory=context.key.trajectory)
     watch.follow(*find_followed_places(context.result_among(RegisteredRobot, followed)))
     return watch
+
+
+def read_localized(context: StepContext, count: int = CAREFUL_FRAMES) -> list[TrackerFrame]:
+    """Read tracker frames at rest, as the tracker would have seen them from where it was localized."""
+    room = room_watch(context)
+    read, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=count)
+    return [room.as_localized(one) for one in read]
 
 
 def find_followed_registration(

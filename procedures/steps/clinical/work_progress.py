@@ -66,7 +66,13 @@ class WorkProgress:
     watched: bool = True
     pushed_mm: float = 0.0
     stop_read_s: float | None = None
+    journeys: int = 0  # of the arm with the guide
     assisted: AssistedInsertion | None = None  # unless a hand inserts the instrument
+
+    @property
+    def visit(self) -> tuple[str, int]:
+        """Trajectory, and the arm's journeys until then: the same while the guide stays there."""
+        return self.trajectory, self.journeys
 
     @property
     def finished_before(self) -> bool:
@@ -96,6 +102,10 @@ def work_progress(context: StepContext) -> WorkProgress:
     if work_so_far is not None and work_so_far.trajectory == trajectory == instrument.inside:
         return work_so_far
     context.request_instrument_removal()
+    here = trajectory, context.workcell.history.journeys
+    earlier = work_so_far if work_so_far is not None and work_so_far.visit == here else None
+    if earlier is not None and len(earlier.done) == len(STAGES):  # interrupted when all was done
+        return earlier
     before, set_before = _tasks_done(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
         context.find(
@@ -104,6 +114,9 @@ def work_progress(context: StepContext) -> WorkProgress:
         )
         return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
     work_so_far = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
+    work_so_far.journeys = here[1]
+    if earlier is not None:
+        work_so_far.watched, work_so_far.pushed_mm = earlier.watched, earlier.pushed_mm
     work_so_far.stop_read_s = context.setting.clock.now_s()
     instrument.stages.record_stop(trajectory, work_so_far.stop.model_dump(mode="json"))
     memory.keep(work_so_far)

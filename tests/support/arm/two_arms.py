@@ -20,7 +20,8 @@ from procedures.calibration.hand_eye import PosePairs
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, ErrorSizes
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.errors import LimitError

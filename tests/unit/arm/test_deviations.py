@@ -14,7 +14,8 @@ from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundi
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm, flange_poses
+from ronna_hw.calibrated_arm.arm import CalibratedArm
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from sim.theatre.arm_controllers import CONTROLLERS
 from sim.theatre.records import arm_values
 from sim.world.options import ArmChoice
@@ -128,3 +129,14 @@ def test_the_surroundings_are_shifted_to_where_the_nominal_arm_of_the_controller
     np.testing.assert_allclose(seen.obstacles[0].capsule.start_mm, nominal, atol=1e-9)
     np.testing.assert_allclose(seen.corridor.entry_mm, nominal, atol=1e-9)
     assert CalibratedArm(KINEMATICS).as_controller_sees(room, home) == replace(room)
+
+
+@pytest.mark.parametrize("variant", ["kr6_r900_sixx", "ur5e"])
+def test_one_posture_is_where_the_arrays_of_many_have_it(variant: str) -> None:
+    kinematics, (_, deviations) = find_kinematics(variant), _truth(variant)
+    arm, draws = CalibratedArm(kinematics, deviations), np.random.default_rng(17)
+    joints_rad, flanks = draws.uniform(-3.0, 3.0, (50, 6)), draws.choice([-1.0, 1.0], (50, 6))
+    ours = [
+        arm.flange_pose(tuple(one), sides).as_matrix() for one, sides in zip(joints_rad, flanks, strict=True)
+    ]
+    assert np.allclose(ours, flange_poses(kinematics.chain, deviations, joints_rad, flanks), atol=1e-9)

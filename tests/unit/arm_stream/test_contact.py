@@ -168,8 +168,16 @@ def test_an_insertion_is_a_line_at_its_speed() -> None:
         Insertion(target(20.0), TOOL, 5.1),
         Insertion(target(20.0), TOOL, nan),
         Insertion(target(20.0), TOOL, force_limit_N=0.0),
+        Insertion(target(20.0, aside_mm=1.1), TOOL, start=target(0.0)),
+        Insertion(target(20.0, aside_mm=0.25), TOOL, start=target(0.0, aside_mm=0.25)),
     ],
 )
 def test_an_insertion_off_its_axis_or_beyond_its_limits_is_refused(insertion: Insertion) -> None:
     with pytest.raises(InsertionInvalid):
         plan_insertion(MODEL, START, insertion, LIMITS)
+
+
+def test_a_calibrated_arm_is_led_along_the_line_that_its_errors_bend() -> None:
+    """From any place on it, as after a stop."""
+    end, start = target(120.0, aside_mm=0.4), target(-40.0, aside_mm=-0.4 / 3.0)
+    assert plan_insertion(MODEL, START, Insertion(end, TOOL, start=start), LIMITS).target is end

@@ -25,7 +25,8 @@ from procedures.calibration.errors import (
 )
 from procedures.calibration.validity import require_consistent_arm
 from procedures.runs.calibrations import ARM
-from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import pytest
 from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
-from procedures.workcell import InsertionAxis, MountedTool
+from procedures.steps.conditions import needs_arm_home
+from procedures.workcell import InsertionAxis, MountedTool, Workcell
+from procedures.workcell.arm_history import ArmPlace, HeldInstrument, PlaceKind
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
+from ronna_hw.wire.room_tasks import EMPTY
 
 
 def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
@@ -232,3 +239,55 @@ def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell
         engine.retreat_home()
     assert engine.instrument_in == "T1"
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
+
+
+class HoldingAssistant(SimpleNamespace):
+    """As much of an assistant as the question about its holder needs."""
+
+    def __init__(self) -> None:
+        super().__init__(history=SimpleNamespace(held=HeldInstrument("T1", 170.0, ())), emptied=0)
+
+    def release_instrument(self) -> None:
+        self.history.held, self.emptied = None, self.emptied + 1
+
+
+@pytest.mark.hazard(62)
+def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the_guide(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.operator = RecordingOperator(Topic.INSTRUMENT_OUT)
+    engine, assistant = cell.engine(plain_order()), HoldingAssistant()
+    monkeypatch.setattr(cell.workcell, "assistant", assistant)
+    with pytest.raises(NotConfirmed, match="still in the assistant's holder"):
+        engine.questions.request_instrument_removal()
+    assert not assistant.emptied
+    cell.operator.refusing = ()
+    engine.questions.request_instrument_removal()
+    assert assistant.emptied == 1
+    assert [task.name for task in cell.room.worked] == [EMPTY, EMPTY]
+    engine.questions.request_instrument_removal()
+    assert len(cell.operator.asked) == 2
+
+
+@pytest.mark.hazard(62)
+def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine, assistant = cell.engine(plain_order()), HoldingAssistant()
+    cell.workcell.instrument.record_insertion("T1")
+    monkeypatch.setattr(cell.workcell, "assistant", assistant)
+    engine.questions.request_instrument_removal()
+    assert cell.operator.asked[-1].subject.endswith("out of the guide, and out of the assistant's holder?")
+    assert assistant.emptied == 1
+    assert cell.workcell.instrument.inside is None
+
+
+def test_staff_go_to_clamp_and_cart_with_every_arm_at_home(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = cast("StepContext", SimpleNamespace(workcell=cell.workcell))
+    cell.workcell.set_home()
+    assert needs_arm_home(context) == ()
+    away = SimpleNamespace(name="assistant", place=ArmPlace(PlaceKind.AWAY))
+    monkeypatch.setattr(Workcell, "supervised_arms", (cell.workcell, away))
+    assert needs_arm_home(context) == ("the assistant is not home: send it there first (home)",)

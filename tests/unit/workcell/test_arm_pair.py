@@ -24,7 +24,7 @@ from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, StopKind
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 HOST = DeviceConfig(driver="ideal", endpoint="host:")
 ACROSS = Pose.from_kuka(-1300.0, 0.0, 0.0, 180.0, 0.0, 0.0)  # face to face: both arms reach to the middle
@@ -156,6 +156,17 @@ def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
 
 
 @pytest.mark.hazard(58)
+def test_a_fault_of_the_resting_arm_between_two_motions_halts_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    assistant.stop(StopKind.PROTECTIVE)
+    with pytest.raises(BothArmsHalted, match="the assistant has gone to fault"):
+        pair.move(MASTER, turned(master, 10.0))
+    assert master.controller.joints_rad == HOME_RAD
+    assert pair.halted is not None
+
+
+@pytest.mark.hazard(58)
 @pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
 @pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
 def test_a_stop_of_one_arm_stops_and_holds_both(
@@ -254,6 +265,25 @@ def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
     with pytest.raises(OtherArmUnknown, match="DUAL-003"):
         pair.move(MASTER, turned(master, 10.0))
     assert master.controller.joints_rad == HOME_RAD
+
+
+@pytest.mark.hazard(58)
+def test_both_arms_keep_as_much_more_distance_as_the_base_is_uncertain(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    shares = [number / 200 for number in range(200)]
+    way = [
+        joint_vector(a + share * (b - a) for a, b in zip(HOME_RAD, STRETCHED_RAD, strict=True))
+        for share in shares
+    ]
+    assistant.controller.joints_rad = STRETCHED_RAD
+    (*_, nearest_rad) = (one for one in way if pair.rest_apart({MASTER: one, ASSISTANT: STRETCHED_RAD}))
+    pair.place_assistant(ACROSS, 10.0)
+    assert not pair.rest_apart({MASTER: nearest_rad, ASSISTANT: STRETCHED_RAD})
+    with pytest.raises(NotClear, match="of the assistant"):
+        pair.move(MASTER, JointMove(nearest_rad))
+    pair.place_assistant(ACROSS, 0.0)
+    assert pair.move(MASTER, JointMove(nearest_rad)).joints_rad == pytest.approx(nearest_rad)
 
 
 @pytest.mark.hazard(58)

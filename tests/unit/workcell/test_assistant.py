@@ -15,13 +15,13 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
-from procedures.workcell.arm_history import ArmHistory, ArmLog, InsertionAxis, arm_history
-from procedures.workcell.assistant import Assistant, GuidedStretch
+from procedures.workcell.arm_history import ArmHistory, ArmLog, HeldInstrument, InsertionAxis, arm_history
+from procedures.workcell.assistant import INSTRUMENT, Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.calibrated_arm.deviations import CalibratedArm
+from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
@@ -152,10 +152,24 @@ def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
     home_rad = tuple(map(radians, KR6_HOME_DEG))
     turned_rad = (*home_rad[:-1], radians(60.0))
-    assert assistant.rests_clear(home_rad, Surroundings())
-    assistant.hold_instrument(170.0)
-    assert not assistant.rests_clear(home_rad, Surroundings())
-    assert assistant.rests_clear(turned_rad, Surroundings())
+    assert assistant.rests_clear(home_rad, Surroundings(), 0.0)
+    assert not assistant.rests_clear(home_rad, Surroundings(), 170.0)
+    assert assistant.rests_clear(turned_rad, Surroundings(), 170.0)
+
+
+@pytest.mark.hazard(62)
+def test_what_the_holder_holds_outlasts_the_program_until_it_is_confirmed_to_be_empty(
+    assistant: Assistant, cell: RecordingCell
+) -> None:
+    empty = assistant.tool()
+    assistant.hold_instrument(HeldInstrument("T1", 170.0, ("bore",)))
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    assert arm_history(lines, ASSISTANT).held == HeldInstrument("T1", 170.0, ("bore",))
+    assert arm_history(lines).held is None  # of the master
+    assert [part.name for part in assistant.tool()] == [*(part.name for part in empty), INSTRUMENT]
+    assistant.release_instrument()
+    assert assistant.tool() == empty
+    assert arm_history(read_journal(cell.folder / JOURNAL_FILE), ASSISTANT).held is None
 
 
 GUIDED = GuidedStretch(22.0, 60.0)

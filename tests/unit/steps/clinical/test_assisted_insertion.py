@@ -17,6 +17,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from ronna_hw.frames import Frame, Transform
 
 BASES = object()
+AXIS = cast("Any", SimpleNamespace(arriving=None))
 
 
 def context_after_a_fault(answer: str, kept: list[Any]) -> StepContext:
@@ -80,8 +81,8 @@ def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pyte
     context = cast("StepContext", SimpleNamespace(**fields))
     the_tracker_sees(monkeypatch, None)
     with pytest.raises(GateFailed, match="nothing shows that its cart has stood still"):
-        _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=False)
-    _require_seen_coaxial(context, an_assistant(), cast("Any", None), stood=True)
+        _require_seen_coaxial(context, an_assistant(), AXIS, cast("Any", None), stood=False)
+    _require_seen_coaxial(context, an_assistant(), AXIS, cast("Any", None), stood=True)
     assert "where it stood" in found[0]
 
 
@@ -103,13 +104,13 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
     )
     arm = {
         "joints_rad": lambda: (0.0,) * 6,
-        "flange_pose": lambda _joints: Transform.of(Frame.ROBOT, Frame.FLANGE),
+        "flange_pose": lambda _joints, _arrived: Transform.of(Frame.ROBOT, Frame.FLANGE),
     }
     records = SimpleNamespace(tracker_frame=SimpleNamespace(tool="robot_frame"))
     void: list[Any] = []
     fields = {
         "trajectory": "T1",
-        "workcell": SimpleNamespace(calibrations=records, **arm),
+        "workcell": SimpleNamespace(calibrations=records, place=SimpleNamespace(axis=None), **arm),
         "void": lambda model, _reason: void.append(model),
     }
     holder = SimpleNamespace(frame="assistant_frame")
@@ -121,6 +122,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         _require_seen_coaxial(
             cast("StepContext", SimpleNamespace(**fields)),
             cast("Any", assistant),
+            AXIS,
             cast("Any", known),
             stood=True,
         )

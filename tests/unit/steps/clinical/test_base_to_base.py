@@ -1,0 +1,52 @@
+"""Before the looks for the bases of two arms, both are brought home that a fault left away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from procedures.steps.clinical.base_to_base import bring_arms_home
+from procedures.steps.clinical.base_visits import ArmVisits
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr("procedures.steps.clinical.base_to_base.surround_stereo_head", lambda *_: None)
+    return []
+
+
+def visits(done: list[str], *out: str, base: object | None = "as before") -> ArmVisits:
+    def noting(what: str) -> Callable[..., None]:
+        return lambda *_: done.append(what)
+
+    def arm(name: str) -> SimpleNamespace:
+        place, history = SimpleNamespace(is_out=name in out), SimpleNamespace(base=base)
+        return SimpleNamespace(place=place, history=history, base=base, return_home=noting(f"{name} home"))
+
+    master, assistant = arm("master"), arm("assistant")
+    master.joints_rad, master.start = lambda: None, noting("start")
+    master.place_assistant, master.surround_assistant = noting("place"), noting("surround")
+    master.is_any_arm_out, master.supervised_arms = bool(out), (master, assistant)
+    made = SimpleNamespace(cell=master, assistant=assistant, context=None, around=lambda: None)
+    return cast("ArmVisits", made)
+
+
+def test_arms_that_a_fault_left_away_go_home_with_what_surrounds_them_known(done: list[str]) -> None:
+    bring_arms_home(visits(done, "master", "assistant"))
+    assert done == ["place", "start", "surround", "master home", "assistant home"]
+
+
+def test_an_arm_at_home_stays_there(done: list[str]) -> None:
+    bring_arms_home(visits(done, "assistant"))
+    assert done[-2:] == ["surround", "assistant home"]
+
+
+@pytest.mark.parametrize(("out", "base"), [((), "as before"), (("assistant",), None)])
+def test_nothing_moves_if_both_are_home_or_no_earlier_attempt_knew_the_bases(
+    done: list[str], out: tuple[str, ...], base: object | None
+) -> None:
+    bring_arms_home(visits(done, *out, base=base))
+    assert done == []
