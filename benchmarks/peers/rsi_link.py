@@ -18,7 +18,7 @@ from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import CommandKind, Phase, Result
+from ronna_hw.arm_stream.records import Move, OpenStream, Phase, Result
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.vectors import JointVector
@@ -40,7 +40,7 @@ def main() -> None:
     try:
         model = kr6_r900(options.variant)
         limits = working_limits(model, options.speed_fraction)
-        number = link.command(CommandKind.OPEN, limits=limits)
+        number = link.command(OpenStream(limits))
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": endpoint, "pid": link.process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
@@ -66,7 +66,7 @@ def _swing(link: LinkClient, model: Kr6R900, limits: MotionLimits) -> None:
     while True:
         for target in (away, home):
             plan = plan_joint_move(model, link.state.commanded_rad, target, limits)
-            number = link.command(CommandKind.MOVE, plan, link.stop_number)
+            number = link.command(Move(plan), link.stop_number)
 
             def has_ended(state: object, number: int = number) -> bool:
                 return state.command_number >= number and state.result is not Result.RUNNING  # type: ignore[attr-defined]

@@ -20,7 +20,7 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.universal_robots import UniversalRobot, universal_robot
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase, Result
+from ronna_hw.arm_stream.records import LinkState, Move, OpenStream, Phase, Result
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.vectors import JointVector
 from sim.world.process import end_with_parent
@@ -49,7 +49,7 @@ def main() -> None:
             Handover(FIRST_RECIPE, FIRST_RECIPE, RUN).give(ours, connection)
         model = universal_robot(options.model)
         limits = options.limits(settings.kinematics(), options.cycle_s)
-        number = link.command(CommandKind.OPEN, limits=limits)
+        number = link.command(OpenStream(limits))
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": sys.argv[1], "pid": link.process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
@@ -67,7 +67,7 @@ def _swing(link: LinkClient, model: UniversalRobot, limits: MotionLimits) -> Non
     while True:
         for target in (away, home):
             plan = plan_joint_move(model, link.state.commanded_rad, target, limits)
-            number = link.command(CommandKind.MOVE, plan, link.stop_number)
+            number = link.command(Move(plan), link.stop_number)
 
             def has_ended(state: LinkState, number: int = number) -> bool:
                 return state.command_number >= number and state.result is not Result.RUNNING

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory, compare_with_plan
+from procedures.strategies.trajectory import split_along
 from ronna_hw.errors import RonnaError
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan, draw_scan
 from sim.phantom.scan import Planes, plain_scan
@@ -88,18 +89,12 @@ def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instr
 def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
     """Return tip error (for a hole, axis error at the target) and entry error in mm, and angle in deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
-    entry_offset_mm = np.subtract(found.entry_mm, tip)
-    at_entry = float(np.linalg.norm(entry_offset_mm - (entry_offset_mm @ outwards) * outwards))
+    at_entry_mm, _ = split_along(np.subtract(found.entry_mm, tip), outwards)
     inner = found.tip_mm if found.tip_mm is not None else found.axis_at_target_mm
-    offset_mm = np.subtract(found.entry_mm, inner)
-    entry_offset_mm = np.subtract(inner, tip)
-    at_tip = (
-        entry_offset_mm
-        if found.tip_mm is not None
-        else entry_offset_mm - (entry_offset_mm @ outwards) * outwards
-    )
-    angle = np.arctan2(np.linalg.norm(np.cross(offset_mm, outwards)), offset_mm @ outwards)
-    return float(np.linalg.norm(at_tip)), at_entry, float(np.degrees(angle))
+    off_mm = np.subtract(inner, tip)
+    at_tip_mm = split_along(off_mm, outwards)[0] if found.tip_mm is None else float(np.linalg.norm(off_mm))
+    across_mm, along_mm = split_along(np.subtract(found.entry_mm, inner), outwards)
+    return at_tip_mm, at_entry_mm, float(np.degrees(np.arctan2(across_mm, along_mm)))
 
 
 def main() -> None:

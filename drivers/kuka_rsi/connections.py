@@ -14,7 +14,7 @@ from drivers.kuka_rsi.options import ROLES, KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm_stream.connections import SHORTEST_TRY_S, StreamConnections, remaining_s
-from ronna_hw.arm_stream.records import CommandKind, Phase
+from ronna_hw.arm_stream.records import OpenStream, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity
@@ -76,7 +76,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
             state = eki.status(max(remaining_s(deadline), SHORTEST_TRY_S))
         require_ready(state, drives=True, modes=modes)
         mode = state.mode
-        number = link.command(CommandKind.OPEN, axes_rad=state.joints_rad, limits=limits[mode])
+        number = link.command(OpenStream(limits[mode], state.joints_rad))
         link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
         parameters = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
         if mode is OperationMode.EXT:

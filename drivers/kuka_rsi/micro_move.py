@@ -16,7 +16,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import CommandKind, LinkState, Result, StopOrder
+from ronna_hw.arm_stream.records import LinkState, Move, Result, StopOrder
 from ronna_hw.vectors import JointVector
 
 LARGEST_SHIFT_MM = 0.05
@@ -74,7 +74,7 @@ class MicroMove:
     def _move_and_watch(self, start: JointVector, target: JointVector, axis: int) -> None:
         link = self._link
         plan = plan_joint_move(self._kinematics, link.state.commanded_rad, target, self._limits)
-        number = link.command(CommandKind.MOVE, plan, self._stops)
+        number = link.command(Move(plan), self._stops)
         initial_cycles = link.state.cycles
         while True:
             state = link.state

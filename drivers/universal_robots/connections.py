@@ -47,7 +47,7 @@ from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
-from ronna_hw.arm_stream.records import CommandKind, LinkState, Phase
+from ronna_hw.arm_stream.records import LinkState, OpenStream, Phase
 from ronna_hw.clock import Clock, passing
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import ToolLoad
@@ -148,7 +148,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         is_reduced = mode is OperatingMode.REDUCED_SPEED
         safety = SafetyMode.REDUCED if is_reduced else SafetyMode.NORMAL
         self._hand_over(run, safety, remaining_s(deadline))
-        number = link.command(CommandKind.OPEN, limits=limits(mode))
+        number = link.command(OpenStream(limits(mode)))
         opened = link.wait(
             lambda s: s.command_number >= number and (s.device_clock > 0 or s.phase is not Phase.ARMED),
             remaining_s(deadline),

@@ -21,7 +21,7 @@ from pydantic import Field
 from procedures.planning.errors import NoMarkerSites, NoTemplate
 from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.trajectory import Trajectory, split_along
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 from ronna_hw.records import write_atomically
@@ -247,9 +247,7 @@ def mark_allowed(points: Array) -> NDArray[np.bool_]:
 def is_clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
     """Return whether a position is clear of every trajectory's axis."""
     offsets = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
-    return all(
-        np.linalg.norm(offset - (offset @ axis) * axis) >= CLEAR_OF_PATH_MM for offset, axis in offsets
-    )
+    return all(split_along(offset, axis)[0] >= CLEAR_OF_PATH_MM for offset, axis in offsets)
 
 
 def list_sites(

@@ -209,7 +209,7 @@ class Candidate:
 
     def axis_distance_mm(self, point_mm: Array) -> float:
         """Return the distance of the axis from a point (3,), in mm."""
-        return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
+        return split_along(point_mm - self.point_mm, self.inwards)[0]
 
     def is_same_object(self, other: Candidate) -> bool:
         """Return whether two candidates are the same instrument or hole, or an instrument in its hole."""

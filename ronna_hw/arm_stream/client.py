@@ -13,17 +13,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm_stream.errors import StreamErrors
-from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.mailbox import KeptCycle, Mailbox
 from ronna_hw.arm_stream.records import (
     Command,
-    CommandKind,
     LinkState,
+    OpenStream,
     Phase,
     RecordedCycle,
+    Request,
     StopOrder,
     StreamSettings,
 )
@@ -31,7 +29,6 @@ from ronna_hw.clock import Clock, HostClock
 from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
 from ronna_hw.errors import DeviceError
 from ronna_hw.host.process import describe_exit, shield_children
-from ronna_hw.vectors import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
@@ -126,38 +123,14 @@ class LinkClient:
         heartbeat_ns = self.mailbox.read_alive_ns()
         return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 
-    def command(
-        self,
-        kind: CommandKind,
-        plan: MotionPlan | None = None,
-        stop_number: int | None = None,
-        axes_rad: JointVector | None = None,
-        limits: MotionLimits | None = None,
-        *,
-        force_limit_N: float = 0.0,
-        guide: GuideLimits | None = None,
-    ) -> int:
-        """Send a command; return its number. Any stop after `stop_number` overrides a motion.
-
-        For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
-        """
+    def command(self, request: Request, stop_number: int | None = None) -> int:
+        """Send a command; return its number. Any stop after `stop_number` overrides a motion."""
         with self._lock:
             self._command_count += 1
-            if kind is CommandKind.OPEN:
+            if isinstance(request, OpenStream):
                 self._stop_kind = StopOrder.HOLD
             known_stop = self.stop_number if stop_number is None else stop_number
-            command = Command(
-                self._command_count,
-                kind,
-                plan,
-                known_stop,
-                self.surroundings,
-                axes_rad,
-                limits,
-                force_limit_N,
-                guide,
-            )
-            self.mailbox.write_command(command)
+            self.mailbox.write_command(Command(self._command_count, request, known_stop, self.surroundings))
             return self._command_count
 
     def surround(self, surroundings: Surroundings) -> None:

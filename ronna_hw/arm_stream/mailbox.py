@@ -9,6 +9,7 @@ from __future__ import annotations
 import mmap
 import os
 from collections.abc import Iterator
+from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -21,11 +22,16 @@ from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND_BITS,
+    CloseStream,
     Command,
-    CommandKind,
+    EndStream,
+    Guide,
     LinkState,
+    Move,
+    OpenStream,
     Orders,
     RecordedCycle,
+    Request,
     StopOrder,
 )
 from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS
@@ -37,10 +43,27 @@ LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
 LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
-NO_JOINTS: JointVector = (0.0,) * 6  # for a command without motion
-NO_STEP = SpeedStep(0.0, 0.0)
-NO_GUIDE = GuideLimits(0.0, 0.0, 0.0, 0.0, 0)  # for any other command
-NO_LIMITS = (0.0,) * LIMITS_NUMBERS  # for a command that opens no stream
+NO_JOINTS: JointVector = (0.0,) * 6
+NO_GUIDE = GuideLimits(0.0, 0.0, 0.0, 0.0, 0)
+
+
+class CommandKind(IntEnum):
+    """What is requested."""
+
+    MOVE = 1
+    OPEN = 2
+    END = 3
+    CLOSE = 4
+    GUIDE = 5
+
+
+KINDS: dict[type[Request], CommandKind] = {
+    Move: CommandKind.MOVE,
+    OpenStream: CommandKind.OPEN,
+    EndStream: CommandKind.END,
+    CloseStream: CommandKind.CLOSE,
+    Guide: CommandKind.GUIDE,
+}
 
 
 class CommandRow(NamedTuple):
@@ -50,21 +73,19 @@ class CommandRow(NamedTuple):
     stop_number: Annotated[int, "Q"]
     surroundings_number: Annotated[int, "Q"]
     kind: Annotated[CommandKind, "B"]
-    has_target: Annotated[bool, "?"]
-    has_axes: Annotated[bool, "?"]  # of OPEN; they are in `start_rad`
-    has_arm_limits: Annotated[bool, "?"]  # of OPEN
-    has_guide: Annotated[bool, "?"]
-    speed_steps_used: Annotated[int, "B"]
-    start_rad: Annotated[JointVector, "6d"]
-    target_rad: Annotated[JointVector, "6d"]
-    path_limits: Annotated[tuple[float, ...], "3d"]
-    arm_limits: Annotated[tuple[float, ...], f"{LIMITS_NUMBERS}d"]
-    target_position_mm: Annotated[Vector3, "3d"]
-    target_rotation: Annotated[Rotation9, "9d"]
-    tool_in_flange_mm: Annotated[Vector3, "3d"]
-    speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"]
-    force_limit_N: Annotated[float, "d"]
-    guide: Annotated[tuple[float, ...], f"{len(NO_GUIDE)}d"]
+    has_target: Annotated[bool, "?"] = False
+    has_axes: Annotated[bool, "?"] = False  # of OPEN; they are in `start_rad`
+    speed_steps_used: Annotated[int, "B"] = 0
+    start_rad: Annotated[JointVector, "6d"] = NO_JOINTS
+    target_rad: Annotated[JointVector, "6d"] = NO_JOINTS
+    path_limits: Annotated[tuple[float, ...], "3d"] = (0.0,) * 3
+    arm_limits: Annotated[tuple[float, ...], f"{LIMITS_NUMBERS}d"] = (0.0,) * LIMITS_NUMBERS
+    target_position_mm: Annotated[Vector3, "3d"] = Pose().position_mm
+    target_rotation: Annotated[Rotation9, "9d"] = Pose().rotation
+    tool_in_flange_mm: Annotated[Vector3, "3d"] = (0.0,) * 3
+    speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"] = (0.0,) * (2 * MOST_STEPS)
+    force_limit_N: Annotated[float, "d"] = 0.0
+    guide: Annotated[tuple[float, ...], f"{len(NO_GUIDE)}d"] = NO_GUIDE
 
 
 _MAP = MemoryMap(b"RONNAARM")
@@ -173,21 +194,7 @@ class Mailbox:
         row = _COMMAND.read(self._memory)
         if row is None or not self._read_surroundings(row.surroundings_number):
             return None
-        axes_rad = row.start_rad if row.has_axes else None
-        limits = MotionLimits.from_numbers(row.arm_limits) if row.has_arm_limits else None
-        plan = _to_plan(row)
-        guide = GuideLimits.from_numbers(row.guide) if row.has_guide else None
-        return Command(
-            row.number,
-            row.kind,
-            plan,
-            row.stop_number,
-            self._surroundings,
-            axes_rad,
-            limits,
-            row.force_limit_N,
-            guide,
-        )
+        return Command(row.number, _to_request(row), row.stop_number, self._surroundings)
 
     def _read_surroundings(self, number: int) -> bool:
         """Read new surroundings; returns False while they are being written."""
@@ -269,35 +276,51 @@ def _split_kept_cycles(content: bytes) -> Iterator[KeptCycle]:
 
 
 def _to_row(command: Command, surroundings_number: int) -> CommandRow:
-    plan = command.plan or MotionPlan(NO_JOINTS, NO_JOINTS, PathLimits(0.0, 0.0, 0.0))
-    target = plan.target or Pose()
-    steps = (*plan.speed_steps, *(NO_STEP,) * (MOST_STEPS - len(plan.speed_steps)))
-    return CommandRow(
-        number=command.number,
-        stop_number=command.stop_number,
-        surroundings_number=surroundings_number,
-        kind=command.kind,
-        has_target=plan.target is not None,
-        has_axes=command.axes_rad is not None,
-        has_arm_limits=command.limits is not None,
-        has_guide=command.guide is not None,
-        speed_steps_used=len(plan.speed_steps),
-        start_rad=command.axes_rad or plan.start_rad,
-        target_rad=plan.target_rad,
-        path_limits=plan.limits,
-        arm_limits=NO_LIMITS if command.limits is None else command.limits.as_numbers(),
-        target_position_mm=target.position_mm,
-        target_rotation=target.rotation,
-        tool_in_flange_mm=plan.tool_in_flange_mm,
-        speed_steps=tuple(value for step in steps for value in step),
-        force_limit_N=command.force_limit_N,
-        guide=command.guide or NO_GUIDE,
-    )
+    request = command.request
+    row = CommandRow(command.number, command.stop_number, surroundings_number, KINDS[type(request)])
+    match request:
+        case OpenStream(limits, axes_rad):
+            return row._replace(
+                has_axes=axes_rad is not None,
+                start_rad=axes_rad or NO_JOINTS,
+                arm_limits=limits.as_numbers(),
+            )
+        case Move(plan, force_limit_N):
+            steps = [value for step in plan.speed_steps for value in step]
+            target = plan.target or Pose()
+            return row._replace(
+                has_target=plan.target is not None,
+                speed_steps_used=len(plan.speed_steps),
+                start_rad=plan.start_rad,
+                target_rad=plan.target_rad,
+                path_limits=plan.limits,
+                target_position_mm=target.position_mm,
+                target_rotation=target.rotation,
+                tool_in_flange_mm=plan.tool_in_flange_mm,
+                speed_steps=(*steps, *row.speed_steps[len(steps) :]),
+                force_limit_N=force_limit_N,
+            )
+        case Guide(guide, force_limit_N):
+            return row._replace(guide=guide, force_limit_N=force_limit_N)
+    return row
 
 
-def _to_plan(row: CommandRow) -> MotionPlan | None:
-    if row.kind is not CommandKind.MOVE:
-        return None
+def _to_request(row: CommandRow) -> Request:
+    match row.kind:
+        case CommandKind.MOVE:
+            return Move(_to_plan(row), row.force_limit_N)
+        case CommandKind.OPEN:
+            axes_rad = row.start_rad if row.has_axes else None
+            return OpenStream(MotionLimits.from_numbers(row.arm_limits), axes_rad)
+        case CommandKind.GUIDE:
+            return Guide(GuideLimits.from_numbers(row.guide), row.force_limit_N)
+        case CommandKind.END:
+            return EndStream()
+        case CommandKind.CLOSE:
+            return CloseStream()
+
+
+def _to_plan(row: CommandRow) -> MotionPlan:
     values = row.speed_steps
     return MotionPlan(
         row.start_rad,

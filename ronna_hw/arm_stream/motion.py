@@ -17,7 +17,7 @@ from ronna_hw.arm_stream.connections import StreamConnections
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.guided import GuideLimits
-from ronna_hw.arm_stream.records import CommandKind, LinkState, Result, StopOrder
+from ronna_hw.arm_stream.records import Guide, LinkState, Move, Result, StopOrder
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
@@ -102,9 +102,7 @@ class MotionFollower(Generic[S]):
             raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         link = self._connections.link
         try:
-            number = link.command(
-                CommandKind.GUIDE, None, stop_count, force_limit_N=force_limit_N, guide=guide
-            )
+            number = link.command(Guide(guide, force_limit_N), stop_count)
             begin = link.state.cycles
             is_released = False
             while (state := self.wait(_has_ended(number), HELD_POLL_S)) is None:
@@ -157,7 +155,7 @@ class MotionFollower(Generic[S]):
         self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float
     ) -> LinkState:
         link = self._connections.link
-        number = link.command(CommandKind.MOVE, plan, stop_count, force_limit_N=force_limit_N)
+        number = link.command(Move(plan, force_limit_N), stop_count)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
         faulted_cycles: int | None = None  # when a fault was first seen

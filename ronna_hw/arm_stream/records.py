@@ -53,16 +53,6 @@ class StreamSettings:
         return cls(**values)
 
 
-class CommandKind(IntEnum):
-    """Command kind."""
-
-    MOVE = 1
-    OPEN = 2  # answer the next telegrams; the first correction is zero
-    END = 3  # at rest, send Stop until the telegrams cease
-    CLOSE = 4  # stop answering; clears a fault
-    GUIDE = 5  # follow a hand until stopped
-
-
 class StopOrder(IntEnum):
     """Stop kinds as in `ronna_hw.devices.StopKind`, in ascending order of strength."""
 
@@ -136,18 +126,47 @@ class Orders(NamedTuple):
     command_number: int
 
 
+class OpenStream(NamedTuple):
+    """Answer the next telegrams; the first correction is zero."""
+
+    limits: MotionLimits  # of the whole stream
+    axes_rad: JointVector | None = None  # recognise the controller's first telegram; None: any
+
+
+class Move(NamedTuple):
+    """Follow a planned path."""
+
+    plan: MotionPlan
+    force_limit_N: float = 0.0  # 0: none
+
+
+class Guide(NamedTuple):
+    """Follow a hand until stopped."""
+
+    limits: GuideLimits
+    force_limit_N: float
+
+
+@dataclass(frozen=True)
+class EndStream:
+    """At rest, send Stop until the telegrams cease."""
+
+
+@dataclass(frozen=True)
+class CloseStream:
+    """Stop answering; clears a fault."""
+
+
+Request = OpenStream | Move | Guide | EndStream | CloseStream
+
+
 class Command(NamedTuple):
-    """Command to the real-time process; `plan` is for MOVE only, `limits` for OPEN only."""
+    """Command to the real-time process."""
 
     number: int
-    kind: CommandKind
-    plan: MotionPlan | None = None
-    stop_number: int = 0  # the last stop known when it was written: a later stop overrides the motion
-    surroundings: Surroundings = NOTHING_AROUND  # used to monitor a MOVE
-    axes_rad: JointVector | None = None  # how OPEN recognises the controller's first telegram; None: any
-    limits: MotionLimits | None = None
-    force_limit_N: float = 0.0  # of a MOVE or GUIDE; 0: none
-    guide: GuideLimits | None = None  # of GUIDE
+    request: Request
+    stop_number: int = 0  # the last stop known when it was written: a later stop overrides a motion
+    surroundings: Surroundings = NOTHING_AROUND  # used to monitor a motion
 
 
 class LinkState(NamedTuple):

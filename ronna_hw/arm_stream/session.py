@@ -27,10 +27,14 @@ from ronna_hw.arm_stream.records import (
     STOP_KIND,
     STOP_KIND_BITS,
     Choice,
+    CloseStream,
     Command,
-    CommandKind,
+    EndStream,
     Fault,
+    Guide,
     LinkState,
+    Move,
+    OpenStream,
     Orders,
     Phase,
     Result,
@@ -126,7 +130,7 @@ class StreamSession(ABC):
         """Encode the prepared points; the reply may be replaced by a stop until it is sent."""
 
     @abstractmethod
-    def _open(self, command: Command) -> bool:
+    def _open(self, opened: OpenStream) -> bool:
         """Prepare for the first telegram of a stream; False if there is nothing to receive it from."""
 
     @abstractmethod
@@ -206,23 +210,21 @@ class StreamSession(ABC):
         if command.number == self._command_number:
             return
         self._command_number = command.number
-        if (
-            command.kind is CommandKind.MOVE and command.plan is not None
-        ) or command.kind is CommandKind.GUIDE:
-            self.result = self._start_motion(command)
-        elif command.kind is CommandKind.OPEN and command.limits is not None and self.phase is Phase.IDLE:
-            self._limits = command.limits
-            self.fault, self.result = Fault.NONE, Result.NONE
-            self.violation = None
-            self.cycles = self.rejected = self.dropped = self.device_clock = 0
-            self._stopping, self._speed, self._points = False, 1.0, None
-            if self._open(command):
-                self.phase = Phase.ARMED
-        elif command.kind is CommandKind.END and not self.moving:
-            if self.phase in (Phase.RUNNING, Phase.FAULT):
+        match command.request:
+            case Move() | Guide() as motion:
+                self.result = self._start_motion(motion, command)
+            case OpenStream() as opened if self.phase is Phase.IDLE:
+                self._limits = opened.limits
+                self.fault, self.result = Fault.NONE, Result.NONE
+                self.violation = None
+                self.cycles = self.rejected = self.dropped = self.device_clock = 0
+                self._stopping, self._speed, self._points = False, 1.0, None
+                if self._open(opened):
+                    self.phase = Phase.ARMED
+            case EndStream() if not self.moving and self.phase in (Phase.RUNNING, Phase.FAULT):
                 self.phase = Phase.ENDING
-        elif command.kind is CommandKind.CLOSE and not self.moving:
-            self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
+            case CloseStream() if not self.moving:
+                self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def monitor_silence(self, orders: Orders, now_ns: int) -> None:
         """Check silence, heartbeat and stop orders while no telegrams arrive."""
@@ -300,26 +302,26 @@ class StreamSession(ABC):
             return Choice.HOLD
         return Choice.REPEAT
 
-    def _start_motion(self, command: Command) -> Result:
-        points, plan, guide = self._points, command.plan, command.guide
+    def _start_motion(self, motion: Move | Guide, command: Command) -> Result:
+        points = self._points
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
         if command.stop_number != self._stop_word >> STOP_KIND_BITS:
             return Result.REFUSED_STOP
         if points.moving or self._stopping:
             return Result.REFUSED_BUSY
-        if plan is not None and not _starts_at(plan, points.last_rad):
+        if isinstance(motion, Move) and not _starts_at(motion.plan, points.last_rad):
             return Result.REFUSED_START
-        if (command.force_limit_N or plan is None) and not (
-            self._force is not None and self._force.begin(command.force_limit_N)
+        if (motion.force_limit_N or isinstance(motion, Guide)) and not (
+            self._force is not None and self._force.begin(motion.force_limit_N)
         ):
             return Result.REFUSED_LOADED
         self._is_force_exceeded = False
         try:
-            if plan is not None:
-                points.start(plan, self._speed, command.surroundings)
-            elif guide is not None:
-                points.guide(guide, self._speed, command.surroundings)
+            if isinstance(motion, Move):
+                points.start(motion.plan, self._speed, command.surroundings)
+            else:
+                points.guide(motion.limits, self._speed, command.surroundings)
         except RonnaError:
             return Result.REFUSED_NUMBERS
         self._settled_cycles = 0

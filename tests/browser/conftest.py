@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from modest_chromium import MISSING, modest_chromium, opened_context
-from operated_case import OperatedCases, operated_cases
+from operated_case import OperatedCase, OperatedCases, operated_cases
 
 HANG_S = 600.0  # only ends what hangs: nine pages drawn by the processor take 90 s on two cores
 
@@ -47,3 +47,10 @@ def start(tmp_path: Path) -> Iterator[OperatedCases]:
     """Start `ronna-procedure ARGUMENTS --sim --scene mini --seed 3 --console`; ended with the test."""
     with operated_cases(tmp_path) as start:
         yield start
+
+
+@pytest.fixture(scope="session")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> OperatedCase:
+    """The case of `start`, come to its end with nothing that shows it: run once for all tests."""
+    with operated_cases(tmp_path_factory.mktemp("alone")) as start:
+        return start.without_console()

@@ -88,7 +88,9 @@ def place_mm(page: Any) -> Any:
     return np.array([float(word) for word in words.split(", ")])
 
 
-@pytest.mark.parametrize("plane", [AXIAL, CORONAL, SAGITTAL])
+@pytest.mark.parametrize(
+    "plane", [AXIAL, *(pytest.param(one, marks=pytest.mark.slow) for one in (CORONAL, SAGITTAL))]
+)
 def test_scrolling_a_plane_goes_through_a_sphere_and_out_of_it(shown: Any, plane: int) -> None:
     canvas, numbers = shown.locator("canvas").nth(plane), shown.locator("figcaption span:last-child")
     before = numbers.all_text_contents()

@@ -16,7 +16,7 @@ from case_results import measured, outcome_of, targets
 from console_clicks import ARMED_MS, answer, answer_until, await_next, run_to, take_seat
 from console_keys import ANSWERS, answer_by_keys, hold_space, press, run_on_by_keys, tab_to, take_seat_by_keys
 from modest_chromium import opened_context
-from operated_case import OperatedCases, enter
+from operated_case import OperatedCase, OperatedCases, enter
 from rehearsal import rehearsal
 from waiting import eventually
 
@@ -26,7 +26,7 @@ SUSPENDED_S = 60.0
 
 
 def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a_console(
-    start: OperatedCases, page: Any
+    start: OperatedCases, page: Any, alone: OperatedCase
 ) -> None:
     script = rehearsal()  # as the how-to has it: whoever follows it comes to the end
     case = start.typed(*script.arguments)
@@ -46,7 +46,6 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a
     assert {line["by"] for line in confirmations} == {"Dr Test"}
     assert all(len(str(line["shown"])) == 64 for line in confirmations)
 
-    alone = start.without_console()
     assert measured(case.run) == measured(alone.run)
     assert targets(case.run) == targets(alone.run)
 
@@ -83,7 +82,7 @@ def test_a_second_operator_and_eight_viewers_can_only_view_and_a_ninth_is_refuse
 
 def test_a_killed_console_is_shown_in_a_banner_over_the_past(start: OperatedCases, page: Any) -> None:
     case = start("step")
-    enter(page, case.addresses["url"])
+    enter(page, case.addresses["url"] + "&low")
     os.kill(case.console_pid, signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     assert "past" in page.evaluate("document.body.className")
@@ -91,6 +90,7 @@ def test_a_killed_console_is_shown_in_a_banner_over_the_past(start: OperatedCase
     assert not page.locator("#popup").is_visible()
 
 
+@pytest.mark.slow  # a whole case, without any page
 def test_the_case_continues_after_its_console_is_killed(start: OperatedCases) -> None:
     case = start("run", "--json")
     os.kill(case.console_pid, signal.SIGKILL)
@@ -112,10 +112,23 @@ def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: Oper
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_whole_case_is_operated_by_keyboard_where_enter_and_a_stray_click_do_not_accept_a_motion(
+def test_by_keyboard_neither_enter_nor_a_stray_click_accepts_a_motion(
     start: OperatedCases, page: Any
 ) -> None:
+    decline_by_keys(page, start("step"))
+
+
+@pytest.mark.slow  # half of it is the test before
+def test_a_whole_case_is_operated_by_keyboard(start: OperatedCases, page: Any) -> None:
     case = start("step")
+    decline_by_keys(page, case)
+    run_on_by_keys(page)
+    assert case.ended() == 0
+    assert page.complaints == []
+
+
+def decline_by_keys(page: Any, case: OperatedCase) -> None:
+    """From the seat to the first motion, which is accepted by nothing but holding the space bar."""
     enter(page, case.addresses["url"] + "&low")
     take_seat_by_keys(page)
     await_next(page, "ct_import")
@@ -140,11 +153,10 @@ def test_a_whole_case_is_operated_by_keyboard_where_enter_and_a_stray_click_do_n
     assert not any((case.run / "records").glob("*-relocalization-T1.json"))
     press(page, f"{ANSWERS}:last-child")
     page.wait_for_selector(".notices >> text=PRO-002")
-    run_on_by_keys(page)
-    assert case.ended() == 0
     assert page.complaints == []
 
 
+@pytest.mark.slow  # a whole case at the pace of the clock
 def test_a_suspended_browser_does_not_hold_up_the_case(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json", "--speed", "1")  # else over before a slow page is open
     enter(page, case.addresses["viewer_url"])

@@ -91,12 +91,8 @@ def save(page: Any, name: str = "Dr Test") -> None:
     page.locator("[data-do=save]").click()
 
 
-def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_a_case_reaches_its_target(
-    opened: Open, page: Any, patient: Path, tmp_path: Path
-) -> None:
-    file = tmp_path / "new.toml"
-    addresses = opened(file)
-    enter_planner(page, addresses["url"])
+def draw_plan(page: Any) -> None:
+    """By clicks and typing, from an empty file to a plan that is saved."""
     assert page.locator("[data-found]").get_attribute("data-found") == "3"
     page.get_by_role("button", name="set the target").click()
     click_picture(page, "axial", 0.5, 0.4)
@@ -112,19 +108,20 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_a_case_reaches_it
     save(page)
     page.wait_for_selector("[data-saved=saved]")
 
+
+def test_a_plan_made_by_clicks_and_typing_passes_the_check(
+    opened: Open, page: Any, patient: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "new.toml"
+    addresses = opened(file)
+    enter_planner(page, addresses["url"])
+    draw_plan(page)
     saved = tomllib.loads(file.read_text())
     assert saved["trajectories"][0]["entry_mm"] == [8.4, -112.7, 871.8]
     assert saved["seal"]["author"] == "Dr Test"
     subprocess.run(
         command("procedures.cli.plan", "check", file, "--ct", patient / "ct", "--markers"), check=True
     )
-    case = ("run", "--sim", "--scene", "mini", "--seed", "3", "--plan", file, "--out", tmp_path / "runs")
-    done = subprocess.run(
-        command("procedures.cli.procedure", *case, "--json"), check=True, capture_output=True, text=True
-    )
-    (target,) = json.loads(done.stdout)["targets"]
-    assert target["depth_mm"] == pytest.approx(67.32, abs=0.01)
-    assert target["application_error_mm"] < 1.0
     host = urlsplit(addresses["url"]).netloc
     assert {urlsplit(url).netloc for url in page.requested if not url.startswith(("data:", "blob:"))} == {
         host
@@ -132,6 +129,21 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_a_case_reaches_it
     assert page.complaints == []
 
 
+@pytest.mark.slow  # a whole case
+def test_a_case_reaches_the_target_of_a_plan_made_by_clicks(opened: Open, page: Any, tmp_path: Path) -> None:
+    file = tmp_path / "new.toml"
+    enter_planner(page, opened(file)["url"])
+    draw_plan(page)
+    case = ("run", "--sim", "--scene", "mini", "--seed", "3", "--plan", file, "--out", tmp_path / "runs")
+    done = subprocess.run(
+        command("procedures.cli.procedure", *case, "--json"), check=True, capture_output=True, text=True
+    )
+    (target,) = json.loads(done.stdout)["targets"]
+    assert target["depth_mm"] == pytest.approx(67.32, abs=0.01)
+    assert target["application_error_mm"] < 1.0
+
+
+@pytest.mark.slow  # markers are proposed twice
 def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     opened: Open, page: Any, plan: Path
 ) -> None:

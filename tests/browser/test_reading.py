@@ -104,7 +104,10 @@ SCREENS = ((390, 844), (1280, 800))
 WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
 
 
-@pytest.mark.parametrize("last", [QUESTION, WAITING], ids=["asked", "waiting"])
+@pytest.mark.parametrize(
+    "last",
+    [pytest.param(QUESTION, id="asked"), pytest.param(WAITING, id="waiting", marks=pytest.mark.slow)],
+)
 def test_the_console_is_readable_on_a_phone_and_a_screen_with_stop_beside_the_banner_and_all_keys_reached(
     page: Any, tmp_path: Path, last: Questioned | Waiting
 ) -> None:

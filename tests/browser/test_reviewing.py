@@ -7,8 +7,9 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
 from console_clicks import await_next
-from operated_case import OperatedCases, enter, reviewed
+from operated_case import OperatedCase, OperatedCases, enter, reviewed
 from page_reading import (
     MOST_FIRST_PICTURE_MS,
     cut_labels,
@@ -23,11 +24,9 @@ from ronna_hw.log_output import LOG_FILE
 
 
 def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
-    start: OperatedCases, page: Any, tmp_path: Path
+    page: Any, tmp_path: Path, alone: OperatedCase
 ) -> None:
-    case = start("run", "--json")
-    assert case.ended() == 0
-    with reviewed(case.run, tmp_path / "review-errors") as address:
+    with reviewed(alone.run, tmp_path / "review-errors") as address:
         enter(page, address)
         page.wait_for_selector(".state >> text=finished")
         assert page.locator("[data-do]:visible").count() == 0
@@ -43,11 +42,12 @@ def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
         assert cut_labels(page) == []
         assert first_picture_ms(page, page.url) < MOST_FIRST_PICTURE_MS
         errors = (tmp_path / "review-errors").read_text()
-        for shown in (page.title(), page.url, case.said, errors, (case.run / LOG_FILE).read_text()):
+        for shown in (page.title(), page.url, alone.said, errors, (alone.run / LOG_FILE).read_text()):
             assert "Phantom" not in shown  # as the CT calls the patient
         assert page.complaints == []
 
 
+@pytest.mark.slow  # the page of a case under way says the same
 def test_a_case_that_is_killed_while_it_is_reviewed_is_shown_as_ended(
     start: OperatedCases, page: Any, tmp_path: Path
 ) -> None:

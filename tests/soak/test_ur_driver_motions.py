@@ -18,7 +18,7 @@ from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm_stream.records import CommandKind, Fault, Result, StopOrder
+from ronna_hw.arm_stream.records import Fault, Move, Result, StopOrder
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector, joint_vector
 
@@ -82,7 +82,7 @@ def test_random_motions_break_no_limit(seed: int) -> None:
     cycles = 0
     for _ in range(MOTIONS // SHARES):
         del stand.goals[:-3]
-        stand.give(CommandKind.MOVE, plan_any(chance, stand.goal))
+        stand.give(Move(plan_any(chance, stand.goal)))
         stops_at = chance.randrange(400) if chance.random() < STOPPED_SHARE else -1
         slows_at = chance.randrange(400) if chance.random() < SLOWED_SHARE else -1
         for cycle in range(LONGEST_CYCLES):

@@ -14,7 +14,7 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders, Phase
+from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault, OpenStream, Orders, Phase
 from ronna_hw.arm_stream.session import SETTLE_CYCLES, STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector
@@ -90,8 +90,8 @@ class Responder(StreamSession):
         self._measure()
         return self.senders.matches_expected(telegram.axes_deg)
 
-    def _open(self, command: Command) -> bool:
-        self.senders = SenderCheck(command.axes_rad)
+    def _open(self, opened: OpenStream) -> bool:
+        self.senders = SenderCheck(opened.axes_rad)
         self._losses = Losses(self._cycle_ms)
         return True
 

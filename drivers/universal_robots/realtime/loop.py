@@ -14,7 +14,7 @@ from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import Command, CommandKind, Phase
+from ronna_hw.arm_stream.records import Command, OpenStream, Phase
 from ronna_hw.wire.universal_robots import PackageType, SafetyMode
 
 BUNCH_S = 200e-6  # in which packages that were delayed together arrive
@@ -162,7 +162,7 @@ class LinkLoop(StreamLoop):
 
     def _new_command(self, number: int) -> Command | None:
         command = super()._new_command(number)
-        is_opened = command is not None and command.kind is CommandKind.OPEN
+        is_opened = command is not None and isinstance(command.request, OpenStream)
         if is_opened and self._stream.phase is Phase.IDLE:
             self._connect()
         return command

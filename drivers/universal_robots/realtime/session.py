@@ -38,7 +38,7 @@ from drivers.universal_robots.realtime.packages import (
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm_stream.losses import LossCount
-from ronna_hw.arm_stream.records import NO_STATE, Choice, Command, Fault, Orders, Phase
+from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault, OpenStream, Orders, Phase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
@@ -274,7 +274,7 @@ class RtdeSession(StreamSession):
     def _order(self) -> ScriptOrder:
         return ScriptOrder.END if self.phase is Phase.ENDING and not self.moving else ScriptOrder.STREAM
 
-    def _open(self, command: Command) -> bool:
+    def _open(self, opened: OpenStream) -> bool:
         self._losses = LossCount()
         self._cause, self._start_rad, self._timestamp_s = Cause.NONE, None, None
         self._sequence = self._echo = self._unused_cycles = 0

@@ -13,9 +13,9 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
-from ronna_hw.arm_stream.records import Command, CommandKind, Orders, Result, StopOrder
+from ronna_hw.arm_stream.records import Command, Move, OpenStream, Orders, Request, Result, StopOrder
 from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")
@@ -64,12 +64,12 @@ class ResponderStand:
         self.follows = True
         self.clamp_deg = inf  # largest correction that the arm carries out
         self.sent: list[tuple[JointVector, int]] = []
-        self.give(CommandKind.OPEN)
+        self.give(OpenStream(self.limits))
 
-    def give(self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None) -> None:
+    def give(self, request: Request, stop_number: int | None = None) -> None:
         self.commands += 1
         seen = self.stop_word >> 3 if stop_number is None else stop_number
-        self.pending: Command | None = Command(self.commands, kind, plan, seen, limits=self.limits)
+        self.pending: Command | None = Command(self.commands, request, seen)
         if not self.sent:
             self.responder.execute_command(self.pending)
 
@@ -132,7 +132,7 @@ def begun(cycles: int = 3, **changes: Any) -> ResponderStand:
 
 def moving(cycles: int = 120, target: JointVector = FAR) -> ResponderStand:
     stand = begun()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, target, LIMITS))
+    stand.give(Move(plan_joint_move(MODEL, START, target, LIMITS)))
     stand.cycles(cycles)
     assert stand.responder.moving
     return stand

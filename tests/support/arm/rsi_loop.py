@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.options import REHEARSAL_LEAD_US
-from ronna_hw.arm_stream.records import Command, CommandKind, Phase, StopOrder
+from ronna_hw.arm_stream.records import CloseStream, Command, OpenStream, Phase, StopOrder
 
 CONTROLLER = ("127.0.0.1", 40000)
 CYCLE_MS = 4
@@ -84,9 +84,9 @@ class InProcessLink:
 
     def open(self) -> None:
         """Open a session as a start of the stream does, whatever was before."""
-        self.give(Command(0, CommandKind.CLOSE))
+        self.give(Command(0, CloseStream()))
         self.loop._check_orders()
-        self.give(Command(0, CommandKind.OPEN, limits=LIMITS))
+        self.give(Command(0, OpenStream(LIMITS)))
         self.loop._check_orders()
 
     def stop(self, kind: StopOrder) -> None:

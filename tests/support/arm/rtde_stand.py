@@ -18,9 +18,9 @@ from drivers.universal_robots.realtime.packages import OUTPUT
 from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.arm_stream.records import Command, CommandKind, Orders, Result, StopOrder
+from ronna_hw.arm_stream.records import Command, Move, OpenStream, Orders, Request, Result, StopOrder
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.universal_robots import RuntimeState, ScriptState
 
@@ -72,17 +72,17 @@ class RtdeStand:
         self.is_replaced = False  # another program runs, in other registers than ours
         self.is_late = False  # the reply arrives only with the next one, which takes its place
         self.session.adopt(1, RUN)
-        self.give(CommandKind.OPEN)
+        self.give(OpenStream(self.limits))
 
-    def give(self, kind: CommandKind, plan: MotionPlan | None = None) -> None:
+    def give(self, request: Request) -> None:
         self.commands += 1
-        command = Command(self.commands, kind, plan, self.stop_word >> 3, limits=self.limits)
+        command = Command(self.commands, request, self.stop_word >> 3)
         self.pending: Command | None = command
         if not self.goals:
             self.session.execute_command(command)
 
-    def move(self, target: JointVector = FAR) -> None:
-        self.give(CommandKind.MOVE, plan_joint_move(MODEL, self.goal, target, self.limits))
+    def move(self, target: JointVector = FAR, force_limit_N: float = 0.0) -> None:
+        self.give(Move(plan_joint_move(MODEL, self.goal, target, self.limits), force_limit_N))
 
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind

@@ -22,9 +22,10 @@ from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import command
+from ronna_hw.wire.room_tasks import EMPTY
 from sim.world.running import find_running
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 LIMIT_S = 900.0
 CASE = ("--sim", "--dual", "--scene", "mini", "--seed", "0", "--json")
@@ -139,24 +140,32 @@ def test_a_case_that_stopped_on_the_axis_is_resumed_straight_out_of_it_and_ends(
     assert target["application_error_mm"] < SIGMAS * target["predicted_tre_mm"]
 
 
-def await_assistant(out: Path, what: str) -> Path:
-    """Return the folder of the run once the assistant is amid that motion on its axis."""
-    begun: list[Line] = []
+def await_journal(out: Path, pick: Callable[[list[Line]], Line | None]) -> tuple[Path, Line]:
+    """Return the folder of the run and the line of its journal that is picked, once it is written."""
+    found: list[Line] = []
 
-    def begins() -> bool:
+    def is_written() -> bool:
         folder = run_folder(out)
-        journal = None if folder is None else folder / JOURNAL_FILE
-        if journal is None or not journal.exists() or f'"what":"{what}"'.encode() not in journal.read_bytes():
-            return False
-        lines = read_journal(journal)
-        begun.extend(line for line in lines if line.get("arm") == ASSISTANT and line.get("what") == what)
-        return bool(begun)
+        if folder is not None and (folder / JOURNAL_FILE).exists():
+            picked = pick(journal_of(folder))
+            found.extend([] if picked is None else [picked])
+        return bool(found)
 
-    eventually(begins, LIMIT_S)
+    eventually(is_written, LIMIT_S)
     folder = run_folder(out)
     assert folder is not None
+    return folder, found[0]
+
+
+def await_assistant(out: Path, what: str) -> Path:
+    """Return the folder of the run once the assistant is amid that motion on its axis."""
+
+    def begins(lines: list[Line]) -> Line | None:
+        return next((one for one in lines if one.get("arm") == ASSISTANT and one.get("what") == what), None)
+
+    folder, begun = await_journal(out, begins)
     clock = open_clock(find_running(str(folder / "theatre")).ready["endpoints"]["clock"])
-    amid_s = float(str(begun[0]["theatre_time_s"])) + (IN_BORE_S if what == "insert" else 1.0)
+    amid_s = float(str(begun["theatre_time_s"])) + (IN_BORE_S if what == "insert" else 1.0)
     eventually(lambda: clock.now_s() >= amid_s)
     return folder
 
@@ -173,3 +182,29 @@ def motions(journal: Sequence[Line]) -> list[tuple[str, str]]:
 def way_of(journal: Sequence[Line]) -> list[tuple[str, str]]:
     """The motions, however a way home was found: where the direct one is not clear, back as the arm came."""
     return [one for one, _ in groupby(motion for motion in motions(journal) if motion[1] != "back")]
+
+
+@pytest.mark.hazard(63)
+def test_an_instrument_in_the_holder_is_taken_out_before_the_assistant_goes_home(
+    commands: Commands, tmp_path: Path
+) -> None:
+    """Stopped over the guide, the instrument is not in it yet: no question about the guide would be asked."""
+    process = commands.start("ronna-procedure", "run", *CASE, "--out", str(tmp_path))
+
+    def moves_with_it(lines: list[Line]) -> Line | None:
+        held = [number for number, line in enumerate(lines) if line["entry"] == Entry.HELD]
+        moves = (line for line in lines[held[0] :] if line["entry"] == Entry.MOTION) if held else iter(())
+        return next(moves, None)
+
+    folder, _ = await_journal(tmp_path, moves_with_it)
+    injected("assistant robot emergency stop")(commands, folder)
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == EXIT_REFUSED, said
+    stopped = journal_of(folder)
+    assert "instrument_in" not in stopped[-1]
+    done = commands.run("ronna-procedure", "resume", str(folder), "--accept", "--json", timeout_s=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    after = journal_of(folder)[len(stopped) :]
+    emptied = next(number for number, line in enumerate(after) if line.get("task") == EMPTY)
+    assert motions(after[:emptied]) == []
+    assert (ASSISTANT, "home") in motions(after[emptied:])

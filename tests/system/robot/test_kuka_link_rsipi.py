@@ -30,7 +30,7 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import NO_DESCRIPTOR, CommandKind, LinkState, Phase, Result
+from ronna_hw.arm_stream.records import NO_DESCRIPTOR, LinkState, Move, OpenStream, Phase, Result
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
@@ -145,11 +145,11 @@ def test_the_link_moves_the_arm_of_a_third_party_controller(
     with echo_server(ethernet_file, tmp_path) as end:
         _wait(link, lambda s: s.device_clock > 0 or s.rejected > 0 or s.received_ns > 0)
         time.sleep(0.05)  # telegrams that nobody answers yet
-        link.command(CommandKind.OPEN, limits=working_limits(MODEL))
+        link.command(OpenStream(working_limits(MODEL)))
         first = _wait(link, lambda s: s.phase is Phase.RUNNING and s.settled)
         assert first.base_rad == (0.0,) * 6
         plan = plan_joint_move(MODEL, first.commanded_rad, TARGET, working_limits(MODEL))
-        number = link.command(CommandKind.MOVE, plan)
+        number = link.command(Move(plan))
         done = _wait(link, lambda s: s.command_number >= number and s.result is not Result.RUNNING)
         assert done.result is Result.DONE
         assert done.rejected == 0

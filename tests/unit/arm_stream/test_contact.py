@@ -11,7 +11,7 @@ from ronna_hw.arm.errors import InsertionInvalid
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
 from ronna_hw.arm_stream.insertion import plan_insertion
-from ronna_hw.arm_stream.records import Command, CommandKind, Result
+from ronna_hw.arm_stream.records import Guide, Result
 from ronna_hw.devices.contact import HandGuidance, Insertion
 from ronna_hw.frames import Frame, Transform
 
@@ -30,16 +30,11 @@ def resting(force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RtdeStand:
 
 
 def move(stand: RtdeStand, limit_N: float) -> None:
-    stand.move()
-    assert stand.pending is not None
-    stand.pending = stand.pending._replace(force_limit_N=limit_N)
+    stand.move(force_limit_N=limit_N)
 
 
 def guide(stand: RtdeStand, limits: GuideLimits = GUIDE) -> None:
-    stand.commands += 1
-    stand.pending = Command(
-        stand.commands, CommandKind.GUIDE, None, stand.stop_word >> 3, force_limit_N=LIMIT_N, guide=limits
-    )
+    stand.give(Guide(limits, LIMIT_N))
     stand.cycle()
 
 

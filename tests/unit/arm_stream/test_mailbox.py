@@ -21,8 +21,9 @@ from ronna_hw.arm_stream.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, Mai
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     Command,
-    CommandKind,
     Fault,
+    Move,
+    OpenStream,
     Orders,
     Phase,
     RecordedCycle,
@@ -52,7 +53,7 @@ def test_a_command_arrives_unchanged_on_the_other_side(
 ) -> None:
     with closing(Mailbox(memory)) as other:
         plan = replace(PLAN, target=target, tool_in_flange_mm=(7.0, 8.0, 9.0), speed_steps=steps)
-        command = Command(5, CommandKind.MOVE, plan, 3, Surroundings(obstacles=(BALL,) * (1 + len(steps))))
+        command = Command(5, Move(plan), 3, Surroundings(obstacles=(BALL,) * (1 + len(steps))))
         mailbox.write_command(command)
         assert other.orders().command_number == 5
         found = other.read_command()
@@ -63,7 +64,7 @@ def test_a_command_arrives_unchanged_on_the_other_side(
 def test_surroundings_too_large_for_the_mailbox_are_refused(mailbox: Mailbox) -> None:
     many = Surroundings(obstacles=(BALL,) * (LONGEST_SURROUNDINGS_BYTES // 100))
     with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
-        mailbox.write_command(Command(1, CommandKind.MOVE, PLAN, 0, many))
+        mailbox.write_command(Command(1, Move(PLAN), 0, many))
 
 
 @pytest.mark.hazard(51)
@@ -71,10 +72,9 @@ def test_surroundings_too_large_for_the_mailbox_are_refused(mailbox: Mailbox) ->
 def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, reduced: bool) -> None:
     arm = kr6_r900("kr6_r900_sixx")
     limits = working_limits(arm, 0.08).with_reduced_speed(arm) if reduced else working_limits(arm, 0.08)
-    mailbox.write_command(Command(5, CommandKind.OPEN, axes_rad=SIX, limits=limits))
-    command = mailbox.read_command()
-    assert command is not None
-    assert command.limits == limits
+    command = Command(5, OpenStream(limits, SIX))
+    mailbox.write_command(command)
+    assert mailbox.read_command() == command
 
 
 def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:

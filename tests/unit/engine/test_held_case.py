@@ -251,7 +251,7 @@ class HoldingAssistant(SimpleNamespace):
         self.history.held, self.emptied = None, self.emptied + 1
 
 
-@pytest.mark.hazard(62)
+@pytest.mark.hazard(63)
 def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the_guide(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -269,7 +269,7 @@ def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the
     assert len(cell.operator.asked) == 2
 
 
-@pytest.mark.hazard(62)
+@pytest.mark.hazard(63)
 def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

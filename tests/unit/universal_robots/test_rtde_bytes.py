@@ -16,7 +16,7 @@ from rtde_stand import LIMITS, SETTINGS
 from drivers.universal_robots.realtime.loop import Handover, LinkLoop
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import Command, CommandKind, Phase
+from ronna_hw.arm_stream.records import Command, OpenStream, Phase
 
 OUTPUT_NAMES = (
     b"timestamp,target_q,actual_q,speed_scaling,target_speed_fraction,robot_mode,safety_mode,runtime_state,"
@@ -110,7 +110,7 @@ def test_each_package_is_answered_by_the_next_set_point(split: int) -> None:
     settings = replace(SETTINGS, mailbox_fd=memory_fd, event_fd=event_fd, silence_limit_s=60.0)
     loop = LinkLoop(settings, process, mailbox)
     Handover(output_recipe=1, input_recipe=2, run=42).give(driver, ours)
-    mailbox.write_command(Command(1, CommandKind.OPEN, limits=LIMITS))
+    mailbox.write_command(Command(1, OpenStream(LIMITS)))
     loop._check_orders()
     assert receive(controller, 3) == START[0]
     controller.sendall(START[1] + TEXT_MESSAGE)

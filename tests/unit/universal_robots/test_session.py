@@ -11,7 +11,7 @@ from rtde_stand import CYCLE_S, FAR, IN, LIMITS, RUN, SETTINGS, START, RtdeStand
 
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.realtime.session import REPORT_CYCLES
-from ronna_hw.arm_stream.records import CommandKind, Fault, Phase, Result, StopOrder
+from ronna_hw.arm_stream.records import EndStream, Fault, Phase, Result, StopOrder
 
 WORKING_STEP_RAD = max(LIMITS.speed_rad_s) * CYCLE_S
 REST_CYCLES = 400
@@ -262,7 +262,7 @@ def test_joints_off_their_commanded_angles_at_the_start_are_refused() -> None:
 
 def test_ending_leaves_the_script_by_its_order() -> None:
     stand = streaming()
-    stand.give(CommandKind.END)
+    stand.give(EndStream())
     stand.cycles(4)
     assert stand.script_state == 3
     assert stand.session.phase is Phase.ENDING

@@ -157,7 +157,7 @@ def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     assert assistant.rests_clear(turned_rad, Surroundings(), 170.0)
 
 
-@pytest.mark.hazard(62)
+@pytest.mark.hazard(63)
 def test_what_the_holder_holds_outlasts_the_program_until_it_is_confirmed_to_be_empty(
     assistant: Assistant, cell: RecordingCell
 ) -> None:

@@ -26,10 +26,12 @@ from ronna_hw.arm_stream.losses import WINDOW_CYCLES
 from ronna_hw.arm_stream.records import (
     Choice,
     Command,
-    CommandKind,
     Fault,
     LinkState,
+    Move,
+    OpenStream,
     Orders,
+    Request,
     Result,
     StopOrder,
 )
@@ -61,12 +63,12 @@ class HoldingController:
         self.late = [0, 0]  # the count as of each cycle's begin
         self.taken: list[JointVector] = [(0.0,) * 6]  # the corrections that act, one per cycle
         self.sent: list[JointVector] = []
-        self.responder.execute_command(self._new(CommandKind.OPEN))
+        self.responder.execute_command(self._new(OpenStream(LIMITS)))
         for _ in range(3):
             self.cycle()
 
     def move(self, plan: MotionPlan = JOINT_MOVE) -> None:
-        self._command = self._new(CommandKind.MOVE, plan)
+        self._command = self._new(Move(plan))
         self.cycle()
 
     def lose(self, losses: Sequence[Loss]) -> None:
@@ -123,9 +125,9 @@ class HoldingController:
         a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, self.taken[-1], strict=True))
         return (a, b, c, d, e, f)
 
-    def _new(self, kind: CommandKind, plan: MotionPlan | None = None) -> Command:
+    def _new(self, request: Request) -> Command:
         self._commands += 1
-        return Command(self._commands, kind, plan, self.stop_word >> 3, limits=LIMITS)
+        return Command(self._commands, request, self.stop_word >> 3)
 
 
 def _moving(cycles: int = AT_SPEED, tells: int | None = 0) -> HoldingController:

@@ -9,9 +9,9 @@ from responder_stand import FAR, LIMITS, MODEL, START
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arm_stream.records import Command, CommandKind, Fault, StopOrder
+from ronna_hw.arm_stream.records import Command, Fault, Move, StopOrder
 
-MOVE = Command(0, CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+MOVE = Command(0, Move(plan_joint_move(MODEL, START, FAR, LIMITS)))
 
 EVENTS = st.lists(
     st.sampled_from(["", "", "", "", "reply lost", "telegram lost", "hold", "protective", "strict form"]),

@@ -24,7 +24,7 @@ from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm_stream.records import STOP_KIND_BITS, CommandKind, Fault, LinkState, Orders, Phase, Result
+from ronna_hw.arm_stream.records import STOP_KIND_BITS, Fault, LinkState, Move, Orders, Phase, Result
 from ronna_hw.arm_stream.session import SETTLE_CYCLES
 
 CYCLE_S = SETTINGS.cycle_ms / 1000.0
@@ -42,7 +42,7 @@ MOST_CYCLES = 1000
 )
 def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, kind: str) -> None:
     stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
+    stand.give(Move(MotionPlan(START, FAR, limits)))
     stand.cycles(400)
     assert stand.responder.fault is Fault.MONITOR
     assert stand.violation_kind == kind
@@ -57,7 +57,7 @@ def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed
     wrist_turned = radians6(0, -90, 90, 40, 60, 60)
     stand = ResponderStand(limits=LIMITS.with_reduced_speed(MODEL))
     stand.cycles(3)
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
+    stand.give(Move(plan_joint_move(MODEL, START, wrist_turned, LIMITS)))
     stand.cycles(400)
     violation = stand.responder.violation
     assert violation is not None
@@ -72,7 +72,7 @@ def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> 
     stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
     stand.cycles(3)
     beyond = radians6(0, -90, 90, 0, 120.0 - margin_deg + 0.5, 0)
-    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
     stand.cycles(1500)
     assert stand.violation_kind == "range"
     assert stand.responder.violation.limit == pytest.approx(radians(120.0 - margin_deg))
@@ -81,7 +81,7 @@ def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> 
 def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
     beyond = radians6(0, -90, 90, 0, 125, 0)
     stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
     stand.cycles(1500)
     assert stand.responder.fault is Fault.MONITOR
     assert stand.violation_kind == "range"
@@ -93,7 +93,7 @@ def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
     here = MODEL.forward(START)
     away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
     stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away))
+    stand.give(Move(MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away)))
     for _ in range(3000):
         stand.cycle()
         if stand.responder.fault and not stand.responder.moving:
@@ -108,7 +108,7 @@ def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
 def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: float) -> None:
     target = (START[0] + radians(40), *START[1:])
     stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0)))
+    stand.give(Move(MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0))))
     stand.cycles(100)
     before = stand.responder.sent_rad[0]
     stand.follows = False

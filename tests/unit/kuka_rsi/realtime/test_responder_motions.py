@@ -24,7 +24,7 @@ from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm_stream.records import CommandKind, Fault, Orders, Phase, Result, StopOrder
+from ronna_hw.arm_stream.records import CloseStream, EndStream, Fault, Move, Orders, Phase, Result, StopOrder
 
 
 def test_no_telegram_is_answered_before_a_session_is_open() -> None:
@@ -53,7 +53,7 @@ def test_a_first_pose_out_of_range_latches_a_fault_and_still_gets_a_zero_correct
 
 def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> None:
     stand = begun()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.give(Move(plan_joint_move(MODEL, START, FAR, LIMITS)))
     stand.cycle()
     cycles = stand.run()
     assert stand.responder.result is Result.DONE
@@ -90,7 +90,7 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
         if line
         else plan_joint_move(MODEL, START, FAR, LIMITS)
     )
-    stand.give(CommandKind.MOVE, plan)
+    stand.give(Move(plan))
     stand.cycles(cycles)
     stand.stop(kind)
     stand.cycles(150)
@@ -121,11 +121,11 @@ def test_a_link_stop_ceases_replies_at_once() -> None:
 
 def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
-    stand.give(CommandKind.END)
+    stand.give(EndStream())
     stand.cycles(4)
     assert stand.responder.phase is Phase.ENDING
     assert stand.sent[-1] == ((0.0,) * 6, 1)
-    stand.give(CommandKind.CLOSE)
+    stand.give(CloseStream())
     stand.cycle()
     assert stand.responder.phase is Phase.IDLE
     assert not stand.cycle()
@@ -133,11 +133,11 @@ def test_ending_the_session_sends_stop_with_the_last_point() -> None:
 
 def test_the_session_ends_only_after_its_motion() -> None:
     stand = moving()
-    stand.give(CommandKind.END)
+    stand.give(EndStream())
     stand.run()
     assert stand.responder.phase is Phase.RUNNING
     assert {stop for _, stop in stand.sent} == {0}
-    stand.give(CommandKind.END)
+    stand.give(EndStream())
     stand.cycle()
     stand.cycle()
     assert stand.responder.phase is Phase.ENDING
@@ -183,7 +183,7 @@ def test_a_motion_that_must_not_start_is_refused(
 ) -> None:
     stand = make_stand()
     was_moving = stand.responder.moving
-    stand.give(CommandKind.MOVE, plan, stop_number=0)
+    stand.give(Move(plan), stop_number=0)
     stand.cycle()
     assert stand.responder.result is result
     assert stand.responder.moving is was_moving

@@ -5,15 +5,18 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
-from procedures.steps.clinical import assisted_insertion
+from procedures.steps.clinical import assisted_insertion, base_to_base
 from procedures.steps.clinical.assisted_insertion import _has_stood, _require_bases, _require_seen_coaxial
+from procedures.steps.clinical.base_to_base import require_platforms_unmoved
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.workcell.arm_history import ArmPlace, PlaceKind
 from ronna_hw.frames import Frame, Transform
 
 BASES = object()
@@ -127,3 +130,32 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
             stood=True,
         )
     assert void == [GlobalLocalization]
+
+
+SPHERES_MM = np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0], [0.0, 120.0, 0.0], [0.0, 0.0, 120.0]])
+
+
+def context_with_bases(assistant_place: PlaceKind = PlaceKind.HOME) -> StepContext:
+    known = SimpleNamespace(master_seen_mm=SPHERES_MM.tolist(), assistant_seen_mm=(900.0, 0.0, 0.0))
+    arms = [SimpleNamespace(name="arm", place=ArmPlace(PlaceKind.HOME))]
+    arms.append(SimpleNamespace(name="assistant", place=ArmPlace(assistant_place)))
+    workcell = SimpleNamespace(assistant=arms[1], supervised_arms=arms)
+    fields = {"workcell": workcell, "result_among": lambda _model, pick: pick([known])}
+    return cast("StepContext", SimpleNamespace(**fields))
+
+
+@pytest.mark.hazard(61)
+def test_platforms_are_compared_with_both_arms_home_and_by_what_is_seen_where_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shift_mm = np.zeros(3)
+    there_mm = np.array([900.0, 0.0, 0.0])
+    monkeypatch.setattr(
+        base_to_base, "_see_platforms", lambda *_: (SPHERES_MM + shift_mm, there_mm + shift_mm)
+    )
+    require_platforms_unmoved(context_with_bases())
+    with pytest.raises(GateFailed, match=r"both arms home.*not home: assistant"):
+        require_platforms_unmoved(context_with_bases(PlaceKind.AWAY))
+    shift_mm[1] = 8.5
+    with pytest.raises(GateFailed, match="too little of what showed"):
+        require_platforms_unmoved(context_with_bases())
