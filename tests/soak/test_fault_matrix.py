@@ -97,7 +97,8 @@ def too_late(cell: Cell, journal: Sequence[Line], codes: set[str]) -> Iterator[s
     begun, rest = journal[at], next(line for line in journal[at:] if line["entry"] in AT_REST)
     by_device = rest["entry"] != Entry.RESTED and noticed_by_device(codes)
     clock, limit_s = ("host", cell.row.host_s) if by_device else ("theatre", cell.row.theatre_s)
-    took_s = host_s(rest) - host_s(begun) if by_device else theatre_s(rest) - theatre_s(begun)
+    begins_s = theatre_s(begun) + cell.row.after_s
+    took_s = host_s(rest) - host_s(begun) if by_device else theatre_s(rest) - begins_s
     if limit_s is None or took_s > limit_s:
         yield f"at rest after {took_s:.1f} s of the {clock}, promised {limit_s} s"
 

@@ -2,7 +2,7 @@
 
 A row's ends are the codes that a case may stop with, and DONE where it may go on: with codes alone it must
 stop, and what begins only after the fault, a step or a call, is refused and quotes its code.
-Its times are promised from the beginning of the step until the arm rests. What a device notices goes by the
+Its times are promised from the beginning of the fault until the arm rests. What a device notices goes by the
 host's clock, for the theatre's runs free while a link is silent in lock-step; what a step or a guard notices
 goes by the theatre's, for a busy computer stretches the host's.
 """
@@ -21,7 +21,7 @@ DONE = "done"
 SINCE = "since"
 FEWEST = 3  # spheres of the mini scene
 OTHERS = ""  # all steps of a fault's device that no other row of the fault names
-DEVICE_CODES = ("NDI-", "EKI-", "RSI-", "GEV-")
+DEVICE_CODES = ("NDI-", "EKI-", "RSI-", "GEV-", "URD-")
 STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that stopped a case
 LED_ON = (GO_ON, LEAVE_OUT, FOLLOW)  # answers to questions that offer to continue a stopped case
 
@@ -70,6 +70,7 @@ class Row(NamedTuple):
     host_s: float | None = None  # within which the case rests if a device notices
     theatre_s: float | None = None  # and if a step or a guard does
     begins: str = "when"  # it acts while the step runs; "since": from then on
+    after_s: float = 0.0  # with "since": of theatre time, from the beginning of the step
     markers: int = FEWEST
     scene: str = ""  # one of SCENES, in place of a fault of a script
     answers: str = ""  # of the operator, as in a file of answers
@@ -129,7 +130,24 @@ STOPPED = "EKI-007 EKI-008 EKI-010"  # by the controller: before, or while the s
 SPOILT_REPLY = "NDI-003 NDI-005 NDI-006 NDI-007"  # a wrong CRC or form, or no end in time; no Polaris at all
 CONNECTING = "set_up"
 TWO_KUKA, UR_ASSISTS = ("--dual",), ("--dual", "--assistant-arm", "ur5e")
+ARM_STOPS = (
+    *(f"assistant ur {fault}" for fault in ("protective stop", "emergency stop pressed", "safeguard open")),
+    *(f"assistant ur {fault}" for fault in ("violation", "fault", "power off", "program stop")),
+    *(f"assistant ur {fault}" for fault in ("program pause", "local mode", "cut rtde", "cut connections")),
+    *(f"assistant robot {fault}" for fault in ("emergency stop", "collision", "eki cut")),
+)
+SILENT_ARMS = ("assistant ur cable pulled", "assistant ur frozen", "assistant robot network cut")
+BASES = "base_to_base"
+# Theatre time from the beginning of a step to an amid motion of the assistant, in the mini scene.
+LOOKED_AT_S, OVER_HEAD_S, IN_BORE_S = 22.0, 6.0, 25.0
 UNMATCHED = Topic.UNMATCHED_SPHERE
+
+
+def arms_with(fault: str) -> tuple[str, ...]:
+    """Return the options of a case whose assistant can have a fault."""
+    return UR_ASSISTS if fault.startswith("assistant ur ") else TWO_KUKA
+
+
 ROWS = (
     # The tracker: what it sees.
     Row("tracker occlude marker 1", "global_localization", "PRO-007", theatre_s=5),
@@ -452,6 +470,50 @@ ROWS = (
         )
         for number in (0, 1)
     ),
+    # Two arms: what stops the assistant stops both, while it is looked at, over the head, and in the bore.
+    # The theatre's time runs free while a link is silent.
+    *(
+        Row(
+            fault, step, "DUAL-001", theatre_s=theatre_s, begins=SINCE, after_s=after_s, arms=arms_with(fault)
+        )
+        for faults, theatre_s in ((ARM_STOPS, 20), (SILENT_ARMS, 120))
+        for fault in faults
+        for step, after_s in ((BASES, LOOKED_AT_S), ("at_target", OVER_HEAD_S), ("at_target", IN_BORE_S))
+    ),
+    Row(
+        "assistant ur load axial 25 N",
+        "at_target",
+        "ARM-015",
+        theatre_s=5,
+        begins=SINCE,
+        after_s=IN_BORE_S,
+        arms=UR_ASSISTS,
+    ),
+    Row(
+        "assistant ur speed slider 0 % for 3 s",
+        BASES,
+        DONE,
+        begins=SINCE,
+        after_s=LOOKED_AT_S,
+        arms=UR_ASSISTS,
+    ),
+    # Two arms: a cart that is pushed, the master's before they are measured against each other.
+    Row(
+        "room move cart 1 3 0 0 mm 0 deg in 0.1 s",
+        BASES,
+        "done PRO-019",
+        theatre_s=5,
+        begins=SINCE,
+        arms=TWO_KUKA,
+    ),
+    Row(
+        "room move cart 2 3 0 0 mm 0 deg in 0.1 s",
+        "tool_check",
+        "CAL-023",
+        theatre_s=40,
+        begins=SINCE,
+        arms=TWO_KUKA,
+    ),
     # What was wrong before the case began, and an operator who answers otherwise than a rehearsal.
     Row("", "plan_check", "PLAN-008", theatre_s=5, scene=SMALL, branch="SPHERE_COUNT"),
     Row("", "plan_check", DONE, scene=SMALL, markers=5, branch="SPHERE_COUNT", asks=Topic.SPHERE_COUNT),
@@ -512,7 +574,8 @@ def faults_of(device: str) -> set[str]:
 
 
 def _cell(row: Row, step: str) -> Cell:
-    line = f"{row.begins} step == {step}: {row.fault}" if row.fault else ""
+    after = f" after {row.after_s:g} s" if row.after_s else ""
+    line = f"{row.begins} step == {step}{after}: {row.fault}" if row.fault else ""
     more = f", {row.markers} spheres" if row.markers != FEWEST else ""
     ends = frozenset(row.ends.split())
     more += "".join(f" {word}" for word in row.arms)
