@@ -132,10 +132,9 @@ class Questions:
         workcell = self._setting.workcell
         instrument, assistant = workcell.instrument, workcell.assistant
         held = None if assistant is None else assistant.history.held
-        place = instrument.inside
-        if held is not None and place is None:
-            self._empty_holder(held.trajectory)
-        if place is None:
+        if (place := instrument.inside) is None:
+            if held is not None:
+                self._empty_holder(held.trajectory)
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
         is_in_doubt = workcell.place.assumed

@@ -31,7 +31,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
 from ronna_hw.devices.contact import Inserted, Insertion, InsertsInstruments
-from ronna_hw.devices.lifecycle import RUNNING, require_person
+from ronna_hw.devices.lifecycle import RUNNING, LastKnown, require_person
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError, summary_of
@@ -187,29 +187,21 @@ class ArmPair:
             stop.join()
 
     def watch(self) -> None:
-        """Look at both arms once; stop both for what stopped one, a distance, or an age.
-
-        Only then is the cause asked for, which a driver may wait for its controller to tell.
-        """
+        """Look at both arms once; stop both for what stopped one, a distance, or an age."""
         found = self._find_trouble()
-        if found is None:
-            return
-        role, reason, kind = found
-        is_first = self.halted is None
-        self.stop(reason, role, kind)
-        fault = self._arms[role].fault
-        if is_first and self.halted is not None and fault is not None:
-            self.halted = replace(self.halted, reason=f"{reason}: {summary_of(fault)}")
+        if found is not None:
+            role, reason, kind = found
+            self.stop(reason, role, kind)
 
     def _find_trouble(self) -> tuple[str, str, StopKind] | None:
         joints: dict[str, JointVector] = {}
         for role, arm in self._arms.items():
             # First: a thread that the host suspends in between finds no arm silent.
             now_s = self._clock.now_s()
-            seen = arm.observe()  # unlike `state`, never waits: the other arm moves meanwhile
+            seen = arm.observe()  # `state` may wait for a cause, and the other arm moves meanwhile
             if seen.state is not self._expected.get(role, seen.state):
                 kind = StopKind.HOLD if seen.state is Lifecycle.HOLD else StopKind.PROTECTIVE
-                return role, f"the {role} has gone to {seen.state}", kind
+                return role, _tell_state(role, seen), kind
             try:
                 joints[role] = self._joints(role, seen.reading, now_s)
             except OtherArmUnknown as error:
@@ -226,10 +218,6 @@ class ArmPair:
             words = f"{bodies} are {near.distance_mm:.1f} mm apart"
             return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
         return None
-
-    def _tell_state(self, role: str, state: Lifecycle) -> str:
-        fault = self._arms[role].fault
-        return f"the {role} has gone to {state}" + ("" if fault is None else f": {summary_of(fault)}")
 
     @contextmanager
     def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
@@ -298,8 +286,8 @@ class ArmPair:
     def _require_no_fault(self) -> None:
         """Halt both for a fault since the last motion, as for one on the way. Raises DUAL-001."""
         for role, arm in self._arms.items():
-            if (state := arm.state) is Lifecycle.FAULT:
-                self.stop(self._tell_state(role, state), role)
+            if arm.state is Lifecycle.FAULT:
+                self.stop(_tell_state(role, arm.observe()), role)
         self._require_released()
 
     def _require_released(self) -> None:
@@ -379,3 +367,8 @@ class ReplayedPair(ArmPair):
 
 def _other(role: str) -> str:
     return ASSISTANT if role == MASTER else MASTER
+
+
+def _tell_state(role: str, seen: LastKnown[ArmReading]) -> str:
+    why = "" if seen.fault is None else f": {summary_of(seen.fault)}"
+    return f"the {role} has gone to {seen.state}{why}"

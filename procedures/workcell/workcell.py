@@ -270,9 +270,8 @@ class Workcell(SupervisedArm):
             self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
-            known = (
-                self.surroundings or Surroundings()
-            )  # the arms of a theatre have the same radii and margins
+            # Margins and radii are those of the theatre, for both arms.
+            known = self.surroundings or Surroundings()
             bare = replace(known, obstacles=(), corridor=None, zone=None, tool=assistant.tool())
             self._pair.surround(ASSISTANT, bare)  # until its own surroundings are declared
         self._pair.place_assistant(base, uncertain_mm)

@@ -48,7 +48,7 @@ NO_GUIDE = GuideLimits(0.0, 0.0, 0.0, 0.0, 0)
 
 
 class CommandKind(IntEnum):
-    """What is requested."""
+    """Kind of a request, as its row has it."""
 
     MOVE = 1
     OPEN = 2

@@ -91,6 +91,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     workcell, assistant = context.workcell, context.workcell.assistant
     assert assistant is not None, "this step belongs to a case with two arms"
     workcell.mount.check(MountedTool.STEREO_HEAD)
+    context.request_instrument_removal()
     check_room(context, "before the arms are measured against each other")
     context.confirm(
         Topic.CALIBRATION,
@@ -151,7 +152,7 @@ def bring_arms_home(visits: ArmVisits) -> None:
     cell, assistant = visits.cell, visits.assistant
     if assistant.history.base is None or not cell.is_any_arm_out:  # that attempt knew the bases
         return
-    cell.place_assistant(assistant.base)
+    cell.place_assistant(assistant.base, assistant.history.base_uncertain_mm)
     surround_stereo_head(visits.context, cell.joints_rad())
     cell.start()
     cell.surround_assistant(visits.around())
@@ -266,7 +267,7 @@ STEP = StepSpec(
     "Measure both arms against each other",
     Phase.PREPARATION,
     run,
-    asks=(Topic.CALIBRATION,),
+    asks=(Topic.CALIBRATION, Topic.INSTRUMENT_OUT),
     reads=(CheckedPaths, *ROOM_READS, *READS),
     moves=True,
     relates_arms=True,

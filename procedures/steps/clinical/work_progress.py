@@ -102,8 +102,9 @@ def work_progress(context: StepContext) -> WorkProgress:
     if work_so_far is not None and work_so_far.trajectory == trajectory == instrument.inside:
         return work_so_far
     context.request_instrument_removal()
-    here = trajectory, context.workcell.history.journeys
-    earlier = work_so_far if work_so_far is not None and work_so_far.visit == here else None
+    journeys = context.workcell.history.journeys
+    is_same_visit = work_so_far is not None and work_so_far.visit == (trajectory, journeys)
+    earlier = work_so_far if is_same_visit else None
     if earlier is not None and len(earlier.done) == len(STAGES):  # interrupted when all was done
         return earlier
     before, set_before = _tasks_done(context), instrument.stages.stop_at(trajectory)
@@ -113,8 +114,8 @@ def work_progress(context: StepContext) -> WorkProgress:
             "was not watched then"
         )
         return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
-    work_so_far = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
-    work_so_far.journeys = here[1]
+    stop = set_depth_stop(context)
+    work_so_far = WorkProgress(trajectory, stop, before, list(before), journeys=journeys)
     if earlier is not None:
         work_so_far.watched, work_so_far.pushed_mm = earlier.watched, earlier.pushed_mm
     work_so_far.stop_read_s = context.setting.clock.now_s()

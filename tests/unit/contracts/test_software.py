@@ -10,7 +10,7 @@ from ronna_hw.software import LOCK, Software, identify_software
 
 @pytest.fixture(scope="module")
 def said() -> str:
-    """What the files of this version say: all of them are read for it."""
+    """Version and lock, as identified from all files: read once."""
     return str(identify_software())
 
 

@@ -242,7 +242,7 @@ def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell
 
 
 class HoldingAssistant(SimpleNamespace):
-    """As much of an assistant as the question about its holder needs."""
+    """Assistant with an instrument in its holder."""
 
     def __init__(self) -> None:
         super().__init__(history=SimpleNamespace(held=HeldInstrument("T1", 170.0, ())), emptied=0)

@@ -23,12 +23,14 @@ def visits(done: list[str], *out: str, base: object | None = "as before") -> Arm
         return lambda *_: done.append(what)
 
     def arm(name: str) -> SimpleNamespace:
-        place, history = SimpleNamespace(is_out=name in out), SimpleNamespace(base=base)
+        place = SimpleNamespace(is_out=name in out)
+        history = SimpleNamespace(base=base, base_uncertain_mm=20.0)
         return SimpleNamespace(place=place, history=history, base=base, return_home=noting(f"{name} home"))
 
     master, assistant = arm("master"), arm("assistant")
     master.joints_rad, master.start = lambda: None, noting("start")
-    master.place_assistant, master.surround_assistant = noting("place"), noting("surround")
+    master.place_assistant = lambda _base, uncertain_mm: done.append(f"place within {uncertain_mm:g} mm")
+    master.surround_assistant = noting("surround")
     master.is_any_arm_out, master.supervised_arms = bool(out), (master, assistant)
     made = SimpleNamespace(cell=master, assistant=assistant, context=None, around=lambda: None)
     return cast("ArmVisits", made)
@@ -36,7 +38,7 @@ def visits(done: list[str], *out: str, base: object | None = "as before") -> Arm
 
 def test_arms_that_a_fault_left_away_go_home_with_what_surrounds_them_known(done: list[str]) -> None:
     bring_arms_home(visits(done, "master", "assistant"))
-    assert done == ["place", "start", "surround", "master home", "assistant home"]
+    assert done == ["place within 20 mm", "start", "surround", "master home", "assistant home"]
 
 
 def test_an_arm_at_home_stays_there(done: list[str]) -> None:
