@@ -23,7 +23,10 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError
 from ronna_hw.host.shared_memory import MemoryMap, Word
 
-WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
+# Host time between two polls of a clock that another process advances, and the share of the time still to
+# wait, at the clock's own rate, after which the next poll is made: each interrupts what advances the clock.
+SHORTEST_POLL_S, LONGEST_POLL_S = 0.0002, 0.005
+POLL_SHARE = 0.5
 
 
 class ClockUnavailable(ConnectError):
@@ -95,7 +98,7 @@ def passing(clock: Clock, duration_s: float) -> Iterator[None]:
 
 
 # Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
-LAYOUT_VERSION = 5
+LAYOUT_VERSION = 6
 CLOCK = MemoryMap(b"RONNACLK")
 VERSION = CLOCK.word("I")
 PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
@@ -104,6 +107,7 @@ EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful 
 WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
 UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
 ALLOWED_NS = CLOCK.word("q")  # the latest theatre time that may pass although nobody waits for it
+TURN = CLOCK.word("I")  # number of the cyclic device that runs while others that stream wait
 
 
 class StreamRow(NamedTuple):
@@ -116,7 +120,10 @@ class StreamRow(NamedTuple):
 
 CYCLIC_DEVICES = 2  # the arms of a theatre
 STREAMS = tuple(StreamRow(CLOCK.word("q"), CLOCK.word("q"), CLOCK.word("I")) for _ in range(CYCLIC_DEVICES))
-FOR_TIME_TO_PASS, FOR_READER = 1, 2
+FOR_TIME_TO_PASS, FOR_READER, FOR_TURN = 1, 2, 3
+# Two devices that stream run in turns, in each until the one is this far ahead of the other: with each cycle
+# in step, processes that alternate on the same processors find cold caches, at twice the time per cycle.
+TURN_NS = 12_000_000
 ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
 # The longest time that a process asks for at once: one that was killed keeps time passing no longer.
 WISH_NS = 2_000_000_000
@@ -155,7 +162,7 @@ class SharedClock:
 
     While a cyclic device streams (the correction stream of a robot), only its cycles advance the time and
     everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
-    the lock. Two devices that stream keep step: the time is that of the slower one.
+    the lock. Two devices that stream take turns and keep step within `TURN_NS`; the slower one has the time.
     """
 
     def __init__(self, path: str, device: int = 0) -> None:
@@ -171,6 +178,8 @@ class SharedClock:
         except (OSError, ValueError) as error:
             self._file_closer()
             raise ClockUnavailable(f"{path} is too short for a clock file") from error
+        self._caller = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._caller_closer = weakref.finalize(self, self._caller.close)
         memory = self._memory
         if not CLOCK.is_marked(memory) or VERSION.read(memory) != LAYOUT_VERSION:
             self.close()
@@ -189,7 +198,7 @@ class SharedClock:
         VERSION.write(memory, LAYOUT_VERSION)
         PACED.write(memory, int(paced))
         TIME_NS.write(memory, begins_ns)
-        for word in (WANTED_NS, UNREAD_NS, ALLOWED_NS, *(word for row in STREAMS for word in row)):
+        for word in (WANTED_NS, UNREAD_NS, ALLOWED_NS, TURN, *(word for row in STREAMS for word in row)):
             word.write(memory, 0)
         EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
@@ -214,6 +223,7 @@ class SharedClock:
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
+        began_ns, began_s = self.now_ns(), time.monotonic()
         while (now_ns := self.now_ns()) < moment_ns:
             wanted_ns = min(moment_ns, now_ns + WISH_NS)
             # Without the lock: the time only grows, and so does the latest time wanted.
@@ -229,8 +239,10 @@ class SharedClock:
                         return
                     if WANTED_NS.read(self._memory) < wanted_ns:
                         WANTED_NS.write(self._memory, wanted_ns)
-                self._wake_devices()
-            time.sleep(WAIT_STEP_S)
+                self._wake_devices(FOR_TIME_TO_PASS, FOR_READER)
+            left = (moment_ns - now_ns) / max(1, now_ns - began_ns)  # in units of the time waited so far
+            waited_s = time.monotonic() - began_s if now_ns > began_ns else 0.0
+            time.sleep(min(LONGEST_POLL_S, max(SHORTEST_POLL_S, POLL_SHARE * left * waited_s)))
 
     def let_pass(self, duration_s: float) -> None:
         """Let a streaming device advance the time by `duration_s` at most, as while a motion is followed.
@@ -242,7 +254,7 @@ class SharedClock:
         moment_ns = self.now_ns() + round(duration_s * 1e9)
         if ALLOWED_NS.read(self._memory) < moment_ns:
             ALLOWED_NS.write(self._memory, moment_ns)
-        self._wake_devices()
+        self._wake_devices(FOR_TIME_TO_PASS, FOR_READER)
 
     def hold_back(self) -> None:
         """Have a streaming device rest as soon as nobody waits; another thread's `let_pass` ends as well."""
@@ -273,25 +285,26 @@ class SharedClock:
                 alarm.recv(1)
 
     @contextmanager
-    def rest(self, alarm: socket.socket, *, for_reader: bool = False) -> Iterator[None]:
+    def rest(self, alarm: socket.socket, reason: int = FOR_TIME_TO_PASS) -> Iterator[None]:
         """Have this cyclic device woken by its alarm, which is to be silenced after each wake.
 
-        What it sleeps for, `may_pass` or the end of `must_wait_for_reader`, is to be checked within first.
+        What it sleeps for, `may_pass` or the end of `must_wait_for_reader` or `must_wait_for_turn`, is to be
+        checked within first.
         """
-        self._stream.resting.write(self._memory, FOR_READER if for_reader else FOR_TIME_TO_PASS)
+        self._stream.resting.write(self._memory, reason)
+        if reason == FOR_TIME_TO_PASS:
+            self._wake_devices(FOR_TURN)  # it may be theirs
         try:
             yield
         finally:
             self._stream.resting.write(self._memory, 0)
 
-    def _wake_devices(self) -> None:
-        resting = [number for number, row in enumerate(STREAMS) if row.resting.read(self._memory)]
-        if not resting:
-            return
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as caller:
-            for number in resting:
+    def _wake_devices(self, *reasons: int) -> None:
+        """Ring the alarms of the devices that rest for one of these reasons."""
+        for number, row in enumerate(STREAMS):
+            if row.resting.read(self._memory) in reasons:
                 with contextlib.suppress(OSError):  # its alarm is already ringing, or it has ended
-                    caller.sendto(b"", f"{self._alarm_address}-{number}")
+                    self._caller.sendto(b"", f"{self._alarm_address}-{number}")
 
     def is_streaming(self) -> bool:
         """Whether a cyclic device controls the pace of time."""
@@ -304,8 +317,8 @@ class SharedClock:
     def advance_cycle(self, duration_ns: int) -> int:
         """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
 
-        With another device that streams, the time stands until its cycles have come as far: then this device
-        is to wait while `must_wait_for_device`.
+        Ahead of another device that streams, the time stands until that one has come as far; `TURN_NS` ahead,
+        this device is to wait while `must_wait_for_turn`.
         """
         if self._paced:
             return self.now_ns()
@@ -314,38 +327,51 @@ class SharedClock:
             ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())
-            self._keep_step()
-            if TIME_NS.read(memory) < ends_ns and WANTED_NS.read(memory) < ends_ns:
-                WANTED_NS.write(memory, ends_ns)
-        self._wake_devices()
+            slowest = self._keep_step()
+            is_over = slowest != self._device and ends_ns - STREAMS[slowest].time_ns.read(memory) >= TURN_NS
+            if is_over:
+                TURN.write(memory, slowest)
+                if WANTED_NS.read(memory) < ends_ns:
+                    WANTED_NS.write(memory, ends_ns)
+        if is_over:
+            self._wake_devices(FOR_TURN, FOR_TIME_TO_PASS)
         return self.now_ns()
 
-    def must_wait_for_device(self) -> bool:
-        """Whether another cyclic device has not come as far as this one."""
+    def must_wait_for_turn(self) -> bool:
+        """Whether it is the turn of another cyclic device, which streams and has a reason to go on."""
         memory = self._memory
-        if self._paced or TIME_NS.read(memory) >= self._stream.time_ns.read(memory):
+        if self._paced or (turn := TURN.read(memory)) == self._device:
             return False
-        with self._lock:  # it may have ended or fallen silent
+        with self._lock:
             self._stream.host_ns.write(memory, time.monotonic_ns())
             self._keep_step()
-        return TIME_NS.read(memory) < self._stream.time_ns.read(memory)
+            other = STREAMS[turn]
+            rests = other.resting.read(memory) == FOR_TIME_TO_PASS
+            if self._streams(other) and not (
+                rests and other.time_ns.read(memory) >= self._stream.time_ns.read(memory)
+            ):
+                return True
+            TURN.write(memory, self._device)  # the other has ended, has fallen silent or rests
+        return False
 
     def _cycle_start_ns(self) -> int:
         """Return the theatre time at which this device's next cycle begins."""
         now_ns = TIME_NS.read(self._memory)
         return max(now_ns, self._stream.time_ns.read(self._memory)) if self._streams(self._stream) else now_ns
 
-    def _keep_step(self) -> None:
-        """Let the time follow the slowest device that streams."""
-        reached = [row.time_ns.read(self._memory) for row in STREAMS if self._streams(row)]
-        if reached and min(reached) > TIME_NS.read(self._memory):
-            TIME_NS.write(self._memory, min(reached))
+    def _keep_step(self) -> int:
+        """Let the time follow the slowest device that streams; return its number, this one's if none does."""
+        memory = self._memory
+        reached = [(row.time_ns.read(memory), n) for n, row in enumerate(STREAMS) if self._streams(row)]
+        reached_ns, slowest = min(reached, default=(0, self._device))
+        if reached_ns > TIME_NS.read(memory):
+            TIME_NS.write(memory, reached_ns)
+        return slowest
 
     def expect_reader(self, moment_ns: int) -> None:
         """Set when the next individually read measurement is due; 0 clears it."""
         UNREAD_NS.write(self._memory, moment_ns)
-        if any(row.resting.read(self._memory) == FOR_READER for row in STREAMS):
-            self._wake_devices()
+        self._wake_devices(FOR_READER)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
         """Whether the next cycle would reach a measurement that no reader is waiting for yet."""
@@ -360,10 +386,11 @@ class SharedClock:
             self._stream.host_ns.write(self._memory, 0)
             if not self._paced:
                 self._keep_step()
-        self._wake_devices()
+        self._wake_devices(FOR_TIME_TO_PASS, FOR_READER, FOR_TURN)
 
     def close(self) -> None:
         """Release the shared memory; safe to call twice."""
+        self._caller_closer()
         self._memory.close()
         self._file_closer()
 

@@ -14,9 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from procedures.engine.setting import CaseMemory
 from procedures.guards.base_shift import GROSS_LIMIT_MM
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved, RoomUndecided
@@ -27,7 +24,7 @@ from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import posed_markers
-from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, robot_from_marker
+from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, flange_from_marker
 from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
@@ -35,9 +32,7 @@ from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, summary_of
-from ronna_hw.frames import Frame
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import Vector3, vector3
 
 SKIPPED_FRAMES = 3  # between two readings, unless in doubt
 SKIPPED_S = (SKIPPED_FRAMES - 0.5) * FRAME_S  # theatre time
@@ -212,6 +207,7 @@ class _WatchThread:
     _silence_reported: bool = False
     _pushed: bool = False
     _far_frames: int = 0
+    _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
@@ -327,22 +323,28 @@ class _WatchThread:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
         self._pushed = pushed
 
-    def _check_base(self, frame: TrackerFrame, begin_mm: Array | None) -> None:
-        """Compare the frame on the arm with the arm, which had it at `begin_mm` (3,) before this frame."""
+    def _check_base(self, frame: TrackerFrame, begin_mm: Vector3 | None) -> None:
+        """Compare the frame on the arm with the arm, which had it at `begin_mm` before this frame."""
         reading, end_mm = frame.tool(self.workcell.calibrations.tracker_frame.tool), self._frame_by_arm_mm()
-        if reading.validity is not Validity.OK or begin_mm is None or end_mm is None:
+        seen_mm = reading.position_mm if reading.validity is Validity.OK else None
+        if seen_mm is None or begin_mm is None or end_mm is None:
             return
-        off_mm = self.room.frame_off_arm_mm(reading.transform(Frame.TRACKER, Frame.MARKER), begin_mm, end_mm)
+        off_mm = self.room.frame_off_arm_mm(seen_mm, begin_mm, end_mm)
         self._far_frames = 0 if off_mm is None else self._far_frames + 1
         if self.base_mm is None and self._far_frames == FAR_FRAMES:
             self.base_mm = off_mm
             self._raise_alarm(BASE_MOVED, stop=True)
             self._far_frames = 0
 
-    def _frame_by_arm_mm(self) -> Array | None:
-        """Return the last known position (3,) of the frame on the arm, robot frame, or None."""
+    def _frame_by_arm_mm(self) -> Vector3 | None:
+        """Return the last known position of the frame on the arm, robot frame, or None."""
         known = self.workcell.arm.observe().reading
-        return None if known is None else robot_from_marker(self.workcell, known.joints_rad).translation_mm
+        if known is None:
+            return None
+        if self._flange_from_frame_mm is None:
+            self._flange_from_frame_mm = vector3(flange_from_marker(self.workcell).translation_mm)
+        flange = self.workcell.calibrated.forward(known.joints_rad)  # in plain floats: twice in each frame
+        return flange.apply(self._flange_from_frame_mm)
 
     def _raise_alarm(self, why: str, *, stop: bool) -> None:
         self._stop_wanted |= stop

@@ -37,6 +37,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import Vector3
 
 Array = NDArray[np.float64]
 
@@ -257,18 +258,18 @@ class RoomWatch:
         """Return a shift over its limit, else the most tightly limited one, or None without a reference."""
         return base_shift(self.references, reading, self._before_push)
 
-    def frame_off_arm_mm(self, seen: Transform, begin_mm: Array, end_mm: Array) -> float | None:
+    def frame_off_arm_mm(self, seen_mm: Vector3, begin_mm: Vector3, end_mm: Vector3) -> float | None:
         """Return the distance of the frame on a moving arm from the arm's way, or None within the limit.
 
-        `seen` is its pose TRACKER <- MARKER in one tracker frame. The arm had it at `begin_mm` (3,) before
+        `seen_mm` is its position in one tracker frame, tracker frame. The arm had it at `begin_mm` before
         that frame and at `end_mm` after it, robot frame. The limit grows by the way between: the arm may
         report late.
         """
-        way_mm = end_mm - begin_mm
-        seen_mm = (self.robot_from_tracker @ seen).translation_mm
-        length_mm = float(np.linalg.norm(way_mm))
-        share = float((seen_mm - begin_mm) @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
-        off_mm = float(np.linalg.norm(seen_mm - begin_mm - min(1.0, max(0.0, share)) * way_mm))
+        way_mm = np.subtract(end_mm, begin_mm)
+        gone_mm = self.robot_from_tracker.apply(seen_mm) - begin_mm
+        length_mm = math.hypot(*way_mm)
+        share = float(gone_mm @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
+        off_mm = math.hypot(*(gone_mm - min(1.0, max(0.0, share)) * way_mm))
         return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
 
 

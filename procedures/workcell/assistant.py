@@ -37,7 +37,7 @@ from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3, vector3
 
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
@@ -210,7 +210,7 @@ class Assistant(SupervisedArm):
         if not tip_mm:
             return bodies
         clamp = self.flange_from_clamp
-        middle, tip = (_vector(clamp.apply((0.0, 0.0, z))) for z in (0.0, tip_mm))
+        middle, tip = (vector3(clamp.apply((0.0, 0.0, z))) for z in (0.0, tip_mm))
         return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
     # Motion
@@ -316,7 +316,7 @@ class Assistant(SupervisedArm):
 
     def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start
-        return PlannedMotion(what, "the instrument", _vector(end.translation_mm), legs, axis=axis)
+        return PlannedMotion(what, "the instrument", vector3(end.translation_mm), legs, axis=axis)
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
         """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""
@@ -331,8 +331,3 @@ class Assistant(SupervisedArm):
             )
         if (inside := self._instrument_inside()) is not None:
             raise InstrumentInGuide(f"{motion.what}: an instrument is in the guide, and in {inside}")
-
-
-def _vector(values: object) -> Vector3:
-    x, y, z = (float(value) for value in values)  # type: ignore[attr-defined]
-    return (x, y, z)

@@ -33,9 +33,13 @@ MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
     """Return the reference frame's pose ROBOT <- MARKER at these joints."""
+    return workcell.flange_pose(joints_rad) @ flange_from_marker(workcell)
+
+
+def flange_from_marker(workcell: Workcell) -> Transform:
+    """Return the reference frame's place on the arm, FLANGE <- MARKER."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    flange = workcell.flange_pose(joints_rad)
-    return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
+    return workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
 
 
 def read_frames_at_rest(

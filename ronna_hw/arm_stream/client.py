@@ -78,7 +78,11 @@ class LinkClient:
         Mailbox.initialise(self._memory_fd)
         self.mailbox = Mailbox(self._memory_fd)
         self._settings = replace(
-            settings, mailbox_fd=self._memory_fd, event_fd=self._event_fd, keeps_bytes=on_traffic is not None
+            settings,
+            mailbox_fd=self._memory_fd,
+            event_fd=self._event_fd,
+            keeps_pace=self._clock.paced,
+            keeps_bytes=on_traffic is not None,
         )
         self._on_traffic = on_traffic
         self.surroundings = Surroundings()  # used to monitor the next motions

@@ -60,6 +60,7 @@ class StreamLoop(ABC):
         self._mailbox = mailbox
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)
+        self._may_be_paced = settings.keeps_pace
         self._keeps_bytes = settings.keeps_bytes
         self._received_ns = 0  # arrival of the last telegram
         self._last_reply = b""
@@ -106,7 +107,7 @@ class StreamLoop(ABC):
         self._sent_ns = sent_ns = time.monotonic_ns()
         is_short = self._received_ns - self._answered_ns <= self._paced_ns
         self._short_gaps = self._short_gaps + 1 if is_short else 0
-        if self._short_gaps < LOCK_STEP_GAPS:
+        if self._may_be_paced and self._short_gaps < LOCK_STEP_GAPS:
             if self._receiver.keeps_pace:  # before anything else: a peer on this processor waits for it
                 time.sleep(YIELD_S)
             self._lock_step_cycles = 0

@@ -35,6 +35,7 @@ class StreamSettings:
     settle_tolerance_deg: float
     real_time_priority: int
     rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
+    keeps_pace: bool = True  # telegrams may come at the host's pace; False: theatre time does not follow it
     force_filter_s: float = 0.0  # of the estimated force on the tool; 0: the arm estimates none
     force_at_rest_N: float = 0.0  # above, no motion with a force limit starts
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch

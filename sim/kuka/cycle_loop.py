@@ -16,6 +16,7 @@ import select
 import socket
 import time
 
+from ronna_hw.clock import FOR_READER, FOR_TURN
 from ronna_hw.logs import logger
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.autostart import Autostart
@@ -241,21 +242,21 @@ class CycleLoop:
     def _advance(self, cycle_ns: int) -> None:
         """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame.
 
-        The other arm, if it streams, then comes as far.
+        Then the other arm has its turn, if it streams and is too far behind.
         """
         limit_s = time.monotonic() + READER_WAIT_S
         while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
             if time.monotonic() > limit_s:
                 self._clock.expect_reader(0)  # it has stopped reading
                 break
-            with self._clock.rest(self._alarm, for_reader=True):
+            with self._clock.rest(self._alarm, FOR_READER):
                 if self._clock.must_wait_for_reader(cycle_ns):
                     select.select([self._alarm], (), (), IDLE_WAIT_S)
                     self._clock.silence(self._alarm)
         self._clock.advance_cycle(cycle_ns)
-        while self._clock.must_wait_for_device() and not self._ending:
-            with self._clock.rest(self._alarm):
-                if self._clock.must_wait_for_device() and self._wait_once(IDLE_WAIT_S, self._alarm):
+        while self._clock.must_wait_for_turn() and not self._ending:
+            with self._clock.rest(self._alarm, FOR_TURN):
+                if self._clock.must_wait_for_turn() and self._wait_once(IDLE_WAIT_S, self._alarm):
                     self._clock.silence(self._alarm)
 
     def _update_display(self) -> None:

@@ -16,6 +16,7 @@ import os
 import time
 from collections.abc import Callable
 
+from ronna_hw.clock import FOR_READER, FOR_TURN
 from ronna_hw.wire.universal_robots import SEQUENCE_INPUT
 from sim.universal_robots.arm_in_world import ArmInWorld
 from sim.universal_robots.connections import Poll
@@ -226,11 +227,11 @@ class CycleLoop:
             if time.monotonic() > limit_s:
                 self._clock.expect_reader(0)  # it has stopped reading
                 break
-            with self._clock.rest(self._alarm, for_reader=True):
+            with self._clock.rest(self._alarm, FOR_READER):
                 if self._clock.must_wait_for_reader(self._cycle_ns):
                     self._poll.serve(IDLE_WAIT_S)
         self._clock.advance_cycle(self._cycle_ns)
-        while self._clock.must_wait_for_device() and not self._ending:  # until the other arm comes as far
-            with self._clock.rest(self._alarm):
-                if self._clock.must_wait_for_device():
+        while self._clock.must_wait_for_turn() and not self._ending:
+            with self._clock.rest(self._alarm, FOR_TURN):
+                if self._clock.must_wait_for_turn():
                     self._poll.serve(IDLE_WAIT_S)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from procedures.steps.clinical import relocalization
 from procedures.workcell import MountedTool
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import Vector3, vector3
 
 pytestmark = pytest.mark.hazard(13)
 
@@ -85,19 +86,17 @@ def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp
 
 def test_no_frame_within_reach_of_the_arms_report_is_taken_for_a_moved_cart() -> None:
     watch = TrackedCase(3).begin()
-    here, way = np.zeros(3), np.array([100.0, 0.0, 0.0])  # the arm moved by 100 mm during one frame
+    here, way = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)  # the arm moved by 100 mm during one frame
 
-    def off_mm(place_mm: Sequence[float], end_mm: np.ndarray) -> float | None:
-        seen = watch.robot_from_tracker.inverse() @ Transform.of(
-            Frame.ROBOT, Frame.MARKER, translation_mm=place_mm
-        )
-        return watch.frame_off_arm_mm(seen, here, end_mm)
+    def off_mm(place_mm: Vector3, end_mm: Vector3) -> float | None:
+        seen_mm = vector3(watch.robot_from_tracker.inverse().apply(place_mm))
+        return watch.frame_off_arm_mm(seen_mm, here, end_mm)
 
     assert off_mm((0.0, GROSS_LIMIT_MM - 0.1, 0.0), here) is None
     assert off_mm((0.0, GROSS_LIMIT_MM + 0.1, 0.0), here) == pytest.approx(GROSS_LIMIT_MM + 0.1)
-    assert off_mm((0.5 * way).tolist(), way) is None
-    assert off_mm((2.0 * way).tolist(), way) is None  # reported one frame late
-    assert off_mm((2.2 * way).tolist(), way) == pytest.approx(120.0)
+    assert off_mm((50.0, 0.0, 0.0), way) is None
+    assert off_mm((200.0, 0.0, 0.0), way) is None  # reported one frame late
+    assert off_mm((220.0, 0.0, 0.0), way) == pytest.approx(120.0)
 
 
 def test_a_plain_move_is_noticed_in_a_pose_that_was_never_seen_before() -> None:

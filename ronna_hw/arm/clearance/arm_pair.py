@@ -26,7 +26,7 @@ from ronna_hw.arm.kinematics import COLUMN_NAME, Kinematics
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import drive_states
 from ronna_hw.arm.pose import Pose
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, vector3
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class PlacedArm:
         return tuple(
             Obstacle(
                 f"{name} of the {self.name}",
-                Capsule(_vector(start), _vector(end), radius + grown_mm).moved(to_other),
+                Capsule(vector3(start), vector3(end), radius + grown_mm).moved(to_other),
             )
             for name, radius, (start, end) in zip(
                 self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
@@ -272,8 +272,3 @@ def _turn_towards(along: Array, length: float) -> Array:
         return np.diag([1.0, -1.0, -1.0])
     k = 1.0 / (1.0 + z)
     return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
-
-
-def _vector(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return (x, y, z)

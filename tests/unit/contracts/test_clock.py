@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from ronna_hw.clock import CLOCK, ClockUnavailable, SharedClock, open_clock
+from ronna_hw.clock import CLOCK, FOR_READER, FOR_TURN, TURN_NS, ClockUnavailable, SharedClock, open_clock
 
 CYCLE_NS = 4_000_000
 
@@ -153,7 +153,7 @@ def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_m
     robot.advance_cycle(CYCLE_NS)
     with robot.open_alarm() as alarm:
         tracker.expect_reader(2 * CYCLE_NS)
-        with robot.rest(alarm, for_reader=True):
+        with robot.rest(alarm, FOR_READER):
             assert robot.must_wait_for_reader(CYCLE_NS)
             waiting = threading.Thread(target=tracker.wait_until_ns, args=(2 * CYCLE_NS,), daemon=True)
             waiting.start()
@@ -162,7 +162,7 @@ def test_a_device_that_rests_for_a_reader_is_woken_by_its_request_and_its_next_m
         assert not robot.must_wait_for_reader(CYCLE_NS)
         robot.advance_cycle(CYCLE_NS)
         waiting.join(5.0)
-        with robot.rest(alarm, for_reader=True):
+        with robot.rest(alarm, FOR_READER):
             assert robot.must_wait_for_reader(CYCLE_NS)  # the measurement is not taken yet
             tracker.expect_reader(4 * CYCLE_NS)
             assert select.select([alarm], (), (), 5.0)[0]
@@ -205,29 +205,51 @@ def arms(path: str) -> tuple[SharedClock, SharedClock]:
     return master, assistant
 
 
-def test_two_streaming_devices_keep_step(arms: tuple[SharedClock, SharedClock]) -> None:
+def _run_turn(device: SharedClock, limit_ns: int = 4 * TURN_NS) -> int:
+    """Run cycles until the turn is another's; returns the theatre time that they took, ns."""
+    ran_ns = 0
+    while not device.must_wait_for_turn() and ran_ns < limit_ns:
+        device.advance_cycle(CYCLE_NS)
+        ran_ns += CYCLE_NS
+    return ran_ns
+
+
+def test_two_streaming_devices_take_turns(arms: tuple[SharedClock, SharedClock]) -> None:
     master, assistant = arms
-    assistant.advance_cycle(CYCLE_NS)
-    assert assistant.must_wait_for_device()
-    master.advance_cycle(CYCLE_NS // 2)
-    assert master.now_ns() == 2 * CYCLE_NS + CYCLE_NS // 2
-    master.advance_cycle(CYCLE_NS // 2)
-    assert not assistant.must_wait_for_device()
-    assert not master.must_wait_for_device()
+    began_ns = master.now_ns()
+    assert assistant.must_wait_for_turn()
+    assert _run_turn(master) == TURN_NS
+    assert master.now_ns() == began_ns
+    assert _run_turn(assistant) == 2 * TURN_NS
+    assert master.now_ns() == began_ns + TURN_NS
+    assert _run_turn(master) == 2 * TURN_NS
 
 
-def test_a_device_that_waits_for_another_wakes_it(arms: tuple[SharedClock, SharedClock]) -> None:
+def test_a_device_at_the_end_of_its_turn_wakes_the_other(arms: tuple[SharedClock, SharedClock]) -> None:
     master, assistant = arms
     with assistant.open_alarm() as alarm, assistant.rest(alarm):
         assert not assistant.may_pass()
-        master.advance_cycle(CYCLE_NS)
+        _run_turn(master)
         assert select.select([alarm], (), (), 5.0)[0]
         assert assistant.may_pass()
 
 
+def test_a_device_that_rests_leaves_its_turn_to_the_other(arms: tuple[SharedClock, SharedClock]) -> None:
+    master, assistant = arms
+    with (
+        assistant.open_alarm() as alarm,
+        master.open_alarm() as masters_alarm,
+        assistant.rest(alarm, FOR_TURN),
+        master.rest(masters_alarm),
+    ):
+        assert select.select([alarm], (), (), 5.0)[0]
+        assert _run_turn(assistant) == TURN_NS
+        assert master.may_pass()
+
+
 def test_a_device_that_ends_its_stream_holds_no_other_up(arms: tuple[SharedClock, SharedClock]) -> None:
     master, assistant = arms
-    master.advance_cycle(CYCLE_NS)
-    assert master.must_wait_for_device()
+    _run_turn(master)
+    assert master.must_wait_for_turn()
     assistant.end_stream()
-    assert not master.must_wait_for_device()
+    assert not master.must_wait_for_turn()
