@@ -17,10 +17,10 @@ from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
-from ronna_hw.arm_stream.insertion import plan_insertion, travel_along_axis_mm
+from ronna_hw.arm_stream.insertion import has_begun, plan_insertion, travel_along_axis_mm
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
-from ronna_hw.arm_stream.records import NO_STATE, Phase, RecordedCycle, StopOrder
+from ronna_hw.arm_stream.records import NO_LIMIT, NO_STATE, ForceLimit, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.capabilities import ByteSink, Fact
@@ -301,7 +301,8 @@ class StreamedArm(ABC, Generic[S]):
         start_rad = self.connections.link.state.commanded_rad
         line = plan_insertion(self.kinematics, start_rad, insertion, self.limits(self._stream_mode()))
         before = self.read_state().joints_rad
-        reading = self._move("insert", line, timeout_s, limit_N or 0.0)
+        goes_on = has_begun(self.kinematics, start_rad, insertion)
+        reading = self._move("insert", line, timeout_s, ForceLimit(limit_N or 0.0, goes_on))
         travel_mm = travel_along_axis_mm(self.kinematics, before, reading.joints_rad, insertion)
         peak_N = self.connections.link.state.peak_force_N if limit_N is not None else None
         return Inserted(reading, travel_mm, peak_N)
@@ -346,7 +347,7 @@ class StreamedArm(ABC, Generic[S]):
     def surround(self, surroundings: Surroundings) -> None:
         self._planner.surroundings = surroundings
 
-    def _move(self, call: str, motion: Motion, timeout_s: float, force_limit_N: float = 0.0) -> ArmReading:
+    def _move(self, call: str, motion: Motion, timeout_s: float, force: ForceLimit = NO_LIMIT) -> ArmReading:
         self._watch.raise_new()
         open_link = self.connections.open_link
         stop_count = (
@@ -358,7 +359,7 @@ class StreamedArm(ABC, Generic[S]):
         link.surround(self._planner.surroundings)
         clear_plan = self._planner.clear_plan(planned, mode)
         try:
-            state = self._follower.follow(clear_plan, stop_count, timeout_s, force_limit_N)
+            state = self._follower.follow(clear_plan, stop_count, timeout_s, force)
         except ForceLimitExceeded:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
             raise

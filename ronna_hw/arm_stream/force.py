@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import exp, hypot, isfinite
 
+from ronna_hw.arm_stream.records import ForceLimit
 from ronna_hw.vectors import Vector3
 
 REST_FILTER_S = 0.1  # of the force at rest, by which an estimate is tared
@@ -21,7 +22,7 @@ class ForceWatch:
         self._rest_limit_N = rest_limit_N
         self._rest_cycles = 0
         self._at_rest: Vector3 = NO_FORCE
-        self._tare: Vector3 = NO_FORCE
+        self._tare: Vector3 | None = None
         self._limit_N = 0.0  # none
         self._is_number = True
         self.filtered_N: Vector3 = NO_FORCE
@@ -30,7 +31,7 @@ class ForceWatch:
     @property
     def change_N(self) -> Vector3:
         """Force that has been added since the motion began."""
-        (x, y, z), (a, b, c) = self.filtered_N, self._tare
+        (x, y, z), (a, b, c) = self.filtered_N, self._tare or NO_FORCE
         return x - a, y - b, z - c
 
     @property
@@ -38,13 +39,18 @@ class ForceWatch:
         """Whether the motion under way must stop."""
         return self._limit_N > 0.0 and not (self._is_number and self.peak_N <= self._limit_N)
 
-    def begin(self, limit_N: float) -> bool:
-        """Tare and watch this limit; False if a force acts already, or the force at rest is not known."""
+    def begin(self, force: ForceLimit) -> bool:
+        """Tare and watch this limit; False if a force acts already, or the force at rest is not known.
+
+        A motion that goes on keeps the tare of the one before, if this process has watched that.
+        """
         if self._rest_cycles < self._least_rest_cycles or not self._is_number:
             return False
         if not hypot(*self._at_rest) <= self._rest_limit_N:
             return False
-        self._tare, self._limit_N, self.peak_N = self._at_rest, limit_N, 0.0
+        if not force.goes_on or self._tare is None:
+            self._tare = self._at_rest
+        self._limit_N, self.peak_N = force.limit_N, 0.0
         return True
 
     def end(self) -> None:

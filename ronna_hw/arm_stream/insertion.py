@@ -14,6 +14,7 @@ from ronna_hw.vectors import JointVector
 
 OFF_AXIS_MM = 0.2  # proposed requirement DA-5: what a guide takes without bending the instrument
 OFF_AXIS_RAD = radians(0.2)
+BEGUN_MM = 1.0  # past the start of its line: more than an arm rests beside a set-point
 # Of a target from the z axis at the start of its line: five times what the errors of an uncalibrated arm
 # change along an axis of 160 mm, by simulated arms.
 BENT_MM, BENT_RAD = 1.0, radians(1.0)
@@ -65,6 +66,14 @@ def _require_within(found: tuple[float, float], limit: tuple[float, float], what
             limit=f"{limit[0]:g} mm and {degrees(limit[1]):g} deg",
             got=f"{found[0]:.3f} mm and {degrees(found[1]):.3f} deg",
         )
+
+
+def has_begun(kinematics: Kinematics, here_rad: JointVector, insertion: Insertion) -> bool:
+    """Whether the tool is past the start of its line, as when an insertion goes on after a stop."""
+    if insertion.start is None:
+        return False
+    tool = kinematics.flange_pose(here_rad) @ insertion.flange_from_tool
+    return float((insertion.start.inverse() @ tool).translation_mm[2]) > BEGUN_MM
 
 
 def travel_along_axis_mm(

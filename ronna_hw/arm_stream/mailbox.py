@@ -25,6 +25,7 @@ from ronna_hw.arm_stream.records import (
     CloseStream,
     Command,
     EndStream,
+    ForceLimit,
     Guide,
     LinkState,
     Move,
@@ -85,6 +86,7 @@ class CommandRow(NamedTuple):
     tool_in_flange_mm: Annotated[Vector3, "3d"] = (0.0,) * 3
     speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"] = (0.0,) * (2 * MOST_STEPS)
     force_limit_N: Annotated[float, "d"] = 0.0
+    force_goes_on: Annotated[bool, "B"] = False
     guide: Annotated[tuple[float, ...], f"{len(NO_GUIDE)}d"] = NO_GUIDE
 
 
@@ -285,7 +287,7 @@ def _to_row(command: Command, surroundings_number: int) -> CommandRow:
                 start_rad=axes_rad or NO_JOINTS,
                 arm_limits=limits.as_numbers(),
             )
-        case Move(plan, force_limit_N):
+        case Move(plan, force):
             steps = [value for step in plan.speed_steps for value in step]
             target = plan.target or Pose()
             return row._replace(
@@ -298,7 +300,8 @@ def _to_row(command: Command, surroundings_number: int) -> CommandRow:
                 target_rotation=target.rotation,
                 tool_in_flange_mm=plan.tool_in_flange_mm,
                 speed_steps=(*steps, *row.speed_steps[len(steps) :]),
-                force_limit_N=force_limit_N,
+                force_limit_N=force.limit_N,
+                force_goes_on=force.goes_on,
             )
         case Guide(guide, force_limit_N):
             return row._replace(guide=guide, force_limit_N=force_limit_N)
@@ -308,7 +311,7 @@ def _to_row(command: Command, surroundings_number: int) -> CommandRow:
 def _to_request(row: CommandRow) -> Request:
     match row.kind:
         case CommandKind.MOVE:
-            return Move(_to_plan(row), row.force_limit_N)
+            return Move(_to_plan(row), ForceLimit(row.force_limit_N, bool(row.force_goes_on)))
         case CommandKind.OPEN:
             axes_rad = row.start_rad if row.has_axes else None
             return OpenStream(MotionLimits.from_numbers(row.arm_limits), axes_rad)

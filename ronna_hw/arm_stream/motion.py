@@ -17,7 +17,7 @@ from ronna_hw.arm_stream.connections import StreamConnections
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.guided import GuideLimits
-from ronna_hw.arm_stream.records import Guide, LinkState, Move, Result, StopOrder
+from ronna_hw.arm_stream.records import NO_LIMIT, ForceLimit, Guide, LinkState, Move, Result, StopOrder
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
@@ -79,7 +79,7 @@ class MotionFollower(Generic[S]):
         return self._connections.faults
 
     def follow(
-        self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float = 0.0
+        self, plan: MotionPlan, stop_count: int, timeout_s: float, force: ForceLimit = NO_LIMIT
     ) -> LinkState:
         """Execute a plan and return the final state; more than `stop_count` stops prevent or stop it.
 
@@ -90,7 +90,7 @@ class MotionFollower(Generic[S]):
         if not self._motion_lock.acquire(blocking=False):
             raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         try:
-            return self._execute(plan, stop_count, timeout_s, force_limit_N)
+            return self._execute(plan, stop_count, timeout_s, force)
         finally:
             self._motion_lock.release()
 
@@ -151,11 +151,9 @@ class MotionFollower(Generic[S]):
             self._watch.latch(error)
             raise
 
-    def _execute(
-        self, plan: MotionPlan, stop_count: int, timeout_s: float, force_limit_N: float
-    ) -> LinkState:
+    def _execute(self, plan: MotionPlan, stop_count: int, timeout_s: float, force: ForceLimit) -> LinkState:
         link = self._connections.link
-        number = link.command(Move(plan, force_limit_N), stop_count)
+        number = link.command(Move(plan, force), stop_count)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
         faulted_cycles: int | None = None  # when a fault was first seen
@@ -194,7 +192,7 @@ class MotionFollower(Generic[S]):
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
         if state.result is Result.FORCE:
-            raise self._faults.force_error(state, force_limit_N)
+            raise self._faults.force_error(state, force.limit_N)
         if state.result is Result.STOPPED:
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)

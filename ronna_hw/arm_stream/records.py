@@ -134,11 +134,21 @@ class OpenStream(NamedTuple):
     axes_rad: JointVector | None = None  # recognise the controller's first telegram; None: any
 
 
+class ForceLimit(NamedTuple):
+    """Limit of the change of the force on the tool during a motion."""
+
+    limit_N: float = 0.0  # 0: none
+    goes_on: bool = False  # with the motion before: its tare is kept, so what presses at rest counts
+
+
+NO_LIMIT = ForceLimit()
+
+
 class Move(NamedTuple):
     """Follow a planned path."""
 
     plan: MotionPlan
-    force_limit_N: float = 0.0  # 0: none
+    force: ForceLimit = NO_LIMIT
 
 
 class Guide(NamedTuple):

@@ -31,6 +31,7 @@ from ronna_hw.arm_stream.records import (
     Command,
     EndStream,
     Fault,
+    ForceLimit,
     Guide,
     LinkState,
     Move,
@@ -312,8 +313,9 @@ class StreamSession(ABC):
             return Result.REFUSED_BUSY
         if isinstance(motion, Move) and not _starts_at(motion.plan, points.last_rad):
             return Result.REFUSED_START
-        if (motion.force_limit_N or isinstance(motion, Guide)) and not (
-            self._force is not None and self._force.begin(motion.force_limit_N)
+        force = motion.force if isinstance(motion, Move) else ForceLimit(motion.force_limit_N)
+        if (force.limit_N or isinstance(motion, Guide)) and not (
+            self._force is not None and self._force.begin(force)
         ):
             return Result.REFUSED_LOADED
         self._is_force_exceeded = False

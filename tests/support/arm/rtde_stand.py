@@ -20,7 +20,17 @@ from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.arm_stream.records import Command, Move, OpenStream, Orders, Request, Result, StopOrder
+from ronna_hw.arm_stream.records import (
+    NO_LIMIT,
+    Command,
+    ForceLimit,
+    Move,
+    OpenStream,
+    Orders,
+    Request,
+    Result,
+    StopOrder,
+)
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.universal_robots import RuntimeState, ScriptState
 
@@ -81,8 +91,8 @@ class RtdeStand:
         if not self.goals:
             self.session.execute_command(command)
 
-    def move(self, target: JointVector = FAR, force_limit_N: float = 0.0) -> None:
-        self.give(Move(plan_joint_move(MODEL, self.goal, target, self.limits), force_limit_N))
+    def move(self, target: JointVector = FAR, force: ForceLimit = NO_LIMIT) -> None:
+        self.give(Move(plan_joint_move(MODEL, self.goal, target, self.limits), force))
 
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind

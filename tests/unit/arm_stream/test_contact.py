@@ -10,8 +10,8 @@ from rtde_stand import CYCLE_S, FAR, LIMITS, MODEL, START, RtdeStand, streaming
 from ronna_hw.arm.errors import InsertionInvalid
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
-from ronna_hw.arm_stream.insertion import plan_insertion
-from ronna_hw.arm_stream.records import Guide, Result
+from ronna_hw.arm_stream.insertion import has_begun, plan_insertion
+from ronna_hw.arm_stream.records import ForceLimit, Guide, Result, StopOrder
 from ronna_hw.devices.contact import HandGuidance, Insertion
 from ronna_hw.frames import Frame, Transform
 
@@ -30,7 +30,7 @@ def resting(force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RtdeStand:
 
 
 def move(stand: RtdeStand, limit_N: float) -> None:
-    stand.move(force_limit_N=limit_N)
+    stand.move(force=ForceLimit(limit_N))
 
 
 def guide(stand: RtdeStand, limits: GuideLimits = GUIDE) -> None:
@@ -63,6 +63,21 @@ def test_a_force_below_the_limit_or_a_bias_does_not_stop_a_motion() -> None:
     stand.run()
     assert stand.session.result is Result.DONE
     assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(28.0, abs=0.1)
+
+
+@pytest.mark.hazard(56)
+@pytest.mark.parametrize(("goes_on", "end"), [(True, Result.FORCE), (False, Result.DONE)])
+def test_what_presses_while_a_motion_is_held_counts_once_it_goes_on(goes_on: bool, end: Result) -> None:
+    stand = resting()
+    move(stand, 30.0)
+    stand.cycles(200)
+    stand.stop(StopOrder.HOLD)
+    stand.force_N = (0.0, 0.0, 14.0)
+    stand.cycles(2 * REST_CYCLES)
+    stand.move(force=ForceLimit(30.0, goes_on))
+    stand.force_N = (0.0, 0.0, 31.0)
+    stand.run()
+    assert stand.session.result is end
 
 
 def test_a_force_at_the_start_cannot_be_tared_away() -> None:
@@ -181,3 +196,8 @@ def test_a_calibrated_arm_is_led_along_the_line_that_its_errors_bend() -> None:
     """From any place on it, as after a stop."""
     end, start = target(120.0, aside_mm=0.4), target(-40.0, aside_mm=-0.4 / 3.0)
     assert plan_insertion(MODEL, START, Insertion(end, TOOL, start=start), LIMITS).target is end
+
+
+@pytest.mark.parametrize(("start", "begun"), [(None, False), (target(-0.5), False), (target(-40.0), True)])
+def test_an_insertion_goes_on_once_it_is_past_its_start(start: Transform | None, begun: bool) -> None:
+    assert has_begun(MODEL, START, Insertion(target(20.0), TOOL, start=start)) is begun
