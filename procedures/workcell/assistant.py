@@ -37,7 +37,7 @@ from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector, Vector3, vector3
+from ronna_hw.vectors import JointVector, vector3
 
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
