@@ -55,7 +55,6 @@ from procedures.reporting.second_reading import UNREADABLE, as_text, second_read
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -73,6 +72,7 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically

@@ -20,7 +20,6 @@ from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.insertion_axis import surround_at_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
@@ -29,6 +28,7 @@ from procedures.steps.clinical.surroundings import (
     surround_guide,
     surround_stereo_head,
 )
+from procedures.steps.clinical.two_arms.insertion_axis import surround_at_guide
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import stands_at
 from procedures.workcell.assistant import Assistant

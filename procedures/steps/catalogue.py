@@ -14,7 +14,6 @@ from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answ
 from procedures.steps.branches import BRANCHES, HOLD
 from procedures.steps.clinical import (
     at_target,
-    base_to_base,
     cart_lock,
     confirmation,
     correspondence,
@@ -34,6 +33,7 @@ from procedures.steps.clinical import (
     tool_check,
 )
 from procedures.steps.clinical.at_target import DONE
+from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.work_progress import STAGES
 
 CLINICAL_STEPS: Steps = (

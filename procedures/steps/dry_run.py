@@ -14,9 +14,6 @@ from procedures.engine.setting import CaseSetting
 from procedures.planning.motions import BACK, LINE, MOVE
 from procedures.planning.pose_name import HOME, PoseKind, PoseName
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE
-from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
-from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview, motions_over_spheres
@@ -27,6 +24,9 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.surroundings import planning_scene
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
+from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE
+from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
+from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import BORE_SPEED_MM_S

@@ -40,8 +40,8 @@ from ronna_hw.preview import plan_motion
 from ronna_hw.vectors import JointVector
 
 OLDEST_S = 0.1  # what is known of an arm while another moves
-# The arms keep step there: a state is old because the host is busy, or because its arm stands still and the clock
-# (`STREAM_SILENCE_NS`, 2.5 s) has just let the other one go on without it.
+# The arms keep step there: a state is old because the host is busy, or because its arm stands still and the
+# clock (`STREAM_SILENCE_NS`, 2.5 s) has just let the other one go on without it.
 OLDEST_IN_LOCK_STEP_S = 2.4
 WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at 250 mm/s, of the 30 mm kept
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre

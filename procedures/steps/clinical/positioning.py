@@ -19,7 +19,6 @@ from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
-from procedures.steps.clinical.base_to_base import require_platforms_unmoved
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -35,6 +34,7 @@ from procedures.steps.clinical.surroundings import READS, surround_guide
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
+from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.steps.conditions import needs_tool
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refine_target_pose

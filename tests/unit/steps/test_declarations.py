@@ -46,11 +46,11 @@ from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
+from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord

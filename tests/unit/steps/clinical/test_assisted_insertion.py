@@ -12,10 +12,14 @@ from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
-from procedures.steps.clinical import assisted_insertion, base_to_base
-from procedures.steps.clinical.assisted_insertion import _has_stood, _require_bases, _require_seen_coaxial
-from procedures.steps.clinical.base_to_base import require_platforms_unmoved
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.two_arms import assisted_insertion, base_to_base
+from procedures.steps.clinical.two_arms.assisted_insertion import (
+    _has_stood,
+    _require_bases,
+    _require_seen_coaxial,
+)
+from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
 from ronna_hw.frames import Frame, Transform
 

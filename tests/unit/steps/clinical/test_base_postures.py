@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.steps.clinical.base_postures import FLANGE_ONWARDS, face_along, order_by_travel
+from procedures.steps.clinical.two_arms.base_postures import FLANGE_ONWARDS, face_along, order_by_travel
 
 STILL = (0.0,) * 5
 

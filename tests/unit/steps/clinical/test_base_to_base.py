@@ -8,13 +8,14 @@ from typing import cast
 
 import pytest
 
-from procedures.steps.clinical.base_to_base import bring_arms_home
-from procedures.steps.clinical.base_visits import ArmVisits
+from procedures.steps.clinical.two_arms import base_to_base
+from procedures.steps.clinical.two_arms.base_to_base import bring_arms_home
+from procedures.steps.clinical.two_arms.base_visits import ArmVisits
 
 
 @pytest.fixture
 def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    monkeypatch.setattr("procedures.steps.clinical.base_to_base.surround_stereo_head", lambda *_: None)
+    monkeypatch.setattr(base_to_base, "surround_stereo_head", lambda *_: None)
     return []
 
 

@@ -20,7 +20,7 @@ from procedures.calibration.base_to_base import (
 )
 from procedures.calibration.errors import DegeneratePoses, PosesOutOfReach
 from procedures.calibration.pose_set import plan_poses_about
-from procedures.steps.clinical.base_postures import (
+from procedures.steps.clinical.two_arms.base_postures import (
     POSTURES,
     face_along,
     plan_ball_postures,
@@ -29,7 +29,7 @@ from procedures.steps.clinical.base_postures import (
     working_joints,
     wrist_branches,
 )
-from procedures.steps.clinical.base_visits import ArmVisits, PlannedGuide, list_possible, stated_arms
+from procedures.steps.clinical.two_arms.base_visits import ArmVisits, PlannedGuide, list_possible, stated_arms
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform

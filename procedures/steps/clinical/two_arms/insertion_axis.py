@@ -17,19 +17,19 @@ from procedures.calibration.arm_errors import FoundArm
 from procedures.engine.context import StepContext
 from procedures.planning.errors import NotReachable
 from procedures.planning.tracker_sight import explain_hidden_frame
-from procedures.steps.clinical.base_postures import (
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import ExpectedSight, room_watch
+from procedures.steps.clinical.surroundings import planning_scene_of
+from procedures.steps.clinical.two_arms.base_postures import (
     TURN_STEP_RAD,
     face_along,
     travel_rad,
     turns_about_axis,
     wrist_branches,
 )
-from procedures.steps.clinical.base_to_base import KnownBases, found_arms
-from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot
-from procedures.steps.clinical.room import ExpectedSight, room_watch
-from procedures.steps.clinical.surroundings import planning_scene_of
+from procedures.steps.clinical.two_arms.base_to_base import KnownBases, found_arms
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
@@ -43,7 +43,7 @@ ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the b
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
 
 
-class Approach(NamedTuple):
+class AxisApproach(NamedTuple):
     """Axis in the robot frame, the joints at its start, and those on the way there from home, if any."""
 
     axis: InsertionAxis
@@ -94,7 +94,7 @@ class Meeting(NamedTuple):
         return replace(axis, held=assistant.base @ held @ really.inverse() @ held)
 
 
-def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> Approach:
+def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> AxisApproach:
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
     meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
     turns = _list_turns(context, stop, meeting)
@@ -113,7 +113,7 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
         for via_rad in ways:
             way = [*map(assistant.go_motion, via_rad), onto]
             if not (blocked := assistant.explain_blocked(way, here_rad)):
-                return Approach(one.axis, one.start_rad, via_rad)
+                return AxisApproach(one.axis, one.start_rad, via_rad)
         in_the_way.append(blocked)
     raise NotReachable(
         f"the assistant cannot bring the instrument into the guide at {context.trajectory}: of "

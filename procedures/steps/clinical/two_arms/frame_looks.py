@@ -15,15 +15,15 @@ from procedures.calibration.hand_eye import PosePairs
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.planning.tracker_sight import explain_hidden_frame
-from procedures.steps.clinical.base_postures import (
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.two_arms.base_postures import (
     FRAME_LOOKS,
     flange_of,
     plan_turns,
     turn_towards,
     working_joints,
 )
-from procedures.steps.clinical.base_visits import ArmVisits, Mover, between_bases, list_possible
-from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.two_arms.base_visits import ArmVisits, Mover, between_bases, list_possible
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.tracker_look import mean_pose, robot_from_marker
 from ronna_hw.frames import Transform
@@ -40,7 +40,7 @@ FROM_ENTRY_MM = (0.0, -200.0, 300.0)
 
 
 @dataclass(frozen=True)
-class FrameLooks:
+class BaseFrameLooks:
     """Looks at the frames of both arms."""
 
     visits: ArmVisits

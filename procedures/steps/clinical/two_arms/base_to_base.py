@@ -23,14 +23,14 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import Topic
-from procedures.steps.clinical.ball_looks import LOOKS_PER_POSTURE, BallWatch
-from procedures.steps.clinical.base_postures import FRAME_LOOKS, POSTURES
-from procedures.steps.clinical.base_visits import ArmVisits, between_bases, stated_arms
-from procedures.steps.clinical.frame_looks import FIRST_GUESS_MM, FrameLooks
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.room import ROOM_READS, check_room, read_localized
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE, BallWatch
+from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
+from procedures.steps.clinical.two_arms.base_visits import ArmVisits, between_bases, stated_arms
+from procedures.steps.clinical.two_arms.frame_looks import FIRST_GUESS_MM, BaseFrameLooks
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
 from procedures.workcell.assistant import Assistant
@@ -101,7 +101,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     )
     visits = ArmVisits(context, assistant)
     bring_arms_home(visits)
-    frames, ball = FrameLooks(visits), BallWatch(visits)
+    frames, ball = BaseFrameLooks(visits), BallWatch(visits)
     workcell.place_assistant(frames.first_guess(), FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)

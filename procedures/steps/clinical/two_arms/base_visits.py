@@ -18,13 +18,13 @@ from procedures.calibration.arm_errors import StatedArm
 from procedures.engine.context import StepContext
 from procedures.planning.guide import depth_stop_mm
 from procedures.planning.tracker_sight import explain_hidden_frame
-from procedures.steps.clinical.base_postures import order_by_travel
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.room import read_localized
 from procedures.steps.clinical.surroundings import planning_scene_of
+from procedures.steps.clinical.two_arms.base_postures import order_by_travel
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import Assistant

@@ -18,17 +18,17 @@ from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.branches import KEPT_BASES
-from procedures.steps.clinical.base_to_base import KnownBases
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.insertion_axis import (
+from procedures.steps.clinical.results import AssistedInsertion
+from procedures.steps.clinical.room import read_localized
+from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.two_arms.insertion_axis import (
     ABOVE_GUIDE_MM,
     Meeting,
     find_axis,
     registered_here,
     surround_at_guide,
 )
-from procedures.steps.clinical.results import AssistedInsertion
-from procedures.steps.clinical.room import read_localized
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
