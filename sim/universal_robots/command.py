@@ -53,8 +53,10 @@ def ur(
     from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
     from sim.universal_robots.cycle_loop import CycleLoop
     from sim.universal_robots.factory_calibration import calibrate
+    from sim.universal_robots.kinematics import frame_of_matrix_mm
     from sim.universal_robots.model import MODELS
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
+    from sim.world.rigid import matrix_of
     from sim.world.true_arm import arm_seed
 
     if list_parameters:
@@ -75,6 +77,9 @@ def ur(
     start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
     controller = Controller(described, parameters, kinematics, start_rad, seed)
+    held = room.scene.assistant
+    if role is not MASTER and held is not None:
+        controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
     tool = room.mounted_tool if role is MASTER else _no_tool

@@ -11,9 +11,11 @@ from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.universal_robots.model import ALPHA_RAD, JOINTS, ZEROS, Model, Vector6
 
+MM_PER_M = 1000.0
 CONVERGED_M = 1e-10
 CONVERGED_RAD = 1e-10
 MOST_ITERATIONS = 60
@@ -71,6 +73,11 @@ def inverted(a: Frame) -> Frame:
         -(r01 * x + r11 * y + r21 * z),
         -(r02 * x + r12 * y + r22 * z),
     )  # fmt: skip
+
+
+def frame_of_matrix_mm(pose: NDArray[np.float64]) -> Frame:
+    """Return the frame of a pose (4, 4) in mm."""
+    return Frame(*pose[:3, :3].ravel().tolist(), *(pose[:3, 3] / MM_PER_M).tolist())
 
 
 def frame_of_pose(pose: Sequence[float]) -> Frame:

@@ -12,7 +12,7 @@ from random import Random
 from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.kinematics import Frame
+from sim.universal_robots.kinematics import Frame, compose
 from sim.universal_robots.model import JOINTS, TORQUES_NM
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
@@ -96,16 +96,17 @@ class Loads:
         self.axial_n = 0.0
         self.hand_n: Force = NONE
         self.tissue: Tissue | None = None
+        self.instrument: Frame | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
         self.shows_forces = self.shows_torques = True  # some client reads them
 
     def meet_tissue(self, ahead_mm: float | None) -> None:
-        """Place tissue so far ahead of the tool centre point on its z axis, or remove it."""
+        """Place tissue so far ahead of the tool centre point or instrument on its z axis, or remove it."""
         if ahead_mm is None:
             self.tissue = None
         elif self.tissue is None:
-            tool, ahead = self._robot.tool_frame(self._robot.drives.actual), ahead_mm / MM
+            tool, ahead = self._pushed(), ahead_mm / MM
             axis = (tool.r02, tool.r12, tool.r22)
             entry = (tool.x + ahead * axis[0], tool.y + ahead * axis[1], tool.z + ahead * axis[2])
             self.tissue = Tissue(entry, axis, self._robot.parameters)
@@ -153,8 +154,8 @@ class Loads:
         values[_CURRENT] = _currents(held)
 
     def _present_force(self) -> Force:
-        robot, (x, y, z) = self._robot, self.hand_n
-        tool = robot.tool_frame(robot.drives.actual)
+        x, y, z = self.hand_n
+        tool = self._pushed()
         against = self.axial_n
         if against:
             x, y, z = x - against * tool.r02, y - against * tool.r12, z - against * tool.r22
@@ -163,6 +164,13 @@ class Loads:
             u, v, w = self.tissue.axis
             x, y, z = x - against * u, y - against * v, z - against * w
         return x, y, z
+
+    def _pushed(self) -> Frame:
+        """Return what is pushed along its z axis, in the base."""
+        robot = self._robot
+        if self.instrument is None:
+            return robot.tool_frame(robot.drives.actual)
+        return compose(robot.kinematics.flange(robot.drives.actual), self.instrument)
 
     def _unknown_mass_kg(self) -> float:
         """Return how much heavier the tool is than the controller was told."""

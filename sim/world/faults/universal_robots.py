@@ -83,7 +83,7 @@ LOADS = (
     declare_lasting(
         "tissue",
         "tissue NUMBER mm ahead",
-        "Skin, bone and brain begin so far ahead of the tool centre point on its axis.",
+        "Skin, bone and brain begin so far ahead on the axis of the tool, or of the instrument in a holder.",
         check_at_most(FARTHEST_MM, "mm"),
     ),
     declare_lasting(

@@ -480,14 +480,17 @@ ROWS = (
         for fault in faults
         for step, after_s in ((BASES, LOOKED_AT_S), ("at_target", OVER_HEAD_S), ("at_target", IN_BORE_S))
     ),
-    Row(
-        "assistant ur load axial 25 N",
-        "at_target",
-        "ARM-015",
-        theatre_s=5,
-        begins=SINCE,
-        after_s=IN_BORE_S,
-        arms=UR_ASSISTS,
+    *(
+        Row(
+            f"assistant ur {resists}",
+            "at_target",
+            "ARM-015",
+            theatre_s=theatre_s,
+            begins=SINCE,
+            after_s=IN_BORE_S,
+            arms=UR_ASSISTS,
+        )
+        for resists, theatre_s in (("load axial 25 N", 5), ("tissue 5 mm ahead", 8))
     ),
     Row(
         "assistant ur speed slider 0 % for 3 s",

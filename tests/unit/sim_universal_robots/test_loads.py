@@ -10,6 +10,7 @@ import pytest
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.kinematics import Frame
 from sim.universal_robots.loads import BIAS_N, NOISE_N, resistance_n
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.statements import run_at_once
@@ -104,6 +105,17 @@ def test_tissue_resists_as_skin_bone_and_brain() -> None:
     parameters = parse_parameters(())
     depths = (-1.0, 0.0, 4.0, 5.5, 8.0, 12.0)
     assert [resistance_n(depth, parameters) for depth in depths] == [0.0, 0.0, 2.0, 20.0, 20.0, 1.0]
+
+
+def test_tissue_lies_ahead_of_the_instrument_in_a_holder() -> None:
+    """Its axis leads across the flange."""
+    loads = make(EXACT).loads
+    loads.instrument = Frame(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.1, 0.0, 0.0)
+    loads.meet_tissue(0.0)
+    assert loads.tissue is not None
+    robot = make(EXACT).robot
+    flange = robot.kinematics.flange(robot.drives.actual)
+    assert loads.tissue.axis == pytest.approx((flange.r00, flange.r10, flange.r20))
 
 
 def test_an_instrument_that_is_drawn_back_is_relieved() -> None:
