@@ -148,6 +148,7 @@ NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base,
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
 LARGEST_COARSE_FINE_MM = 5.75
+LEAST_INSERTION_N = 2.0  # below, the noise of a force from motor currents stops an insertion
 LARGEST_INSERTION_N = 50.0  # a Universal Robots arm holds 50 N in its reach; no instrument here needs more
 
 
@@ -344,7 +345,7 @@ class ProcedureSettings(Strict):
         description="How far back along its axis a tool begins its approach and ends its retreat: from where "
         "the guide is held, which the plan states, from a sphere, and from the entry of a measured target.",
     )
-    insertion_force_N: Annotated[float, Field(gt=0, le=LARGEST_INSERTION_N)] = Field(
+    insertion_force_N: Annotated[float, Field(ge=LEAST_INSERTION_N, le=LARGEST_INSERTION_N)] = Field(
         default=15.0,
         description="Force on the instrument at which an assistant that senses force stops its insertion. "
         "The default is unconfirmed: bone under a drill takes 5 to 20 N.",

@@ -83,7 +83,7 @@ SERVICES = {  # by their ports, which the controller has fixed
 
 
 def require_own_services(device: str, addresses: Mapping[str, Endpoint]) -> None:
-    """Raise CFG-001 for an endpoint at the fixed port of another service than its role."""
+    """Raise CFG-001 for an endpoint at the fixed port of another service, or services of two controllers."""
     for role, address in addresses.items():
         service = SERVICES.get(address.port)
         if service is not None and service.role != role:
@@ -92,6 +92,13 @@ def require_own_services(device: str, addresses: Mapping[str, Endpoint]) -> None
                 f"[{device}.endpoints] {role}: port {address.port} is that of the {service.name}",
                 expected=f"port {own}, the {SERVICES[own].name}",
             )
+    hosts = {role: address.host for role, address in addresses.items()}
+    if len(set(hosts.values())) > 1:
+        raise BadTheatreFile(
+            f"[{device}.endpoints]: not all endpoints are at one controller",
+            expected="one host for all of them, written alike",
+            got=", ".join(f"{role} at {host}" for role, host in hosts.items()),
+        )
 
 
 def identify_service(endpoint: Endpoint) -> Diagnostic:

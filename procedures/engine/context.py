@@ -174,7 +174,7 @@ class StepContext:
 
     def watching(self, what: str) -> AbstractContextManager[None]:
         """Monitor the patient during the block as during a motion, although the arm is at rest."""
-        return self._checkpoint.watching(what, False)
+        return self._checkpoint.watching(what, None)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
         """Record a finding about `targets` without stopping the case."""

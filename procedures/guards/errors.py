@@ -53,6 +53,17 @@ class PatientUnseen(RefusedError):
     )
 
 
+class InsertionDisturbed(RefusedError):
+    """The guide was pushed, or the assistant moved, on the assistant's way through the guide."""
+
+    code = "PRO-054"
+    action = (
+        "Touch neither instrument nor arms, and find out what was pushed. Nothing retreats by itself: repeat "
+        "the step, and the assistant leads the instrument out once that is confirmed; then everything is "
+        "looked at again."
+    )
+
+
 class RoomUndecided(RefusedError):
     """The head with its clamp, or the tracker, was moved: the arm's pose does not tell which of them.
 

@@ -15,14 +15,23 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from procedures.engine.setting import CaseMemory
+from procedures.guards.assistant_frame import SHIFTED_MM, AssistantFrame
 from procedures.guards.base_shift import GROSS_LIMIT_MM
-from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved, RoomUndecided
+from procedures.guards.errors import (
+    BaseShifted,
+    FrameSlipped,
+    InsertionDisturbed,
+    PatientMoved,
+    RoomMoved,
+    RoomUndecided,
+)
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames, PatientFrames
 from procedures.guards.room_reading import PATIENT_LIMIT_MM
 from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.arm_history import MotionKind
 from procedures.workcell.patient_frame import posed_markers
 from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, flange_from_marker
 from procedures.workcell.tracker_move import TrackerMove
@@ -46,6 +55,7 @@ READ_LIMIT_S = 3.0  # host time: longer than a simulated controller waits for a 
 MOVED = "the head, or the tracker, has moved"
 BASE_MOVED = "the cart of the robot, or the tracker, has moved"
 PUSHED = "the guide was pushed or pulled"
+ASSISTANT_MOVED = "the assistant has moved against its frame"
 LATE = "the head was watched late: the replies of the tracker were delayed"
 UNSEEN = "the tracker has not seen the head for too long"
 
@@ -68,11 +78,11 @@ class MotionWatch:
     _unseen_s: float = 0.0
 
     @contextmanager
-    def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
-        """Watch the patient during a motion or wait.
+    def watching(self, what: str, motion: str | None) -> Iterator[None]:
+        """Watch the patient during a motion of this kind, or a wait (None).
 
-        Raises PRO-019, PRO-020, PRO-051 or PRO-052 with the arm at rest. A pushed tracker is a finding: the
-        motion that it stopped is planned again, as after any stop.
+        Raises PRO-019, PRO-020, PRO-051, PRO-052 or PRO-054 with the arm at rest. A pushed tracker is a
+        finding: the motion that it stopped is planned again, as after any stop.
         """
         room = self.memory.find(RoomWatch)
         if room is None or not self._is_wanted:
@@ -91,7 +101,7 @@ class MotionWatch:
         thread = _WatchThread(
             self.workcell,
             self.clock,
-            arm_moves,
+            motion,
             room,
             self._head,
             what,
@@ -105,7 +115,7 @@ class MotionWatch:
         except RonnaError as error:
             seen = thread.end()
             # After an early alarm the arm refuses the motion: the alarm must be reported.
-            if isinstance(error, MotionInterrupted | WrongState) or seen.has_moved:
+            if isinstance(error, MotionInterrupted | WrongState) or seen.has_moved or seen.disturbed:
                 self._conclude(seen, what)
             raise
         except BaseException:  # also an interruption: the arm comes to rest
@@ -132,6 +142,8 @@ class MotionWatch:
                 raise moved
             if seen.guide is not None and seen.guide.is_worked_through:
                 seen.guide.look(self.workcell, self.clock, seen.room)
+        elif seen.disturbed:
+            raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=seen.limit, got=seen.got)
         elif seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem:
@@ -187,7 +199,7 @@ class _WatchThread:
 
     workcell: Workcell
     clock: Clock
-    arm_moves: bool
+    motion: str | None  # its kind
     room: RoomWatch
     head: PatientFrames
     what: str  # the motion or the wait
@@ -207,12 +219,29 @@ class _WatchThread:
     _silence_reported: bool = False
     _pushed: bool = False
     _far_frames: int = 0
+    disturbed: str = ""  # what made the assistant stop on its way into the guide
+    limit: str = ""
+    got: str = ""
+    _assistant: AssistantFrame | None = None
     _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
+        assistant = self.workcell.assistant
+        if self._leads_in and assistant is not None:
+            self._assistant = AssistantFrame(assistant)
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
+
+    @property
+    def arm_moves(self) -> bool:
+        """Whether an arm moves meanwhile."""
+        return self.motion is not None
+
+    @property
+    def _leads_in(self) -> bool:
+        """Whether the assistant leads an instrument through the guide, which the master holds."""
+        return self.motion == MotionKind.INSERT and self.guide is not None and self.guide.is_worked_through
 
     @property
     def has_moved(self) -> bool:
@@ -277,6 +306,7 @@ class _WatchThread:
             frame = self.room.as_localized(add_frame_spheres(tracker, frame))
             self.head.add(frame, self._on_clamp_mm(frame))
             self._check_push(frame)
+            self._check_assistant(frame)
             self._check_base(frame, begin_mm)
             self._check_late()
             new_s = self.clock.now_s()
@@ -313,15 +343,33 @@ class _WatchThread:
         self.late_s = max(self.late_s, late)
 
     def _check_push(self, frame: TrackerFrame) -> None:
-        """Report each push once. The guard at the next checkpoint suspends the case while it lasts."""
+        """Report each push once; one on the way into the guide stops the assistant.
+
+        Otherwise the guard at the next checkpoint suspends the case while it lasts.
+        """
         if self.guide is None or not self.guide.is_worked_through:
             return
         self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
-        if pushed and not self._pushed:
+        if pushed and self._leads_in:
+            self._disturb(PUSHED, PUSHED_MM, self.guide.now_mm)
+        elif pushed and not self._pushed:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
         self._pushed = pushed
+
+    def _check_assistant(self, frame: TrackerFrame) -> None:
+        """Stop an assistant that has moved against its frame on its way into the guide."""
+        if self._assistant is None:
+            return
+        self._assistant.add_frame(frame, self.room.robot_from_tracker)
+        if (shifted_mm := self._assistant.shifted_mm) > SHIFTED_MM:
+            self._disturb(ASSISTANT_MOVED, SHIFTED_MM, shifted_mm)
+
+    def _disturb(self, what: str, limit_mm: float, got_mm: float) -> None:
+        if not self.disturbed:
+            self.disturbed, self.limit, self.got = what, f"{limit_mm:g} mm", f"{got_mm:.2f} mm"
+            self._raise_alarm(f"{what}: {got_mm:.2f} mm", stop=True)
 
     def _check_base(self, frame: TrackerFrame, begin_mm: Vector3 | None) -> None:
         """Compare the frame on the arm with the arm, which had it at `begin_mm` before this frame."""
@@ -356,8 +404,9 @@ class _WatchThread:
 
     def _stop_again(self) -> None:
         """Retry a failed stop, for example after a timeout, while the arm may still be moving."""
-        wanted = self._stop_wanted and not self._is_stopping
-        if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
+        if not self._stop_wanted or self._is_stopping:
+            return
+        if any(arm.arm.observe().state is Lifecycle.ACTIVE for arm in self.workcell.supervised_arms):
             self._begin_stop()
 
     @property

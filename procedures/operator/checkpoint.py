@@ -78,8 +78,8 @@ class Checkpoint:
         """Set up the checkpoint. The context `rest(state, reason)` is active while the case rests."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
-        # Held, with what is done and whether the arm moves, also while an instrument is at its target.
-        self.watching: Callable[[str, bool], AbstractContextManager[None]] = lambda _what, _moves: (
+        # Held, with what is done and the kind of motion, also while an instrument is at its target (None).
+        self.watching: Callable[[str, str | None], AbstractContextManager[None]] = lambda _what, _motion: (
             nullcontext()
         )
         self._ask = ask

@@ -186,7 +186,7 @@ class SupervisedMotion:
         named = f"the motion '{motion.what}' ({MOTION_DESCRIPTIONS[motion.what]})"
 
         def drive() -> ArmReading:
-            with checkpoint.watching(named, True):
+            with checkpoint.watching(named, motion.what):
                 self._require_allowed(motion)
                 return [self._drive_leg(leg, motion) for leg in motion.legs][-1]
 

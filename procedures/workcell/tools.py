@@ -104,7 +104,7 @@ def calibrated_arm(
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
         exchanged = other is not None and other.arm == kinematics.name
-        raise _another_arm(record, kinematics.name, record.arm, role, exchanged=exchanged)
+        raise _another_arm(record, kinematics.name, record.arm, role, exchanged=exchanged, model=True)
     return CalibratedArm(kinematics, ArmDeviations.of(record))
 
 
@@ -121,7 +121,7 @@ def require_this_arm(
 
 
 def _another_arm(
-    record: ArmCalibration, expected: str, got: str, role: str, *, exchanged: bool
+    record: ArmCalibration, expected: str, got: str, role: str, *, exchanged: bool, model: bool = False
 ) -> AnotherArm:
     """Return the refusal of a record, with advice that leaves the record of the other role as it is."""
     what, action = f"calibration {record.identifier} belongs to another arm", None
@@ -136,6 +136,8 @@ def _another_arm(
             "Name this arm's own record in [calibration.assistant_arm]; if it has none, "
             f"{MADE_BY_HAND['assistant_arm']}."
         )
+    if model and not exchanged:
+        action = f"If the arm is a {got}, say so in [robot.{role}.options]. Otherwise: {action or AnotherArm.action}"
     return AnotherArm(what, expected=expected, got=got, action=action)
 
 

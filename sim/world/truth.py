@@ -106,6 +106,7 @@ def sample_seated_instrument(
     if off_mm > BINDS_MM:
         raise StandNotReady(
             "the instrument binds in the guide",
+            action="Leave the instrument where it is, and find out which arm, cart or head was moved.",
             limit=f"{BINDS_MM:g} mm beside its axis",
             got=f"{off_mm:.2f} mm",
         )

@@ -20,6 +20,7 @@ from procedures.operator.question import Topic
 from procedures.runs.engine_setup import MovedCart
 from procedures.steps.clinical import relocalization
 from procedures.workcell import MountedTool
+from procedures.workcell.arm_history import MotionKind
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import Vector3, vector3
@@ -73,7 +74,7 @@ def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp
     assert before is not None
     leave_by(cell, AWAY_MM)
     cell.arm.state = Lifecycle.ACTIVE
-    with pytest.raises(BaseShifted), engine.checkpoint.watching("the next motion", True):
+    with pytest.raises(BaseShifted), engine.checkpoint.watching("the next motion", MotionKind.GO):
         eventually(lambda: cell.arm.stops > 0)
     after = cell.workcell.surroundings
     assert after is not None

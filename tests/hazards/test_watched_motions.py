@@ -18,7 +18,8 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientMoved
+from procedures.guards.guide_displacement import GuideAtRest
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import JUDGED
 from procedures.journal.errors import JournalNotWritable, StepRefused
@@ -26,6 +27,7 @@ from procedures.journal.journal import Entry
 from procedures.operator.question import Answer, Question, Topic
 from procedures.steps.clinical import global_localization
 from procedures.workcell import MountedTool
+from procedures.workcell.arm_history import MotionKind
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading
@@ -85,7 +87,7 @@ def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
     positioned(engine)
     cell.arm.state, before = Lifecycle.ACTIVE, cell.arm.stops
     cell.tracker.spheres_mm = MOVED_MM  # while a question was open
-    with pytest.raises(PatientMoved), engine.checkpoint.watching("the next motion", True):
+    with pytest.raises(PatientMoved), engine.checkpoint.watching("the next motion", MotionKind.GO):
         stops = cell.arm.stops
     assert stops > before
 
@@ -254,9 +256,25 @@ def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(tmp_path: Path) -> 
     engine = watched(cell)
     positioned(engine)
     cell.tracker.state = Lifecycle.FAULT
-    with engine.checkpoint.watching("the next motion", True):
+    with engine.checkpoint.watching("the next motion", MotionKind.GO):
         pass
     assert findings(cell)[-1] == "the head was not watched during the next motion: the tracker is fault"
+
+
+@pytest.mark.hazard(61)
+def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    pushed = GuideAtRest("T1", np.zeros(3), np.zeros(3), None, now_mm=0.5, is_worked_through=True)
+    engine.setting.memory.keep(pushed)
+    with (
+        pytest.raises(InsertionDisturbed, match="PRO-054: the guide was pushed"),
+        engine.checkpoint.watching("the way in", MotionKind.INSERT),
+    ):
+        eventually(lambda: cell.arm.stops > 0)
+    with engine.checkpoint.watching("the way out", MotionKind.WITHDRAW):
+        pass
 
 
 def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:

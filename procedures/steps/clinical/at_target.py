@@ -14,6 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, measure_guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
@@ -227,7 +228,7 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     rest.is_worked_through = True
     try:
         yield rest
-    except GuardUnmet:
+    except (GuardUnmet, InsertionDisturbed):
         if rest.now_mm > PUSHED_MM:  # by a hand; or the cart has moved, and the arm with it
             check_room(context, f"at {context.trajectory}")
         raise

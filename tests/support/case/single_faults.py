@@ -492,6 +492,18 @@ ROWS = (
         )
         for resists, theatre_s in (("load axial 25 N", 5), ("tissue 5 mm ahead", 8))
     ),
+    *(
+        Row(
+            f"room move cart {cart} 0 1.5 0 mm 0 deg in 0.1 s",
+            "at_target",
+            "PRO-054",
+            theatre_s=5,
+            begins=SINCE,
+            after_s=IN_BORE_S,
+            arms=UR_ASSISTS,
+        )
+        for cart in (1, 2)
+    ),
     Row(
         "assistant ur speed slider 0 % for 3 s",
         BASES,

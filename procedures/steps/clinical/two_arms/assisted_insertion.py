@@ -63,6 +63,10 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         assistant.retreat()
     context.request_instrument_removal()
     known = _require_bases(context)
+    if assistant.place.is_out:  # stopped on its way earlier: a way in begins at home, so that one leads back
+        surround_at_guide(context, assistant.joints_rad(), registered_here(context))
+        workcell.start()
+        assistant.return_home()
     stood = _has_stood(context, assistant, known)
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)

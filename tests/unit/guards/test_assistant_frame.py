@@ -1,0 +1,56 @@
+"""The assistant's frame is watched on its way through the guide."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from procedures.guards.assistant_frame import READINGS, SHIFTED_MM, AssistantFrame
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import Validity
+from ronna_hw.frames import Frame, Transform
+
+STANDS = Transform.of(Frame.ROBOT, Frame.TRACKER)
+DOWN = Transform.of(Frame.ROBOT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
+
+
+class LedAssistant:
+    """Assistant on an axis that leads down, its frame 100 mm beside its flange."""
+
+    def __init__(self) -> None:
+        self.at_mm = (0.0, 0.0, 0.0)
+        self.place = SimpleNamespace(axis=SimpleNamespace(held=DOWN))
+        self.holder = SimpleNamespace(frame="assistant_frame")
+        self.base = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(1000.0, 0.0, 0.0))
+        reading = SimpleNamespace(joints_rad=(0.0,) * 6)
+        self.arm = SimpleNamespace(observe=lambda: SimpleNamespace(reading=reading))
+        self.calibrated = SimpleNamespace(forward=lambda _joints: Pose(self.at_mm))
+
+
+def frame(seen_mm: tuple[float, float, float] | None) -> Any:
+    validity = Validity.MISSING if seen_mm is None else Validity.OK
+    return SimpleNamespace(tool=lambda _name: SimpleNamespace(validity=validity, position_mm=seen_mm))
+
+
+def watch_way(shift_mm: tuple[float, float, float], hidden: int = 0) -> float:
+    """Lead by 60 mm, the cart shifted after half of the way; return what the watch measures."""
+    assistant = LedAssistant()
+    watch = AssistantFrame(cast("Any", assistant))
+    for number in range(4 * READINGS):
+        assistant.at_mm = (0.0, 0.0, -float(number))
+        dx, dy, dz = shift_mm if number >= 2 * READINGS else (0.0, 0.0, 0.0)
+        seen = None if number < hidden else (1100.0 + dx, dy, -float(number) + dz)
+        watch.add_frame(frame(seen), STANDS)
+    return watch.shifted_mm
+
+
+@pytest.mark.hazard(61)
+def test_a_cart_that_moves_across_the_axis_is_noticed() -> None:
+    assert watch_way((0.0, 1.2 * SHIFTED_MM, 0.0)) == pytest.approx(1.2 * SHIFTED_MM)
+
+
+def test_the_way_along_the_axis_and_hidden_frames_are_no_move() -> None:
+    assert watch_way((0.0, 0.0, -3.0)) == pytest.approx(0.0, abs=1e-9)
+    assert watch_way((0.0, 2.0, 0.0), hidden=4 * READINGS) == 0.0
