@@ -137,7 +137,8 @@ def _another_arm(
             f"{MADE_BY_HAND['assistant_arm']}."
         )
     if model and not exchanged:
-        action = f"If the arm is a {got}, say so in [robot.{role}.options]. Otherwise: {action or AnotherArm.action}"
+        otherwise = action or AnotherArm.action
+        action = f"If the arm is a {got}, say so in [robot.{role}.options]. Otherwise: {otherwise}"
     return AnotherArm(what, expected=expected, got=got, action=action)
 
 
