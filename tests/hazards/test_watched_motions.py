@@ -261,7 +261,7 @@ def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(tmp_path: Path) -> 
     assert findings(cell)[-1] == "the head was not watched during the next motion: the tracker is fault"
 
 
-@pytest.mark.hazard(61)
+@pytest.mark.hazard(64)
 def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)

@@ -55,7 +55,8 @@ def robot_state(
 class HandmadeController:
     """Three servers on ports of their own; change its attributes to make it answer differently."""
 
-    def __init__(self) -> None:
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        self._host = host
         self.answers: dict[str, str | None] = {
             "get robot model": "UR5",
             "get serial number": "20265500001",
@@ -87,7 +88,7 @@ class HandmadeController:
         self._servers = [self._serve(self._dashboard), self._serve(self._primary), self._serve(self._rtde)]
         roles = ("dashboard", "primary", "rtde")
         self.endpoints = {
-            role: f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            role: f"tcp://{host}:{server.getsockname()[1]}"
             for role, server in zip(roles, self._servers, strict=True)
         }
 
@@ -103,7 +104,7 @@ class HandmadeController:
         )
 
     def _serve(self, talk: Callable[[socket.socket], None]) -> socket.socket:
-        server = socket.create_server(("127.0.0.1", 0))
+        server = socket.create_server((self._host, 0))
 
         def accept() -> None:
             while True:

@@ -43,6 +43,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
 from ronna_hw.devices.robot import StopKind
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -246,7 +247,7 @@ def test_registers_that_another_client_owns_are_refused_until_it_has_gone(room: 
 
 def test_a_script_that_does_not_start_is_reported(room: Room) -> None:
     """The primary interface is another's, which takes no script."""
-    deaf = HandmadeController()
+    deaf = HandmadeController(parse_endpoint(room.config.endpoints["primary"]).host)
     endpoints = {**room.config.endpoints, "primary": deaf.endpoints["primary"]}
     arm = UniversalRobotsArm("arm", room.config.model_copy(update={"endpoints": endpoints}), room.clock)
     arm.connect()

@@ -46,7 +46,7 @@ def watch_way(shift_mm: tuple[float, float, float], hidden: int = 0) -> float:
     return watch.shifted_mm
 
 
-@pytest.mark.hazard(61)
+@pytest.mark.hazard(64)
 def test_a_cart_that_moves_across_the_axis_is_noticed() -> None:
     assert watch_way((0.0, 1.2 * SHIFTED_MM, 0.0)) == pytest.approx(1.2 * SHIFTED_MM)
 
