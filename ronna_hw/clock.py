@@ -162,7 +162,7 @@ class SharedClock:
 
     While a cyclic device streams (the correction stream of a robot), only its cycles advance the time and
     everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
-    the lock. Two devices that stream take turns and keep step within `TURN_NS`; the slower one has the time.
+    the lock. Two devices that stream take turns, at most `TURN_NS` apart: the time is that of the slower one.
     """
 
     def __init__(self, path: str, device: int = 0) -> None:
@@ -338,7 +338,7 @@ class SharedClock:
         return self.now_ns()
 
     def must_wait_for_turn(self) -> bool:
-        """Whether it is the turn of another cyclic device, which streams and has a reason to go on."""
+        """Return whether another cyclic device has the turn, one that streams and has a reason to go on."""
         memory = self._memory
         if self._paced or (turn := TURN.read(memory)) == self._device:
             return False
