@@ -98,7 +98,7 @@ def passing(clock: Clock, duration_s: float) -> Iterator[None]:
 
 
 # Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
-LAYOUT_VERSION = 6
+LAYOUT_VERSION = 7
 CLOCK = MemoryMap(b"RONNACLK")
 VERSION = CLOCK.word("I")
 PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
@@ -116,14 +116,17 @@ class StreamRow(NamedTuple):
     host_ns: Word  # host monotonic time of its last cycle, 0 if it does not stream
     time_ns: Word  # theatre time at the end of its last cycle
     resting: Word  # what it sleeps for; 0 while it does not
+    stands: Word  # 1 while its cycles show nothing new
 
 
 CYCLIC_DEVICES = 2  # the arms of a theatre
-STREAMS = tuple(StreamRow(CLOCK.word("q"), CLOCK.word("q"), CLOCK.word("I")) for _ in range(CYCLIC_DEVICES))
+STREAMS = tuple(StreamRow(*map(CLOCK.word, "qqII")) for _ in range(CYCLIC_DEVICES))
 FOR_TIME_TO_PASS, FOR_READER, FOR_TURN = 1, 2, 3
 # Two devices that stream run in turns, in each until the one is this far ahead of the other: with each cycle
 # in step, processes that alternate on the same processors find cold caches, at twice the time per cycle.
 TURN_NS = 12_000_000
+# Theatre time of one cycle of a device that stands while another moves: its cycles show nothing new.
+STANDING_CYCLE_NS = 24_000_000
 ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
 # The longest time that a process asks for at once: one that was killed keeps time passing no longer.
 WISH_NS = 2_000_000_000
@@ -314,9 +317,10 @@ class SharedClock:
         last = row.host_ns.read(self._memory)
         return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
 
-    def advance_cycle(self, duration_ns: int) -> int:
+    def advance_cycle(self, duration_ns: int, *, stands: bool = False) -> int:
         """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
 
+        A device that stands while another moves takes `STANDING_CYCLE_NS` for a cycle.
         Ahead of another device that streams, the time stands until that one has come as far; `TURN_NS` ahead,
         this device is to wait while `must_wait_for_turn`.
         """
@@ -324,6 +328,9 @@ class SharedClock:
             return self.now_ns()
         memory, own = self._memory, self._stream
         with self._lock:
+            own.stands.write(memory, int(stands))
+            if stands and any(self._streams(row) and not row.stands.read(memory) for row in STREAMS):
+                duration_ns = max(duration_ns, STANDING_CYCLE_NS)
             ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())

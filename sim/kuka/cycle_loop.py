@@ -152,20 +152,21 @@ class CycleLoop:
         if run.held and not controller.moving:
             self._autostart.tick(time.monotonic())
         self._report_change()
+        self._count_unchanged(run)
+        at_rest = reply is not None and self._link.idle
         if not self._clock.paced:
-            self._advance(run.settings.cycle_ms * 1_000_000)
+            stands = lock_step and at_rest and self._unchanged >= UNCHANGED_CYCLES and not controller.moving
+            self._advance(run.settings.cycle_ms * 1_000_000, stands=stands)
         if lock_step:
             # A silent client, or a fault of the link, runs its course in real time.
-            at_rest = reply is not None and self._link.idle
             self._pace(run, began_s + (REST_CYCLE_S if at_rest else cycle_s))
+
+    def _count_unchanged(self, run: RsiRun) -> None:
+        self._unchanged = self._unchanged + 1 if run.command_deg is self._last_command else 0
+        self._last_command = run.command_deg
 
     def _pace(self, run: RsiRun, next_s: float) -> None:
         """Rest until `next_s` (host time) if nothing changes and nobody waits for theatre time."""
-        if run.command_deg is not self._last_command:
-            self._last_command = run.command_deg
-            self._unchanged = 0
-        else:
-            self._unchanged += 1
         if self._unchanged >= UNCHANGED_CYCLES:
             with self._clock.rest(self._alarm):
                 while self._may_rest(run) and (remaining_s := next_s - time.monotonic()) > 0.0:
@@ -239,7 +240,7 @@ class CycleLoop:
         if not self._controller.moving:
             self._clock.end_stream()
 
-    def _advance(self, cycle_ns: int) -> None:
+    def _advance(self, cycle_ns: int, *, stands: bool = False) -> None:
         """Advance theatre time by a cycle once a frame-by-frame client has requested the next frame.
 
         Then the other arm has its turn, if it streams and is too far behind.
@@ -253,7 +254,7 @@ class CycleLoop:
                 if self._clock.must_wait_for_reader(cycle_ns):
                     select.select([self._alarm], (), (), IDLE_WAIT_S)
                     self._clock.silence(self._alarm)
-        self._clock.advance_cycle(cycle_ns)
+        self._clock.advance_cycle(cycle_ns, stands=stands)
         while self._clock.must_wait_for_turn() and not self._ending:
             with self._clock.rest(self._alarm, FOR_TURN):
                 if self._clock.must_wait_for_turn() and self._wait_once(IDLE_WAIT_S, self._alarm):

@@ -230,7 +230,8 @@ class CycleLoop:
             with self._clock.rest(self._alarm, FOR_READER):
                 if self._clock.must_wait_for_reader(self._cycle_ns):
                     self._poll.serve(IDLE_WAIT_S)
-        self._clock.advance_cycle(self._cycle_ns)
+        stands = self._unchanged >= UNCHANGED_CYCLES and not self._silent and not self._faults.frozen
+        self._clock.advance_cycle(self._cycle_ns, stands=stands)
         while self._clock.must_wait_for_turn() and not self._ending:
             with self._clock.rest(self._alarm, FOR_TURN):
                 if self._clock.must_wait_for_turn():

@@ -7,7 +7,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from ronna_hw.clock import CLOCK, FOR_READER, FOR_TURN, TURN_NS, ClockUnavailable, SharedClock, open_clock
+from ronna_hw.clock import (
+    CLOCK,
+    FOR_READER,
+    FOR_TURN,
+    STANDING_CYCLE_NS,
+    TURN_NS,
+    ClockUnavailable,
+    SharedClock,
+    open_clock,
+)
 
 CYCLE_NS = 4_000_000
 
@@ -245,6 +254,26 @@ def test_a_device_that_rests_leaves_its_turn_to_the_other(arms: tuple[SharedCloc
         assert select.select([alarm], (), (), 5.0)[0]
         assert _run_turn(assistant) == TURN_NS
         assert master.may_pass()
+
+
+def test_a_device_that_stands_takes_longer_cycles_while_the_other_moves(
+    arms: tuple[SharedClock, SharedClock],
+) -> None:
+    master, assistant = arms
+    began_ns = master.now_ns()
+    master.advance_cycle(CYCLE_NS, stands=True)
+    assert master.must_wait_for_turn()  # far ahead of the other after one cycle
+    assert _run_turn(assistant, limit_ns=STANDING_CYCLE_NS) == STANDING_CYCLE_NS
+    assert assistant.now_ns() == began_ns + STANDING_CYCLE_NS
+
+
+def test_two_devices_that_both_stand_keep_their_own_cycles(arms: tuple[SharedClock, SharedClock]) -> None:
+    master, assistant = arms
+    began_ns = master.now_ns()
+    for device in (master, assistant, master, assistant):
+        device.advance_cycle(CYCLE_NS, stands=True)
+    master.advance_cycle(CYCLE_NS, stands=True)
+    assert CYCLE_NS <= master.now_ns() - began_ns <= 3 * CYCLE_NS
 
 
 def test_a_device_that_ends_its_stream_holds_no_other_up(arms: tuple[SharedClock, SharedClock]) -> None:
