@@ -39,6 +39,7 @@ from ronna_hw.plausible import (
     SensorPixels,
     StatedError,
     Words,
+    check_on_holder,
     farther_than,
 )
 
@@ -53,6 +54,9 @@ ArmName = Annotated[str, AfterValidator(require_known_arm)]
 
 STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
+# Of the instrument from where the holder's frame faces. With the tip at a head that the tracker sees from
+# above, a frame that faces closer to the tip shows the tracker its edge or its back.
+LEAST_TIP_FROM_FACE_DEG = 60.0
 AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: for a guide assumed to point as drawn, never measured
 
 
@@ -104,6 +108,12 @@ class PoseRecord(Strict):
             raise ValueError(f"quaternion_wxyz has norm {norm:.6f}, not 1: give a rotation, not angles")
         return self
 
+    @property
+    def z_axis(self) -> Numbers3:
+        """Direction of the source frame's z axis in the target frame."""
+        w, x, y, z = self.quaternion_wxyz
+        return (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+
     def transform(self, target: Frame, source: Frame) -> Transform:
         """Convert the pose to a checked transform."""
         from ronna_hw.frames import Transform
@@ -121,6 +131,11 @@ def _require_on_mount(pose: PoseRecord) -> PoseRecord:
 
 MountPose = Annotated[PoseRecord, AfterValidator(_require_on_mount)]
 PointOnMount = Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM, FARTHEST_ON_TOOL_MM)]
+
+
+def _require_on_holder(pose: PoseRecord) -> PoseRecord:
+    check_on_holder(pose.translation_mm)
+    return pose
 
 
 class CameraCalibration(Strict):
@@ -301,10 +316,30 @@ class HolderCalibration(DatedRecord):
     stated_direction_error_rad: Annotated[float, Field(ge=0.0, le=AS_MACHINED_RAD)] = Field(
         description="Of the instrument's direction, one standard deviation."
     )
-    flange_from_clamp: MountPose = Field(description="Pose flange <- clamp.")
-    flange_from_ball_mm: PointOnMount = Field(description="Centre of the ball on the flange.")
-    flange_from_frame: MountPose = Field(description="Pose flange <- frame, as drawn.")
+    flange_from_clamp: Annotated[MountPose, AfterValidator(_require_on_holder)] = Field(
+        description="Pose flange <- clamp."
+    )
+    flange_from_ball_mm: Annotated[PointOnMount, AfterValidator(check_on_holder)] = Field(
+        description="Centre of the ball on the flange."
+    )
+    flange_from_frame: MountPose = Field(
+        description="Pose flange <- frame, as drawn; z, to which the frame faces, leads away from the tip."
+    )
     frame: Words = Field(description="Name of the assistant's frame in the tracker's options.")
+
+    @model_validator(mode="after")
+    def _faces_tracker(self) -> Self:
+        """Refuse a clamp whose z leads the wrong way: with the tip at the head, its frame would face that."""
+        tip, faces = (pose.z_axis for pose in (self.flange_from_clamp, self.flange_from_frame))
+        cosine = sum(one * other for one, other in zip(tip, faces, strict=True))
+        apart_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+        if apart_deg < LEAST_TIP_FROM_FACE_DEG:
+            raise ValueError(
+                f"z of flange_from_clamp is {apart_deg:.0f} degrees from that of flange_from_frame, expected "
+                f"at least {LEAST_TIP_FROM_FACE_DEG:g}: the first leads to the instrument's tip, the other "
+                "from the frame to the tracker; reverse the one that is wrong"
+            )
+        return self
 
 
 def _parse_rows(rows: object) -> object:

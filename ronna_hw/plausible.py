@@ -17,6 +17,9 @@ SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm i
 SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, unlike 150 mm given in metres
 FARTHEST_MM = 10_000.0  # of anything from anything else in a room
 FARTHEST_ON_TOOL_MM = 1000.0  # from the flange: more than the arm itself reaches
+# Of clamp and ball of a holder: the instrument passes beside a flange of up to 63 mm across, and the clamp is
+# 14 mm thick about it. 110 mm in centimetres would be less, and so would 300 mm.
+NEAREST_ON_HOLDER_MM = 35.0
 SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera with some hundred pixels; 50 mm would be less
 LONGEST_FOCAL_PX = 1e6  # 1 m on pixels of 1 µm
 WIDEST_VIEW_DEG = 75.0  # a 6 mm lens on a 2/3 inch sensor has 72; wider ones do not follow this distortion
@@ -69,6 +72,16 @@ def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterV
         return place_mm
 
     return AfterValidator(check_millimetres)
+
+
+def check_on_holder(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a place on a holder that is far enough from the flange; centimetres would be too close."""
+    if (length_mm := math.hypot(*place_mm)) < NEAREST_ON_HOLDER_MM:
+        raise ValueError(
+            f"has length {length_mm:.3g}: expected at least {NEAREST_ON_HOLDER_MM:g} mm from the flange: "
+            "give millimetres, not centimetres"
+        )
+    return place_mm
 
 
 def are_degrees(angles: tuple[float, ...]) -> bool:

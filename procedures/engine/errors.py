@@ -129,6 +129,14 @@ class InstrumentLeftInside(RefusedError):
     action = "Touch neither the tool nor the arm: bring that run's arm home first."
 
 
+class CaseLeftWithInstrument(RonnaError):
+    """The commands of a case ended while an instrument was, or may have been, inside."""
+
+    code = "PRO-055"
+    action = "Move nothing by hand. Bring the arm home with the run: it asks for the removal first."
+    exit_code = EXIT_RECOVERY_NEEDED
+
+
 class TheatreNotNoted(RefusedError):
     """The file that records which run last moved the arm cannot be written."""
 

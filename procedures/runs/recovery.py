@@ -18,6 +18,7 @@ from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
+from procedures.runs.assistant_comparison import compare_assistant
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.request_file import read_request
@@ -37,9 +38,6 @@ from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
-from procedures.workcell.arm_history import fold_history
-from procedures.workcell.errors import TipOffAxis
-from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -158,7 +156,7 @@ def _restore_arm(
     if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
         comparison.refuse(updates)
     _compare_last_to_move(engine, comparison)
-    _compare_assistant(engine, previous, comparison)
+    compare_assistant(engine, previous, comparison)
     if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
         axis, travel_mm = found
         workcell.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
@@ -173,28 +171,6 @@ def _restore_arm(
         comparison.warn("the guide is at the divot, which is assumed to be raised")
     if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
         workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
-
-
-def _compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
-    """Compare where the assistant is with the journal; refuse a way out that nobody can check."""
-    workcell = engine.setting.workcell
-    if (assistant := workcell.assistant) is None:
-        return
-    try:
-        assistant.require_on_axis()
-    except TipOffAxis as problem:
-        assert assistant.place.axis is not None
-        comparison.add_difference(
-            "the assistant", f"on the axis of {assistant.place.axis.trajectory}", problem
-        )
-    if assistant.history.base is None and workcell.is_any_arm_out:
-        comparison.refuse(
-            "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
-            "arms home with their pendants, one at a time"
-        )
-    was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
-    if was_home and assistant.place.is_out:
-        comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:

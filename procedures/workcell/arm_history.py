@@ -216,6 +216,7 @@ class ArmHistory:
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     doubted: frozenset[str] = frozenset()  # trajectories where more may have been done than the journal says
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
+    interruptions: Mapping[str, str] = field(default_factory=dict)  # of a stage not done since, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
     base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
@@ -346,8 +347,14 @@ class ArmHistory:
             return replace(self, doubted=self.doubted | {trajectory})
         if isinstance(stop, Mapping):
             return replace(self, stops={**self.stops, trajectory: stop})
+        if (reason := line.get("interrupted")) is not None:
+            return replace(self, interruptions={**self.interruptions, trajectory: str(reason)})
         tasks = {**self.stages.get(trajectory, {}), str(line["task"]): bool(line["done"])}
-        return replace(self, stages={**self.stages, trajectory: tasks})
+        known = replace(self, stages={**self.stages, trajectory: tasks})
+        if not line["done"]:
+            return known
+        others = {name: reason for name, reason in self.interruptions.items() if name != trajectory}
+        return replace(known, interruptions=others)
 
 
 UNMOVED = ArmHistory()

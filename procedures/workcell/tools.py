@@ -198,6 +198,10 @@ class WorkedStages:
         """Return whether work at a trajectory has, or may have, begun."""
         return bool(self.tasks_at(trajectory)) or self.is_doubted(trajectory)
 
+    def interruption_at(self, trajectory: str) -> str | None:
+        """Return what interrupted a stage at a trajectory, unless one was done since."""
+        return self._log.history.interruptions.get(trajectory)
+
     def stop_at(self, trajectory: str) -> Stop | None:
         """Return the last depth stop setting at a trajectory, if any."""
         return self._log.history.stops.get(trajectory)
@@ -214,6 +218,10 @@ class WorkedStages:
     def record_begin(self, trajectory: str, task: str) -> None:
         """Record that a stage is about to begin."""
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
+
+    def record_interruption(self, trajectory: str, task: str, reason: str) -> None:
+        """Record what has interrupted a stage: whoever is asked about it later is told."""
+        self._log.note(Entry.STAGE, trajectory=trajectory, task=task, interrupted=reason)
 
     def record_done(self, trajectory: str, task: str) -> None:
         """Record that a stage was confirmed as done."""

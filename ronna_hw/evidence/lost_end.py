@@ -118,6 +118,8 @@ def _says_work(line: Line) -> bool:
             return True
         case {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "done": bool()}:
             return True
+        case {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "interrupted": str()}:
+            return True
         case {"entry": Entry.STAGE, "trajectory": str(), "stop": Mapping()}:
             return True
         case {"entry": Entry.STAGE, "trajectory": str(), "doubted": True}:

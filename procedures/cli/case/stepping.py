@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from procedures.cli.case.display import pause_on_interrupt, show_outcome, write_
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
+from procedures.engine.errors import CaseLeftWithInstrument
 from procedures.runs.case_outcome import build_finished_outcome
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import hold_run, run_folder
@@ -37,7 +39,8 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
     """Carry out commands until `quit` or the end of input. A failure is shown and the case is held.
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
-    A finished case ends as by `run`, with the errors at its targets.
+    A finished case ends as by `run`, with the errors at its targets. Raises PRO-055 if an instrument is still
+    inside at the end.
     """
     check_case(request, out)
     outcome: FinishedRun | None = None
@@ -92,6 +95,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
                     if prompt.input_ended:
                         executor.run_to_end(engine)
             theatre_s = engine.setting.clock.now_s()  # the clock ends with its theatre
+        _require_instrument_out(engine)
         if engine.over:
             wall_s = time.monotonic() - began_s
             outcome = build_finished_outcome(
@@ -101,6 +105,20 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
         show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=False)
     elif final.report is not None and on_terminal(sys.stderr):
         tell(f"report {final.report}")
+
+
+def _require_instrument_out(engine: Engine) -> None:
+    """Raise PRO-055 if the case ends with an instrument inside: `quit` is refused, but not the end."""
+    inside = engine.setting.workcell.place.instrument_description
+    if inside is None:
+        return
+    run = shlex.quote(str(engine.case.folder))
+    raise CaseLeftWithInstrument(
+        f"the commands have ended, and {inside}",
+        expected="`home`, which asks whether it is out, before the end",
+        action=f"Touch neither the tool nor the arm. ronna-procedure home {run} asks for the removal, then "
+        f"brings the arm home; ronna-procedure resume {run} does so and continues the case.",
+    )
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ at the target when its depth stop rests on the guide.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +17,7 @@ from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, measure_guide_at_rest
 from procedures.guards.room_watch import RoomWatch
-from procedures.journal.errors import GateFailed
+from procedures.journal.errors import GateFailed, JournalNotWritable
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question, Task, Topic
@@ -42,6 +42,7 @@ from procedures.steps.clinical.work_progress import (
     work_progress,
 )
 from procedures.steps.conditions import needs_insertion
+from ronna_hw.errors import RonnaError
 from ronna_hw.text import format_against_limit
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
@@ -104,10 +105,11 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
             if stage.task not in work_so_far.done:
-                _do_stage(context, stage, work_so_far)
-                _look_at_guide(context, stage, rest, work_so_far)
-                share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
-                context.progress(share, f"{stage.done_statement} at {trajectory}")
+                with _record_interruption(context, stage):
+                    _do_stage(context, stage, work_so_far)
+                    _look_at_guide(context, stage, rest, work_so_far)
+                    share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
+                    context.progress(share, f"{stage.done_statement} at {trajectory}")
         withdraw_assistant(context, work_so_far.stop)
         context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
     send_assistant_home(context)
@@ -156,8 +158,7 @@ def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget
 def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed, and TOOL-007."""
     trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.instrument.stages
-    known = stages.tasks_at(trajectory)
-    before = f"; earlier: {describe_work(known)}" if known else ""
+    before = f"; earlier: {describe_work(stages, trajectory)}" if stages.tasks_at(trajectory) else ""
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
@@ -183,6 +184,20 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
             work_so_far.done.append(stage.task)
     if answer != DONE:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.done_statement}", action=STAYS)
+
+
+@contextmanager
+def _record_interruption(context: StepContext, stage: WorkStage) -> Iterator[None]:
+    """Record what ends a stage early, for the next question about it. An answer needs no record."""
+    try:
+        yield
+    except RonnaError as error:
+        if not isinstance(error, NotConfirmed):
+            with suppress(JournalNotWritable):  # the error that ended the stage is reported
+                context.workcell.instrument.stages.record_interruption(
+                    context.trajectory, stage.task, error.summary
+                )
+        raise
 
 
 def _look_at_guide(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pydantic import Field
@@ -18,6 +17,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.conditions import require_recent
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
+from procedures.workcell.tools import WorkedStages
 from ronna_hw.wire import room_tasks
 from ronna_hw.wire.room_tasks import DEPTH_STOP
 
@@ -126,14 +126,17 @@ def work_progress(context: StepContext) -> WorkProgress:
     return work_so_far
 
 
-def describe_work(known: Mapping[str, bool], *, doubted: bool = False) -> str:
-    """Describe the work done at a target; `doubted` if more may have been done than is known."""
+def describe_work(stages: WorkedStages, trajectory: str) -> str:
+    """Describe the work done at a target, whether more may have been done, and what interrupted it."""
+    known, interruption = stages.tasks_at(trajectory), stages.interruption_at(trajectory)
     done = [
         stage.done_statement if known[stage.task] else f"begun and not confirmed: {stage.instruction}"
         for stage in STAGES
         if stage.task in known
     ]
-    return ", ".join((*done, UNRECORDED) if doubted else done)
+    more = (UNRECORDED,) if stages.is_doubted(trajectory) else ()
+    why = "" if interruption is None else f"; interrupted: {interruption}"
+    return ", ".join((*done, *more)) + why
 
 
 def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
@@ -141,8 +144,8 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     return tuple(
-        f"work {'has' if (known := stages.tasks_at(name)) else 'may have'} begun at {name}: "
-        + describe_work(known, doubted=stages.is_doubted(name))
+        f"work {'has' if stages.tasks_at(name) else 'may have'} begun at {name}: "
+        + describe_work(stages, name)
         for name in engine.order.trajectories
         if name not in finished and stages.may_have_begun(name)
     )
@@ -163,7 +166,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
     offered = {stage_answer(task): task for task in (*reversed(tasks[: first + 1]), *later)}
     question = WORK_BEGUN.question(
         f"work {'was already' if known else 'may already have been'} begun at {trajectory}: "
-        + describe_work(known, doubted=doubted),
+        + describe_work(stages, trajectory),
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
         (*((FINISHED,) if finished else ()), *offered, HOLD),

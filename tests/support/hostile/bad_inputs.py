@@ -87,6 +87,18 @@ focal_px = [0.0113, 0.0113]
 principal_point_px = [1023.5, 543.5]
 camera_from_tool = { translation_mm = [0.0, 0.0, 250.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0] }
 """
+HOLDER = """[calibration.assistant_holder]
+identifier = "holder-1"
+created = 2026-01-01T00:00:00Z
+expires = 2027-01-01T00:00:00Z
+made_by = "bench"
+stated_error_mm = 0.03
+stated_direction_error_rad = 0.0003
+flange_from_ball_mm = [0.0, 0.0, 160.0]
+flange_from_clamp = { translation_mm = [0.0, 0.0, 110.0], quaternion_wxyz = [0.8, 0.0, 0.6, 0.0] }
+flange_from_frame = { translation_mm = [-90.0, 90.0, -20.0], quaternion_wxyz = [0.0, 0.8, 0.0, -0.6] }
+frame = "assistant_frame"
+"""
 ROM = "robot_frame.rom"
 LAB = tomli_w.dumps(  # with everything that a case needs
     theatre_content(draw_scene("mini"), ENDPOINTS, "host:", {"robot_frame": ROM}, 1.0)
@@ -138,6 +150,8 @@ def _files() -> dict[str, str | bytes]:
         "nothing.toml": "",
         "focal_record.toml": THEATRE + STEREO_HEAD,
         "metres_record.toml": THEATRE + STEREO_HEAD.replace("300.0", "0.3").replace("250.0", "0.25"),
+        "holder_centimetres.toml": THEATRE + HOLDER.replace("160.0", "16.0").replace("110.0", "11.0"),
+        "holder_reversed.toml": THEATRE + HOLDER.replace("[0.8, 0.0, 0.6, 0.0]", "[0.0, 0.8, 0.0, -0.6]"),
         "tracker.toml": THEATRE + TRACKER,
         "lab.toml": THEATRE + TRACKER.replace("127.0.0.1", "192.168.1.7"),
         "unknown.toml": THEATRE + TRACKER.replace("ndi_polaris", "ndi_polariss"),

@@ -20,7 +20,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.clock import open_clock
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.control_port import ask_control_port
-from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import command
 from ronna_hw.wire.room_tasks import EMPTY
 from sim.world.running import find_running
@@ -138,6 +138,24 @@ def test_a_case_that_stopped_on_the_axis_is_resumed_straight_out_of_it_and_ends(
     assert way_of(journal_of(folder)[len(stopped) :])[: len(out)] == out
     (target,) = json.loads(done.stdout)["targets"]
     assert target["application_error_mm"] < SIGMAS * target["predicted_tre_mm"]
+
+
+@pytest.mark.hazard(64)
+def test_an_assistant_whose_cart_was_pushed_in_the_bore_leads_nothing_out_in_a_resumed_case(
+    commands: Commands, tmp_path: Path
+) -> None:
+    process = commands.start("ronna-procedure", "run", *CASE, "--out", str(tmp_path))
+    folder = await_assistant(tmp_path, "insert")
+    injected("room move cart 2 0 1.5 0 mm 0 deg in 0.1 s")(commands, folder)
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == EXIT_REFUSED, said
+    stopped = journal_of(folder)
+    assert stopped[-1]["code"] == "PRO-054"
+    for order in ("resume", "home"):
+        refused = commands.run("ronna-procedure", order, str(folder), "--accept", timeout_s=LIMIT_S)
+        assert refused.returncode == EXIT_RECOVERY_NEEDED, refused.stderr
+        assert "PRO-054: the tracker sees the assistant beside the axis of T1" in refused.stderr
+    assert motions(journal_of(folder)[len(stopped) :]) == []
 
 
 def await_journal(out: Path, pick: Callable[[list[Line]], Line | None]) -> tuple[Path, Line]:

@@ -55,6 +55,14 @@ def _content(endpoints: dict[str, Any], *, dual: bool = False) -> dict[str, Any]
     return content
 
 
+@pytest.fixture
+def dual() -> dict[str, Any]:
+    """A theatre of two arms, whose records are in order."""
+    endpoints = {**REAL, "assistant": {role: one.replace(".2:", ".3:") for role, one in REAL["kuka"].items()}}
+    endpoints["assistant"]["rsi"] = "udp://192.168.10.20:59153"
+    return _content(endpoints, dual=True)
+
+
 def _change(content: dict[str, Any], key: str, change: Callable[[Any], Any]) -> None:
     *tables, last = key.split(".")
     table = reduce(lambda inner, name: inner[name], tables, content)
@@ -87,13 +95,30 @@ def test_an_error_in_micrometres_is_refused(content: dict[str, Any], key: str, e
         "calibration.tool_tip.flange_from_tool.translation_mm",
     ],
 )
-def test_a_place_on_an_arm_in_metres_is_refused(key: str) -> None:
-    endpoints = {**REAL, "assistant": {role: one.replace(".2:", ".3:") for role, one in REAL["kuka"].items()}}
-    endpoints["assistant"]["rsi"] = "udp://192.168.10.20:59153"
-    content = _content(endpoints, dual=True)
-    _change(content, key, lambda place: [length / 1000.0 for length in place or (0.0, 0.0, 160.0)])
+def test_a_place_on_an_arm_in_metres_is_refused(dual: dict[str, Any], key: str) -> None:
+    _change(dual, key, lambda place: [length / 1000.0 for length in place or (0.0, 0.0, 160.0)])
     with pytest.raises(BadTheatreFile, match=rf"{key.rpartition('.')[2]}.*: give millimetres, not metres"):
-        parse_theatre(content)
+        parse_theatre(dual)
+
+
+@pytest.mark.hazard(61)
+@pytest.mark.parametrize("key", ["flange_from_clamp.translation_mm", "flange_from_ball_mm"])
+def test_a_place_on_the_holder_in_centimetres_is_refused(dual: dict[str, Any], key: str) -> None:
+    _change(dual, f"calibration.assistant_holder.{key}", lambda mm: [length / 10.0 for length in mm])
+    with pytest.raises(BadTheatreFile, match=r"CFG-001.*at least 35 mm from the flange.*not centimetres"):
+        parse_theatre(dual)
+
+
+@pytest.mark.hazard(61)
+@pytest.mark.parametrize("key", ["flange_from_clamp", "flange_from_frame"])
+def test_a_holder_whose_frame_faces_along_the_instrument_is_refused(dual: dict[str, Any], key: str) -> None:
+    def reverse(wxyz: Any) -> list[float]:
+        w, x, y, z = wxyz
+        return [-x, w, z, -y]  # turned by half a turn about its own x axis
+
+    _change(dual, f"calibration.assistant_holder.{key}.quaternion_wxyz", reverse)
+    with pytest.raises(BadTheatreFile, match=r"CFG-001.*assistant_holder.*expected at least 60.*reverse"):
+        parse_theatre(dual)
 
 
 @pytest.mark.parametrize("error_mm", [0.0, 1e300])

@@ -271,6 +271,15 @@ def test_lines_of_another_arm_do_not_move_this_one() -> None:
     assert arm_history(other, "second").place == arm_history(MOTION_FROM_HOME).place
 
 
+def test_what_interrupted_a_stage_is_known_until_one_is_done_there() -> None:
+    begun = {"entry": Entry.STAGE, "trajectory": "T1", "task": "insert", "done": False}
+    interrupted = {"entry": Entry.STAGE, "trajectory": "T1", "task": "insert", "interrupted": "pushed"}
+    lines = [begun, interrupted, begun]
+    assert arm_history(lines).interruptions == {"T1": "pushed"}
+    assert arm_history(lines).stages == {"T1": {"insert": False}}
+    assert arm_history([*lines, {**begun, "done": True}]).interruptions == {}
+
+
 def test_only_the_last_positions_of_a_long_way_are_kept() -> None:
     line = {"entry": Entry.MOVED, "joints_rad": list(HOME)}
     assert len(arm_history([line] * (TRAIL + 1)).trail) == TRAIL

@@ -8,8 +8,10 @@ unasked.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
@@ -30,7 +32,8 @@ from procedures.steps.clinical.two_arms.insertion_axis import (
     surround_at_guide,
 )
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.workcell import InsertionAxis
+from procedures.strategies.strategy import Sides
+from procedures.workcell import InsertionAxis, Workcell
 from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import mean_pose
@@ -52,6 +55,13 @@ LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
 STOOD_MM = 0.5
 LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
+
+
+class FramesApart(NamedTuple):
+    """Way (3,) mm, robot frame, and angle from the assistant's frame by the joints to that by the tracker."""
+
+    way_mm: NDArray[np.float64]
+    turned_rad: float
 
 
 def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
@@ -254,19 +264,8 @@ def _require_seen_coaxial(
             "it has just seen the assistant where it stood"
         )
         return None, None
-    held_on = workcell.place.axis
-    arrived = None if held_on is None else held_on.arriving
-    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad(), axis.arriving)
-    by_joints = (flange @ known.flange_from_frame.transform).rigid
-    turn = known.robot_from_tracker.transform.rigid.rotation
-    # From the master's frame: the tracker's smooth error is much the same for both.
-    seen_mm = turn.apply(on_assistant.translation_mm - on_master.translation_mm)
-    by_master = (
-        workcell.flange_pose(workcell.joints_rad(), arrived) @ known.flange_from_master_frame.transform
-    )
-    held_mm = by_joints.translation - by_master.translation_mm
-    apart_mm = float(np.linalg.norm(seen_mm - held_mm))
-    turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())
+    apart = compare_frames(workcell, assistant, known, axis.arriving, on_master, on_assistant)
+    apart_mm, turned_rad = float(np.linalg.norm(apart.way_mm)), apart.turned_rad
     try:
         _require_within(
             (apart_mm, turned_rad),
@@ -282,6 +281,33 @@ def _require_seen_coaxial(
         f"and {math.degrees(turned_rad):.2f} deg"
     )
     return apart_mm, turned_rad
+
+
+def compare_frames(
+    workcell: Workcell,
+    assistant: Assistant,
+    known: KnownBases,
+    arriving: Sides,
+    on_master: Transform,
+    on_assistant: Transform,
+) -> FramesApart:
+    """Compare the frames of both arms by the tracker, TRACKER <- MARKER at its localization, with the joints.
+
+    The joints of the assistant have arrived from the sides `arriving`.
+    """
+    held_on = workcell.place.axis
+    arrived = None if held_on is None else held_on.arriving
+    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad(), arriving)
+    by_joints = (flange @ known.flange_from_frame.transform).rigid
+    turn = known.robot_from_tracker.transform.rigid.rotation
+    # From the master's frame: the tracker's smooth error is much the same for both.
+    seen_mm = turn.apply(on_assistant.translation_mm - on_master.translation_mm)
+    by_master = (
+        workcell.flange_pose(workcell.joints_rad(), arrived) @ known.flange_from_master_frame.transform
+    )
+    held_mm = by_joints.translation - by_master.translation_mm
+    turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())
+    return FramesApart(seen_mm - held_mm, turned_rad)
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:

@@ -295,6 +295,32 @@ def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displace
 
 
 @pytest.mark.hazard(46)
+@pytest.mark.branch("WORK_BEGUN")
+def test_whoever_is_asked_about_interrupted_work_is_told_what_interrupted_it(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    cell.operator.refusing = (Topic.GUARD,)
+
+    def push(question: Question) -> None:
+        if question.topic is Topic.SKIN:
+            cell.tracker.frame_shift_mm = (2.0 * PUSHED_MM, 0.0, 0.0)
+
+    cell.operator.meanwhile = push
+    with pytest.raises(GuardUnmet):
+        work(engine)
+    cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)
+    cell.operator.refusing = ()
+    engine.retreat_home()
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+    cell.operator.asked.clear()
+    cell.operator.answers = {Topic.WORK_BEGUN: "from drill"}
+    work(engine)
+    asked = {one.topic: one for one in cell.operator.asked}
+    for said in (asked[Topic.WORK_BEGUN].subject, asked[Topic.DRILL].value):
+        assert f"the skin is open; interrupted: guide: pushed or pulled by {2.0 * PUSHED_MM:.2f} mm" in said
+    assert "interrupted" not in asked[Topic.DURA].value  # the drilling was done meanwhile
+
+
+@pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
 def test_a_seat_that_gave_way_and_is_then_hidden_does_not_count_as_repaired(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)

@@ -1,0 +1,37 @@
+"""A stepped case that ends with an instrument inside ends with an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from procedures.cli.case.stepping import _require_instrument_out
+from procedures.engine.errors import CaseLeftWithInstrument
+from procedures.workcell.arm_history import ArmPlace
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED
+
+RUN = Path("/runs/a case")
+
+
+def left_with(inside: str | None, *, assumed: bool = False) -> Any:
+    place = ArmPlace(instrument_may_be_inside=inside, assumed=assumed)
+    workcell = SimpleNamespace(place=place)
+    return SimpleNamespace(setting=SimpleNamespace(workcell=workcell), case=SimpleNamespace(folder=RUN))
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize(("assumed", "said"), [(False, "is still in T1"), (True, "may still be in T1")])
+def test_the_end_of_the_commands_with_an_instrument_inside_is_an_error_that_names_the_way_home(
+    *, assumed: bool, said: str
+) -> None:
+    with pytest.raises(CaseLeftWithInstrument, match=rf"PRO-055: .* an instrument {said}") as left:
+        _require_instrument_out(cast("Any", left_with("T1", assumed=assumed)))
+    assert left.value.exit_code == EXIT_RECOVERY_NEEDED
+    assert "ronna-procedure home '/runs/a case' asks for the removal" in left.value.advice
+
+
+def test_the_end_of_the_commands_with_no_instrument_inside_is_no_error() -> None:
+    _require_instrument_out(cast("Any", left_with(None)))
