@@ -77,6 +77,8 @@ class Engine:
         self.compare_places = setting.workcell.compare_places  # before a step begins
         # Whether somebody elsewhere is to take a seat, order or answer, and nothing moves until then.
         self.is_awaiting_person: Callable[[], bool] = lambda: False
+        # With the assistant's instrument in the guide: returns what nobody sees, refuses a way out beside it.
+        self.look_before_retreat: Callable[[], str] = lambda: ""
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
         if setting.workcell.assistant is not None:
@@ -265,7 +267,7 @@ class Engine:
                 assistant.compare_place()
                 if assistant.place.is_on_axis:
                     workcell.start()
-                    assistant.retreat()
+                    assistant.retreat(doubt=self.look_before_retreat())
             self.questions.request_instrument_removal()
             if assistant is not None and assistant.place.is_out:
                 workcell.start()

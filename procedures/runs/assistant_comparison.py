@@ -1,48 +1,34 @@
-"""Comparison of a resumed run's assistant with the journal and, in the guide, with its tracked frame.
-
-An instrument in the guide is led out along the axis that the assistant's joints have. If a cart was displaced
-meanwhile, that is not the axis of the bore any more: no arm draws the instrument against the guide.
-"""
+"""Comparison of the assistant with the journal and, in the guide, with its tracked frame."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import TypeVar
-
-import numpy as np
 
 from procedures.engine.engine import Engine
 from procedures.engine.run_folder import parse_record
-from procedures.guards.assistant_frame import SHIFTED_MM
 from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.results import StepResult
 from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.two_arms.assisted_insertion import SEEN_APART_RAD, compare_frames
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
-from procedures.workcell import InsertionAxis
+from procedures.steps.clinical.two_arms.seen_on_axis import (
+    LOOK_AT_CART,
+    NotCompared,
+    look_before_retreat,
+    require_seen_on_axis,
+)
 from procedures.workcell.arm_history import fold_history
-from procedures.workcell.assistant import Assistant
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.patient_frame import seen_after
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
+from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.config import ASSISTANT
-from ronna_hw.errors import RonnaError
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.records import Record
-from ronna_hw.text import format_against_limit
 
 R = TypeVar("R", bound=StepResult)
-
-BY_HAND = (
-    "No arm leads the instrument out; move none while it is in the guide. By hand: hold the instrument, open "
-    "the clamp of the assistant's holder, and draw the instrument straight out of the guide. Lock the carts, "
-    "jog the assistant home with its pendant, then repeat the command"
-)
-LOOK_AT_CART = (
-    "before you accept, look that its cart is locked and the instrument does not press on the guide"
-)
 
 
 def compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
@@ -59,7 +45,7 @@ def compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comp
         except TipOffAxis as problem:
             comparison.add_difference("the assistant", f"on the axis of {axis.trajectory}", problem)
         else:
-            _compare_with_frame(engine, assistant, axis, comparison)
+            _compare_with_frame(engine, axis.trajectory, comparison)
     if assistant.history.base is None and workcell.is_any_arm_out:
         comparison.refuse(
             "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
@@ -70,46 +56,36 @@ def compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comp
         comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
 
 
-def _compare_with_frame(
-    engine: Engine, assistant: Assistant, axis: InsertionAxis, comparison: Comparison
-) -> None:
-    """Refuse the way out along `axis` if the tracker sees the assistant beside it.
+def look_with_instrument_in_guide(engine: Engine) -> str:
+    """Look whether a cart was displaced before the assistant is sent home; as `look_before_retreat`."""
+    return look_before_retreat(engine.setting.workcell, *_bases_and_look(engine))
 
-    Counted across the axis, and from the master's frame. Where the tracker sees too little, warn.
-    """
-    workcell = engine.setting.workcell
+
+def _compare_with_frame(engine: Engine, trajectory: str, comparison: Comparison) -> None:
+    """Refuse the way out if the tracker sees the assistant beside it; where it sees too little, warn."""
+    try:
+        got = require_seen_on_axis(engine.setting.workcell, *_bases_and_look(engine))
+    except InsertionDisturbed as displaced:
+        comparison.refuse(str(displaced))
+    except NotCompared as unknown:
+        comparison.warn(f"{unknown}: {LOOK_AT_CART}")
+    else:
+        comparison.note(f"assistant: its frame within {got} across the axis of {trajectory}")
+
+
+def _bases_and_look(engine: Engine) -> tuple[KnownBases | None, Callable[[], list[TrackerFrame]]]:
+    """Return the last bases, if any, and a reading of frames in the tracker frame of its localization."""
     bases, localized = _find_last(engine, KnownBases), _find_last(engine, GlobalLocalization)
     if bases is None or localized is None:
-        comparison.warn(f"no record says where the assistant's frame was seen: {LOOK_AT_CART}")
-        return
-    move = workcell.tracker_move(localized[0].identifier).move.inverse()
-    try:
-        read, _ = read_frames_at_rest(workcell.tracker, engine.setting.clock, count=CAREFUL_FRAMES)
-    except RonnaError as problem:
-        comparison.warn(f"the assistant was not compared with its frame ({problem.summary}): {LOOK_AT_CART}")
-        return
-    frames = [seen_after(move, one) for one in read]
-    names = workcell.calibrations.tracker_frame.tool, assistant.holder.frame
-    on_master, on_assistant = (mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names)
-    if on_master is None or on_assistant is None:
-        hidden = names[0] if on_master is None else names[1]
-        comparison.warn(f"the tracker does not see {hidden}: {LOOK_AT_CART}")
-        return
-    apart = compare_frames(workcell, assistant, bases[1], axis.arriving, on_master, on_assistant)
-    along = assistant.base.rotation_matrix @ axis.held.rotation_matrix[:, 2]
-    across_mm = float(np.linalg.norm(apart.way_mm - (apart.way_mm @ along) * along))
-    got = f"{format_against_limit(across_mm, SHIFTED_MM, 2)} mm, {math.degrees(apart.turned_rad):.2f} deg"
-    if across_mm <= SHIFTED_MM and apart.turned_rad <= SEEN_APART_RAD:
-        comparison.note(f"assistant: its frame within {got} across the axis of {axis.trajectory}")
-        return
-    displaced = InsertionDisturbed(
-        f"the tracker sees the assistant beside the axis of {axis.trajectory}, with the instrument in the "
-        "guide: a cart was displaced, or a frame or the tracker",
-        limit=f"{SHIFTED_MM:g} mm, {math.degrees(SEEN_APART_RAD):g} deg",
-        got=got,
-        action=BY_HAND,
-    )
-    comparison.refuse(str(displaced))
+        return None, list
+
+    def read() -> list[TrackerFrame]:
+        workcell = engine.setting.workcell
+        move = workcell.tracker_move(localized[0].identifier).move.inverse()
+        frames, _ = read_frames_at_rest(workcell.tracker, engine.setting.clock, count=CAREFUL_FRAMES)
+        return [seen_after(move, one) for one in frames]
+
+    return bases[1], read
 
 
 def _find_last(engine: Engine, model: type[R]) -> tuple[Record, R] | None:

@@ -26,6 +26,7 @@ from procedures.guards import (
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator, Room
+from procedures.runs.assistant_comparison import look_with_instrument_in_guide
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.steps.branches import CART_MOVED, GO_ON
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -184,6 +185,7 @@ def build_engine(
         latest=None if previous is None else previous.latest,
     )
     engine.checkpoint.beside = tape.beside
+    engine.look_before_retreat = lambda: look_with_instrument_in_guide(engine)
     workcell.reading = tape.in_this_thread
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
     return engine

@@ -270,10 +270,15 @@ class Assistant(SupervisedArm):
         ]
         self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
 
-    def retreat(self, guided: GuidedStretch | None = None) -> None:
-        """Withdraw the instrument once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
+    def retreat(self, guided: GuidedStretch | None = None, doubt: str = "") -> None:
+        """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it.
+
+        Raises PRO-002 and as `withdraw`.
+        """
         motion = self.withdraw_motion(guided)
         subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
+        if doubt:
+            subject += f"; {doubt}"
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.withdraw(guided)
 

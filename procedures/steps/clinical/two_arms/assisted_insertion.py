@@ -8,10 +8,8 @@ unasked.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
@@ -31,9 +29,13 @@ from procedures.steps.clinical.two_arms.insertion_axis import (
     registered_here,
     surround_at_guide,
 )
+from procedures.steps.clinical.two_arms.seen_on_axis import (
+    SEEN_APART_RAD,
+    compare_frames,
+    look_before_retreat,
+)
 from procedures.steps.clinical.work_progress import DepthStop
-from procedures.strategies.strategy import Sides
-from procedures.workcell import InsertionAxis, Workcell
+from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import mean_pose
@@ -46,7 +48,7 @@ from ronna_hw.wire.room_tasks import HOLDER, SEATED
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
 # Between the frames of both arms, by the tracker and by the joints: three standard errors of the bases by the
 # tracker alone (0.3 mm) and of its angles. Coarse, but of another kind than the joints.
-SEEN_APART_MM, SEEN_APART_RAD = 1.0, math.radians(0.5)
+SEEN_APART_MM = 1.0
 MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
 OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
@@ -57,20 +59,13 @@ LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
-class FramesApart(NamedTuple):
-    """Way (3,) mm, robot frame, and angle from the assistant's frame by the joints to that by the tracker."""
-
-    way_mm: NDArray[np.float64]
-    turned_rad: float
-
-
 def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
     """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
     assert assistant is not None
     if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
-        assistant.retreat()
+        assistant.retreat(doubt=_look_before_retreat(context))
     context.request_instrument_removal()
     known = _require_bases(context)
     if assistant.place.is_out:  # stopped on its way earlier: a way in begins at home, so that one leads back
@@ -127,6 +122,12 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
         gap_mm=max(0.0, gap_mm),
     )
+
+
+def _look_before_retreat(context: StepContext) -> str:
+    """Look whether a cart was displaced since the halt; returns as `look_before_retreat`. Raises PRO-054."""
+    known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
+    return look_before_retreat(context.workcell, known, lambda: read_localized(context))
 
 
 def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -> None:
@@ -281,33 +282,6 @@ def _require_seen_coaxial(
         f"and {math.degrees(turned_rad):.2f} deg"
     )
     return apart_mm, turned_rad
-
-
-def compare_frames(
-    workcell: Workcell,
-    assistant: Assistant,
-    known: KnownBases,
-    arriving: Sides,
-    on_master: Transform,
-    on_assistant: Transform,
-) -> FramesApart:
-    """Compare the frames of both arms by the tracker, TRACKER <- MARKER at its localization, with the joints.
-
-    The joints of the assistant have arrived from the sides `arriving`.
-    """
-    held_on = workcell.place.axis
-    arrived = None if held_on is None else held_on.arriving
-    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad(), arriving)
-    by_joints = (flange @ known.flange_from_frame.transform).rigid
-    turn = known.robot_from_tracker.transform.rigid.rotation
-    # From the master's frame: the tracker's smooth error is much the same for both.
-    seen_mm = turn.apply(on_assistant.translation_mm - on_master.translation_mm)
-    by_master = (
-        workcell.flange_pose(workcell.joints_rad(), arrived) @ known.flange_from_master_frame.transform
-    )
-    held_mm = by_joints.translation - by_master.translation_mm
-    turned_rad = float((by_joints.rotation.inv() * turn * on_assistant.rigid.rotation).magnitude())
-    return FramesApart(seen_mm - held_mm, turned_rad)
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
+from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -18,6 +19,7 @@ from procedures.steps.clinical.two_arms.assisted_insertion import (
     _has_stood,
     _require_bases,
     _require_seen_coaxial,
+    insert_with_assistant,
 )
 from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
@@ -163,3 +165,23 @@ def test_platforms_are_compared_with_both_arms_home_and_by_what_is_seen_where_it
     shift_mm[1] = 8.5
     with pytest.raises(GateFailed, match="too little of what showed"):
         require_platforms_unmoved(context_with_bases())
+
+
+@pytest.mark.hazard(64)
+def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: pytest.MonkeyPatch) -> None:
+    def seen_beside(*_args: object) -> str:
+        raise InsertionDisturbed("a cart was displaced")
+
+    led_out: list[str] = []
+
+    def retreat(*, doubt: str) -> None:
+        led_out.append(doubt)
+
+    assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), retreat=retreat)
+    workcell = SimpleNamespace(assistant=assistant, start=lambda: None)
+    fields = {"workcell": workcell, "trajectory": "T1", "result_among": lambda _model, pick: pick([BASES])}
+    context = cast("StepContext", SimpleNamespace(**fields))
+    monkeypatch.setattr(assisted_insertion, "look_before_retreat", seen_beside)
+    with pytest.raises(InsertionDisturbed):
+        insert_with_assistant(context, cast("Any", None))
+    assert not led_out
