@@ -97,7 +97,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
         config = config.model_copy(update={"driver": driver})
     elif choice.endpoints:
         addresses = _parse_endpoints(choice.endpoints)
-        _require_roles(driver, addresses)
+        _require_roles(driver, addresses, assumed=choice.driver is None)
         config = config_for_suite(driver, addresses)
     protocol = load_driver_protocol(driver)
     if choice.sim and protocol.simulator is None:
@@ -137,8 +137,8 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
     return dict(named)
 
 
-def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
-    """Raise CNF-001, with an example, unless the endpoint names match the driver's."""
+def _require_roles(driver: str, addresses: Mapping[str | None, str], *, assumed: bool) -> None:
+    """Raise CNF-001, with an example, unless the endpoint names match the driver's, given or `assumed`."""
     finder = load_finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):
@@ -151,10 +151,11 @@ def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
     unknown = [name for name in addresses if name is not None and name not in wanted]
     raise NoDeviceChosen(
         f"the endpoints do not match {driver}"
+        + (", which is assumed without --driver" if assumed else "")
         + "".join(f"; endpoint {name} is unknown{suggest_keys(name, missing)}" for name in unknown),
         expected=", ".join(name or "one without a name" for name in wanted),
         got=", ".join(name or "one without a name" for name in addresses),
-        action=f"Example: {given}.",
+        action=f"Example: {given}." + (" For another make, name its --driver." if assumed else ""),
     )
 
 

@@ -68,7 +68,7 @@ def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterV
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
             raise ValueError(f"has length {length_mm:.3g}: give millimetres, not metres")
         if length_mm > farthest_mm:
-            raise ValueError(f"has length {length_mm:.3g}: expected at most {farthest_mm:g} mm")
+            raise ValueError(f"has length {length_mm:.6g}: expected at most {farthest_mm:g} mm")
         return place_mm
 
     return AfterValidator(check_millimetres)

@@ -74,7 +74,7 @@ def require_two_arms(theatre: TheatreFile) -> None:
         raise NotInTheatre(
             f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}"
             + "".join(f"; robot.{name} is unknown{suggest_keys(name, roles)}" for name in unknown),
-            action="Add them, or omit --dual: docs/how-to/case/two-arms.md says how.",
+            action="Add or rename them, or omit --dual: docs/how-to/case/two-arms.md says how.",
         )
 
 

@@ -75,14 +75,16 @@ def verdicts(
 ) -> Iterator[Verdict]:
     """Yield a verdict for each device table of the theatre file, then one for the case.
 
-    With an assistant in the file follows one for a case with both arms, which also needs `two_arms`.
+    With an assistant in the file, or its records, follows one for a case with both arms, which also needs
+    `two_arms`.
     """
     for name, found in devices.items():
         yield _verdict(name, found)
     needed = [*case, *(one for name in NEEDED for one in devices.get(name, ()))]
     yield _verdict(CASE, needed)
-    if (assistant := devices.get(f"robot.{ASSISTANT}")) is not None:
-        yield _verdict(TWO_ARM_CASE, [*needed, *assistant, *two_arms])
+    assistant = devices.get(f"robot.{ASSISTANT}")
+    if assistant is not None or not all(one.well for one in two_arms):
+        yield _verdict(TWO_ARM_CASE, [*needed, *(assistant or ()), *two_arms])
 
 
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:

@@ -64,7 +64,9 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
 
 def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Check the records that two arms need, and name the arms in roles that no procedure has."""
-    if ASSISTANT in theatre.robot:
+    records = theatre.calibration
+    is_meant = records is not None and (records.assistant_arm or records.assistant_holder) is not None
+    if ASSISTANT in theatre.robot or is_meant:
         yield run_check("records of two arms", "complete", lambda: require_two_arms(theatre))
     roles = (MASTER, ASSISTANT)
     for name in theatre.robot:

@@ -211,6 +211,14 @@ def test_an_arm_in_a_role_that_no_procedure_has_is_named_with_the_role_that_was_
         require_two_arms(theatre)
 
 
+def test_the_records_of_an_assistant_whose_table_is_misspelt_are_a_problem() -> None:
+    theatre = with_arms("master", "asistant")
+    records = SimpleNamespace(arm=None, assistant_arm=object(), assistant_holder=None)
+    found, _ = assistant_diagnostics(theatre.model_copy(update={"calibration": records}))
+    assert not found.well
+    assert "robot.asistant is unknown (did you mean 'assistant'?)" in found.seen
+
+
 def test_an_assistant_that_is_not_ready_leaves_only_a_case_with_one_arm() -> None:
     lost = Diagnostic("device robot.assistant", False, "silent")
     *_, alone, both = verdicts((), {"robot.master": (WELL,), "robot.assistant": (lost,)})
