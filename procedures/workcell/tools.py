@@ -220,7 +220,7 @@ class WorkedStages:
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
 
     def record_interruption(self, trajectory: str, task: str, reason: str) -> None:
-        """Record what has interrupted a stage: whoever is asked about it later is told."""
+        """Record what has interrupted a stage, for later questions about it."""
         self._log.note(Entry.STAGE, trajectory=trajectory, task=task, interrupted=reason)
 
     def record_done(self, trajectory: str, task: str) -> None:

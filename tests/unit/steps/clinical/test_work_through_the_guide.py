@@ -277,9 +277,8 @@ def test_a_displaced_guide_suspends_the_case_until_it_is_released(cell: Clinical
         assert "its seat has given way" in subject
 
 
-@pytest.mark.hazard(46)
-@pytest.mark.branch("GUIDE_PUSHED")
-def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displaced(cell: ClinicalCell) -> None:
+def with_a_guide_pushed_at_the_skin(cell: ClinicalCell) -> Engine:
+    """Return an engine before the entry; the guide is pushed there, and the operator refuses to go on."""
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.GUARD,)
 
@@ -288,6 +287,13 @@ def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displace
             cell.tracker.frame_shift_mm = (2.0 * PUSHED_MM, 0.0, 0.0)
 
     cell.operator.meanwhile = push
+    return engine
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displaced(cell: ClinicalCell) -> None:
+    engine = with_a_guide_pushed_at_the_skin(cell)
     for _attempt in range(2):
         with pytest.raises(GuardUnmet, match="pushed or pulled"):
             work(engine)
@@ -296,15 +302,8 @@ def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displace
 
 @pytest.mark.hazard(46)
 @pytest.mark.branch("WORK_BEGUN")
-def test_whoever_is_asked_about_interrupted_work_is_told_what_interrupted_it(cell: ClinicalCell) -> None:
-    engine = before_the_entry(cell)
-    cell.operator.refusing = (Topic.GUARD,)
-
-    def push(question: Question) -> None:
-        if question.topic is Topic.SKIN:
-            cell.tracker.frame_shift_mm = (2.0 * PUSHED_MM, 0.0, 0.0)
-
-    cell.operator.meanwhile = push
+def test_a_question_about_interrupted_work_tells_what_interrupted_it(cell: ClinicalCell) -> None:
+    engine = with_a_guide_pushed_at_the_skin(cell)
     with pytest.raises(GuardUnmet):
         work(engine)
     cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)
