@@ -347,7 +347,7 @@ class SharedClock:
         return self.now_ns()
 
     def _standing_cycle_ns(self, began_ns: int) -> int:
-        """Return how long a cycle of a device that stands may be: no longer than to what somebody waits for."""
+        """Return how long a device that stands may take for a cycle: no longer than to what is awaited."""
         memory = self._memory
         if any(self._streams(row) and not row.stands.read(memory) for row in STREAMS):
             return STANDING_CYCLE_NS

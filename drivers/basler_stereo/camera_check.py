@@ -174,11 +174,8 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     """Report the cameras on one network and any duplicate serial numbers."""
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
-    advice = (
-        f"{' and '.join(doubled)} replied several times: there is another cell on this network."
-        if doubled
-        else ""
-    )
+    where = "simulated cell on this computer" if interface.loopback else "cell on this network"
+    advice = f"{' and '.join(doubled)} replied several times: there is another {where}." if doubled else ""
     shown = ", ".join(map(_describe_camera, found))
     by_endpoint = {f"gev://{each.address}": each.serial for each in found}
     return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)

@@ -139,7 +139,9 @@ def _another_arm(
     if model and not exchanged:
         otherwise = action or AnotherArm.action
         action = f"If the arm is a {got}, say so in [robot.{role}.options]. Otherwise: {otherwise}"
-    return AnotherArm(what, expected=expected, got=got, action=action)
+    return AnotherArm(
+        what, expected=f"{expected}, as the arm here is", got=f"{got}, as the record says", action=action
+    )
 
 
 def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> None:

@@ -211,6 +211,12 @@ class CycleLoop:
             ):
                 self._poll.serve(remaining_s)
 
+    @property
+    def _stands(self) -> bool:
+        """Whether the arm's cycles show nothing new, and nothing counts them."""
+        awaits_nothing = not (self._silent or self._faults.frozen or self._controller.modes.is_in_transition)
+        return awaits_nothing and self._unchanged >= UNCHANGED_CYCLES
+
     def _ring(self) -> None:
         self._clock.silence(self._alarm)
 
@@ -230,8 +236,7 @@ class CycleLoop:
             with self._clock.rest(self._alarm, FOR_READER):
                 if self._clock.must_wait_for_reader(self._cycle_ns):
                     self._poll.serve(IDLE_WAIT_S)
-        stands = self._unchanged >= UNCHANGED_CYCLES and not self._silent and not self._faults.frozen
-        self._clock.advance_cycle(self._cycle_ns, stands=stands)
+        self._clock.advance_cycle(self._cycle_ns, stands=self._stands)
         while self._clock.must_wait_for_turn() and not self._ending:
             with self._clock.rest(self._alarm, FOR_TURN):
                 if self._clock.must_wait_for_turn():

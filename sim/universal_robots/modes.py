@@ -69,6 +69,11 @@ class Modes:
         """Whether the joints have power."""
         return self.robot_mode in POWERED
 
+    @property
+    def is_in_transition(self) -> bool:
+        """Whether something that takes a number of cycles is under way."""
+        return bool(self._ahead or self._locked or self._restarting)
+
     def _cycles(self, duration_s: float) -> int:
         return max(1, round(duration_s / self._cycle_s))
 

@@ -115,6 +115,8 @@ def new_theatre(
             partial(searching.endpoint_of, "--assistant-stream"),
             () if assistant_stream is None else (assistant_stream,),
         )
+        mistakes.collect(partial(searching.require_another, "--assistant", controllers), assistants)
+        mistakes.collect(partial(searching.require_another, "--assistant-stream", streams), assistant_streams)
         mistakes.collect(partial(searching.endpoint_of, "--clock"), (clock,))
         examples = searching.example_tables(finders, Search())
         if assistants:

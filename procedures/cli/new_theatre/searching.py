@@ -87,6 +87,15 @@ def endpoint_of(option: str, text: str) -> Endpoint:
         raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
 
 
+def require_another(option: str, of_master: Sequence[Endpoint], of_assistant: Endpoint) -> None:
+    """Raise CLI-001 if the assistant is given an address of the master."""
+    if of_assistant in of_master:
+        raise UsageMistake(
+            f"{option} is {of_assistant}, which is given for the master as well",
+            expected="addresses of its own for each arm",
+        )
+
+
 def lines(given: Sequence[str] | None) -> Sequence[str]:
     """Return the serial lines to probe: those given, or else every serial port of this computer."""
     if given is not None:

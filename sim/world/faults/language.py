@@ -203,10 +203,21 @@ def check_faults(
         found = list(_list_mistakes(fault, scene, devices))
         if not found and loaded is not None:
             found = list(check_tool_is_there(fault, scene, loaded))
-        here = fault.kind.device in devices
-        shown = fault.kind if here else next(kind for kind in FAULT_KINDS if kind.device in devices)
-        mistakes += [Mistake(f"line {fault.line}: {mistake}", shown.example) for mistake in found]
+        shown = fault.kind if fault.kind.device in devices else _most_alike(fault.kind, devices)
+        example = shown.example
+        if fault.of_assistant and scene.assistant is not None and shown.device in CYCLES_OF:
+            example = example.replace(": ", ": assistant ", 1)
+        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
     _refuse(mistakes)
+
+
+def _most_alike(kind: FaultKind, devices: Sequence[str]) -> FaultKind:
+    """Return the kind of fault of these devices that comes nearest: of an arm for one of an arm."""
+
+    def likeness(other: FaultKind) -> tuple[bool, bool]:
+        return (other.device in CYCLES_OF) == (kind.device in CYCLES_OF), other.phrase == kind.phrase
+
+    return max((one for one in FAULT_KINDS if one.device in devices), key=likeness)
 
 
 def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
