@@ -322,7 +322,7 @@ class HolderCalibration(DatedRecord):
     flange_from_ball_mm: Annotated[PointOnMount, AfterValidator(check_on_holder)] = Field(
         description="Centre of the ball on the flange."
     )
-    flange_from_frame: MountPose = Field(
+    flange_from_frame: Annotated[MountPose, AfterValidator(_require_on_holder)] = Field(
         description="Pose flange <- frame, as drawn; z, to which the frame faces, leads away from the tip."
     )
     frame: Words = Field(description="Name of the assistant's frame in the tracker's options.")

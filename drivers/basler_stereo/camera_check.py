@@ -174,7 +174,7 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     """Report the cameras on one network and any duplicate serial numbers."""
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
-    where = "simulated cell on this computer" if interface.loopback else "cell on this network"
+    where = "cell on this computer" if interface.loopback else "cell on this network"
     advice = f"{' and '.join(doubled)} replied several times: there is another {where}." if doubled else ""
     shown = ", ".join(map(_describe_camera, found))
     by_endpoint = {f"gev://{each.address}": each.serial for each in found}

@@ -102,7 +102,10 @@ def test_a_place_on_an_arm_in_metres_is_refused(dual: dict[str, Any], key: str) 
 
 
 @pytest.mark.hazard(61)
-@pytest.mark.parametrize("key", ["flange_from_clamp.translation_mm", "flange_from_ball_mm"])
+@pytest.mark.parametrize(
+    "key",
+    ["flange_from_clamp.translation_mm", "flange_from_ball_mm", "flange_from_frame.translation_mm"],
+)
 def test_a_place_on_the_holder_in_centimetres_is_refused(dual: dict[str, Any], key: str) -> None:
     _change(dual, f"calibration.assistant_holder.{key}", lambda mm: [length / 10.0 for length in mm])
     with pytest.raises(BadTheatreFile, match=r"CFG-001.*at least 35 mm from the flange.*not centimetres"):
