@@ -125,9 +125,8 @@ FOR_TIME_TO_PASS, FOR_READER, FOR_TURN = 1, 2, 3
 # Two devices that stream run in turns, in each until the one is this far ahead of the other: with each cycle
 # in step, processes that alternate on the same processors find cold caches, at twice the time per cycle.
 TURN_NS = 12_000_000
-# Theatre time of one cycle of a device that stands, as its cycles show nothing new: while another moves, and
-# at most, if none does, of what somebody waits for.
-STANDING_CYCLE_NS, RESTING_CYCLE_NS = 96_000_000, 16_000_000
+# Theatre time of one cycle of a device that stands while another moves: its cycles show nothing new.
+STANDING_CYCLE_NS = 96_000_000
 ALARM_LIMIT = 64  # calls taken from an alarm at once; a flood of them must not hold the cycles
 # The longest time that a process asks for at once: one that was killed keeps time passing no longer.
 WISH_NS = 2_000_000_000
@@ -321,7 +320,7 @@ class SharedClock:
     def advance_cycle(self, duration_ns: int, *, stands: bool = False) -> int:
         """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
 
-        A device that stands takes longer for a cycle.
+        A device that stands while another moves takes `STANDING_CYCLE_NS` for a cycle.
         Ahead of another device that streams, the time stands until that one has come as far; `TURN_NS` ahead,
         this device is to wait while `must_wait_for_turn`.
         """
@@ -330,10 +329,9 @@ class SharedClock:
         memory, own = self._memory, self._stream
         with self._lock:
             own.stands.write(memory, int(stands))
-            began_ns = self._cycle_start_ns()
-            if stands:
-                duration_ns = max(duration_ns, self._standing_cycle_ns(began_ns))
-            ends_ns = began_ns + duration_ns
+            if stands and any(self._streams(row) and not row.stands.read(memory) for row in STREAMS):
+                duration_ns = max(duration_ns, STANDING_CYCLE_NS)
+            ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())
             slowest = self._keep_step()
@@ -345,16 +343,6 @@ class SharedClock:
         if is_over:
             self._wake_devices(FOR_TURN, FOR_TIME_TO_PASS)
         return self.now_ns()
-
-    def _standing_cycle_ns(self, began_ns: int) -> int:
-        """Return how long a device that stands may take for a cycle: no longer than to what is awaited."""
-        memory = self._memory
-        if any(self._streams(row) and not row.stands.read(memory) for row in STREAMS):
-            return STANDING_CYCLE_NS
-        awaited_ns = WANTED_NS.read(memory)
-        if began_ns < (unread_ns := UNREAD_NS.read(memory)) < awaited_ns:
-            awaited_ns = unread_ns
-        return min(RESTING_CYCLE_NS, awaited_ns - began_ns)
 
     def must_wait_for_turn(self) -> bool:
         """Return whether another cyclic device has the turn, one that streams and has a reason to go on."""

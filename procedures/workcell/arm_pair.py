@@ -188,6 +188,12 @@ class ArmPair:
         for stop in stops:
             stop.join()
 
+    def halt_for_fault(self) -> None:
+        """Halt both for a fault since the last motion, as for one on the way; never raises."""
+        for role, arm in self._arms.items():
+            if arm.state is Lifecycle.FAULT:
+                self.stop(_tell_state(role, arm.observe()), role)
+
     def watch(self) -> None:
         """Look at both arms once; stop both for what stopped one, a distance, or an age."""
         found = self._find_trouble()
@@ -228,7 +234,8 @@ class ArmPair:
             raise OtherArmMoving("another motion is under way")
         try:
             self._require_released()
-            self._require_no_fault()
+            self.halt_for_fault()
+            self._require_released()
             if not with_instrument and (place := self._instrument_inside()) is not None:
                 raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
             self._live = LivePair(self._placed(MASTER), self._placed(ASSISTANT))
@@ -284,13 +291,6 @@ class ArmPair:
         for error in errors.values():
             raise error
         return ends
-
-    def _require_no_fault(self) -> None:
-        """Halt both for a fault since the last motion, as for one on the way. Raises DUAL-001."""
-        for role, arm in self._arms.items():
-            if arm.state is Lifecycle.FAULT:
-                self.stop(_tell_state(role, arm.observe()), role)
-        self._require_released()
 
     def _require_released(self) -> None:
         if self.halted is not None:

@@ -124,7 +124,7 @@ def _another_arm(
     record: ArmCalibration, expected: str, got: str, role: str, *, exchanged: bool, model: bool = False
 ) -> AnotherArm:
     """Return the refusal of a record, with advice that leaves the record of the other role as it is."""
-    what, action = f"calibration {record.identifier} belongs to another arm", None
+    what, action = f"calibration {record.identifier} belongs to another arm than the {role}", None
     if exchanged:
         what += ", and the record of the other role to this one: the two records are exchanged"
         action = (
@@ -139,9 +139,7 @@ def _another_arm(
     if model and not exchanged:
         otherwise = action or AnotherArm.action
         action = f"If the arm is a {got}, say so in [robot.{role}.options]. Otherwise: {otherwise}"
-    return AnotherArm(
-        what, expected=f"{expected}, as the arm here is", got=f"{got}, as the record says", action=action
-    )
+    return AnotherArm(what, expected=expected, got=got, action=action)
 
 
 def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> None:

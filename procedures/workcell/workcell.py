@@ -509,7 +509,9 @@ class Workcell(SupervisedArm):
         self._reset_confirmations()
 
     def stop(self) -> None:
-        """Stop every arm as far as its link still permits. Never raises."""
+        """Stop every arm as far as its link still permits; of two, a fault of one holds both. Never raises."""
+        if self._pair is not None:
+            self._pair.halt_for_fault()
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
         self._reset_confirmations()

@@ -60,7 +60,7 @@ def phantom(
         ),
     ] = Fiducials.FREE,
     arm: Annotated[
-        ArmChoice, typer.Option(help="Arm of a named scene, which reaches the plan.")
+        ArmChoice, typer.Option(case_sensitive=False, help="Arm of a named scene, which reaches the plan.")
     ] = ArmChoice.KR6,
     tilt_deg: Annotated[float, _scanner_option("Gantry tilt.")] = 0.0,
     tilt_hidden: Annotated[bool, _scanner_option("Headers of upright slices.", "--tilt-hidden")] = False,

@@ -29,7 +29,7 @@ ControlOption = Annotated[
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
-ArmOption = Annotated[ArmChoice, typer.Option(help="Arm of a named scene.")]
+ArmOption = Annotated[ArmChoice, typer.Option(case_sensitive=False, help="Arm of a named scene.")]
 FiducialsOption = Annotated[
     Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
 ]
@@ -93,7 +93,7 @@ def theatre(
         ),
     ] = False,
     assistant_arm: Annotated[
-        ArmChoice, typer.Option(help="With --dual: the model of the assistant.")
+        ArmChoice, typer.Option(case_sensitive=False, help="With --dual: the model of the assistant.")
     ] = ArmChoice.KR6,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[

@@ -19,7 +19,8 @@ def ur(
         str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
     ] = "127.0.0.9",
     model: Annotated[
-        UrArm, typer.Option(help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz).")
+        UrArm,
+        typer.Option(case_sensitive=False, help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz)."),
     ] = UrArm.UR5E,
     lock_step: Annotated[
         bool,

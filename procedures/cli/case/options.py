@@ -62,7 +62,9 @@ class TheatreOptions:
     seed: Annotated[
         int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")
     ] = 0
-    arm: Annotated[ArmChoice, typer.Option(help="Arm of the simulated theatre.")] = ArmChoice.KR6
+    arm: Annotated[ArmChoice, typer.Option(case_sensitive=False, help="Arm of the simulated theatre.")] = (
+        ArmChoice.KR6
+    )
     calibrated: Annotated[
         bool,
         typer.Option(
@@ -229,7 +231,7 @@ class CaseOptions(TheatreOptions):
         ),
     ] = False
     assistant_arm: Annotated[
-        ArmChoice, typer.Option(help="With --sim --dual: the model of the assistant.")
+        ArmChoice, typer.Option(case_sensitive=False, help="With --sim --dual: the model of the assistant.")
     ] = ArmChoice.KR6
     faults: Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")] = None
     keep_raw: Annotated[

@@ -130,6 +130,8 @@ STOPPED = "EKI-007 EKI-008 EKI-010"  # by the controller: before, or while the s
 SPOILT_REPLY = "NDI-003 NDI-005 NDI-006 NDI-007"  # a wrong CRC or form, or no end in time; no Polaris at all
 CONNECTING = "set_up"
 TWO_KUKA, UR_ASSISTS = ("--dual",), ("--dual", "--assistant-arm", "ur5e")
+# What stops an arm between two motions is told by that arm.
+UR_STOPS, UR_LINK, KUKA_STOPS = "URD-035 URD-036", "URD-014 URD-021 URD-022", "EKI-002 EKI-010"
 ARM_STOPS = (
     *(f"assistant ur {fault}" for fault in ("protective stop", "emergency stop pressed", "safeguard open")),
     *(f"assistant ur {fault}" for fault in ("violation", "fault", "power off", "program stop")),
@@ -140,7 +142,15 @@ SILENT_ARMS = ("assistant ur cable pulled", "assistant ur frozen", "assistant ro
 BASES = "base_to_base"
 # Theatre time from the beginning of a step to an amid motion of the assistant, in the mini scene.
 LOOKED_AT_S, OVER_HEAD_S, IN_BORE_S = 22.0, 6.0, 25.0
+AT_ONCE_S = 20  # of the theatre, from a stop by the controller until both arms are at rest
 UNMATCHED = Topic.UNMATCHED_SPHERE
+
+
+def told_by_arm(fault: str) -> str:
+    """Return the codes with which an assistant tells of a fault between two motions."""
+    if not fault.startswith("assistant ur "):
+        return KUKA_STOPS
+    return UR_LINK if "cut" in fault else UR_STOPS
 
 
 def arms_with(fault: str) -> tuple[str, ...]:
@@ -474,9 +484,16 @@ ROWS = (
     # The theatre's time runs free while a link is silent: for 2.5 s of the host, as fast as that is.
     *(
         Row(
-            fault, step, "DUAL-001", theatre_s=theatre_s, begins=SINCE, after_s=after_s, arms=arms_with(fault)
+            fault,
+            step,
+            f"DUAL-001 {told_by_arm(fault)}" if theatre_s == AT_ONCE_S else "DUAL-001",
+            theatre_s=theatre_s,
+            host_s=30,
+            begins=SINCE,
+            after_s=after_s,
+            arms=arms_with(fault),
         )
-        for faults, theatre_s in ((ARM_STOPS, 20), (SILENT_ARMS, 300))
+        for faults, theatre_s in ((ARM_STOPS, AT_ONCE_S), (SILENT_ARMS, 300))
         for fault in faults
         for step, after_s in ((BASES, LOOKED_AT_S), ("at_target", OVER_HEAD_S), ("at_target", IN_BORE_S))
     ),

@@ -168,6 +168,20 @@ def test_a_fault_between_two_motions_halts_both(
 
 
 @pytest.mark.hazard(58)
+def test_a_fault_that_a_step_finds_between_two_motions_latches_both(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    pair.halt_for_fault()
+    assert pair.halted is None
+    assistant.stop(StopKind.PROTECTIVE)
+    pair.halt_for_fault()
+    assert {master.state, assistant.state} == {Lifecycle.FAULT}
+    assistant.recover("Ann")
+    with pytest.raises(BothArmsHalted, match="the assistant has gone to fault"):
+        pair.move(ASSISTANT, turned(assistant, 1.0))
+
+
+@pytest.mark.hazard(58)
 @pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
 @pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
 def test_a_stop_of_one_arm_stops_and_holds_both(
