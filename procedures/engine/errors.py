@@ -95,7 +95,7 @@ class RecoveryRefused(RonnaError):
     """The run was not resumed: the findings differ from its records, or were not accepted."""
 
     code = "PRO-032"
-    action = "Restore the recorded state and resume again, or start a new run. Nothing was moved."
+    action = "Nothing was moved. Put right what is named, then repeat the command."
     exit_code = EXIT_RECOVERY_NEEDED
 
 

@@ -59,8 +59,8 @@ class InsertionDisturbed(RefusedError):
     code = "PRO-054"
     action = (
         "Touch neither instrument nor arms, and find out what was pushed. Nothing retreats by itself: repeat "
-        "the step, and the assistant leads the instrument out once that is confirmed; then everything is "
-        "looked at again."
+        "the step. The tracker compares the frames of both arms; where they agree, the assistant leads the "
+        "instrument out once that is confirmed, and otherwise staff take it out by hand, as is then said."
     )
 
 

@@ -160,10 +160,17 @@ def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
         return Ending("not begun", *_append_error("The run ended before its theatre was open.", error))
     if closed is None:
         where = _describe_place(journal)
-        return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
+        sentence = f"The program ended{where} without closing the run, or is still running."
+        return Ending("killed", sentence, instrument_in=_instrument_in(journal))
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
+
+
+def _instrument_in(journal: Sequence[Line]) -> str | None:
+    """Return the trajectory that an instrument was last in by the journal, if it was not taken out."""
+    last = next((line for line in reversed(journal) if line["entry"] == Entry.INSTRUMENT), None)
+    return str(last["trajectory"]) if last is not None and last["inside"] else None
 
 
 def advise(ending: Ending, *, is_case: bool) -> str:

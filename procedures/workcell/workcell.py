@@ -509,7 +509,7 @@ class Workcell(SupervisedArm):
         self._reset_confirmations()
 
     def stop(self) -> None:
-        """Stop every arm as far as its link still permits; of two, a fault of one holds both. Never raises."""
+        """Stop every arm as far as its link permits; of two, a fault of one holds both. Never raises."""
         if self._pair is not None:
             self._pair.halt_for_fault()
         for failure in self._theatre.stop():

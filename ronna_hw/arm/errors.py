@@ -110,4 +110,7 @@ class ForceLimitExceeded(LimitError):
     """The force on the tool exceeded the limit of a motion, which stopped."""
 
     code = "ARM-015"
-    action = "Look at the instrument. The arm holds it: resume, then withdraw without a force limit."
+    action = (
+        "Look at the instrument: the arm holds it where it is. In a case `home`, or the step again, leads it "
+        "out once that is confirmed; in Python resume, then withdraw without a force limit."
+    )

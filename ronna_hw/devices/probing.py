@@ -138,7 +138,8 @@ def connect_and_identify(
             device.close()
     except RonnaError as error:
         if isinstance(error, ConnectError):  # a wrong configuration has its own advice
-            advice = advice or next(filter(None, map(explain_unreachable, endpoints)), "")
+            named = [one for one in endpoints if str(one) in error.summary]
+            advice = advice or next(filter(None, map(explain_unreachable, (*named, *endpoints))), "")
         advice = advice or error.advice
         return (Diagnostic(subject, False, f"{addresses}: {error.code} {error.summary}", advice),)
     seen = f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"

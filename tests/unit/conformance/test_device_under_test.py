@@ -64,6 +64,10 @@ def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
     ):
         pass
     assert caught.value.code == "CNF-002"
+    no_robot = theatre.with_name("no_robot.toml")
+    no_robot.write_text('schema = 1\ntheatre = "empty"\n[clock]\nendpoint = "host:"\n')
+    with pytest.raises(DeviceNotInFile, match=r"has no robot;? .*\[robot.master\]"):
+        resolve_target("robot", Choice(config=no_robot))
     with pytest.raises(DeviceNotInFile, match="no tracker left"):
         resolve_target("tracker", Choice(config=theatre, device="left"))
     for device in (None, "middle"):

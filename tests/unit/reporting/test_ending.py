@@ -195,3 +195,19 @@ def test_a_changed_record_is_named(registered: Path) -> None:
 def test_every_ending_but_the_good_one_says_what_to_do(word: str, is_case: bool) -> None:
     assert advise(Ending(word, ""), is_case=is_case)
     assert advise(Ending("done", ""), is_case=is_case) == ""
+
+
+@pytest.mark.parametrize(("is_out", "instrument_in"), [(False, "T1"), (True, None)])
+def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
+    cell: ClinicalCell, is_out: bool, instrument_in: str | None
+) -> None:
+    def work(context: StepContext) -> Outcome[StepResult]:
+        context.workcell.instrument.record_insertion("T1")
+        if is_out:
+            context.workcell.instrument.record_removal()
+        raise GateFailed("killed here")
+
+    with pytest.raises(GateFailed):
+        cell.engine(plain_order(fit=work)).run_to()
+    ending = ending_of(read_for_report(cell.folder))
+    assert (ending.word, ending.instrument_in) == ("killed", instrument_in)
