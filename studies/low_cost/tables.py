@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 MOST_CLOSED_MM = 0.5  # goal for the mean error with feedback
 MOST_DEPENDENT = 0.1  # of it: how far an arm's mean may be from that of all
+LEAST_ARMS = 5  # that show whether errors depend on the arm
 # Tovar-Arriaga et al., Sensors 12 (2012): a light-weight arm (LWR3) guided by an optical tracker.
 PEER = "Tovar-Arriaga et al., Sensors 12 (2012), another arm and tracker"
 PEER_CALIBRATION_MM, PEER_OPEN_MM, PEER_CLOSED_RMS_MM = (0.81, 0.41), (1.2, 0.4), 0.35
@@ -103,7 +104,7 @@ def tabulate_relations(arms: list[Arm]) -> Table:
     mean_mm, apart = float(means.mean()), float(np.abs(means / means.mean() - 1.0).max())
     rise = _fit_rise_mm(np.array([arm[NOMINAL_ERROR_KEY] for arm in arms]), means) / mean_mm
     rms_mm = float(np.sqrt(np.mean(closed**2)))
-    several = len(arms) > 1  # else there is nothing to compare an arm with
+    several = len(arms) >= LEAST_ARMS
     rows: list[tuple[str, Cell, Cell, Cell]] = [
         (
             "arms with a smaller mean error by method 2 than by method 1",
@@ -147,8 +148,8 @@ def tabulate_relations(arms: list[Arm]) -> Table:
         ("requirement", "value", "limit", "held"),
         [(*row[:3], row[3] or NOT_JUDGED) for row in rows],
         f"{NOT_FOUND} Both methods with nominal DH. Row 2 is not judged: tip, registration and tracker err "
-        "alike in both methods, and one orientation may suit an arm by chance. One arm alone says nothing "
-        "about dependence on the arm.",
+        "alike in both methods, and one orientation may suit an arm by chance. Fewer than {LEAST_ARMS} arms "
+        "say nothing about dependence on the arm: their few targets differ as much.",
         _describe_verdict(rows),
     )
 
@@ -303,9 +304,11 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         ]
         for name, (method, model) in METHODS.items()
     }
-    rounds = np.array(
-        [arm.at_targets(Method.CLOSED, Dimensions.NOMINAL, Quantity.ROUNDS) for arm in arms]
-    ).ravel()
+    rounds, ended = (
+        np.array([arm.at_targets(Method.CLOSED, Dimensions.NOMINAL, one) for arm in arms]).ravel()
+        for one in (Quantity.ROUNDS, Quantity.SETTLED)
+    )
+    settled = ended > 0.0
     return {
         "errors.png": boxes(
             "Error of the tip at the target",
@@ -328,8 +331,14 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         "rounds.png": bars(
             "Rounds of method 2",
             "% of the targets",
-            {f"{n}": {"share": 100.0 * float(np.mean(rounds == n))} for n in range(MOST_ROUNDS + 1)},
-            x_label="rounds of looking and moving, until settled",
+            {
+                f"{n}": {
+                    "settled": 100.0 * float(np.mean(settled & (rounds == n))),
+                    "not settled": 100.0 * float(np.mean(~settled & (rounds == n))),
+                }
+                for n in range(MOST_ROUNDS + 1)
+            },
+            x_label="rounds of looking and moving",
         ),
     }
 
