@@ -98,6 +98,7 @@ def test_allowed_motions_keep_their_distance_by_truth() -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(3600)
 def test_ten_thousand_pairs_of_motions_keep_their_distance_by_truth() -> None:
     gaps_mm = accepted_gaps_mm(MANY, SCENES)
     assert len(gaps_mm) >= MANY // 3
