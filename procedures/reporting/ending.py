@@ -202,6 +202,9 @@ def _describe_closed_run(
         return "done", f"Every step was done{_describe_incidents(journal)}.", ""
     step = "" if last is None else str(last.get("step", ""))
     during = f" during {step}" if step else ""
+    if outcome == "left" and last is not None and last["entry"] in (Entry.FAILED, Entry.REFUSED):
+        _, sentence, code = _describe_closed_run(journal, {**closed, "outcome": "failed"}, last, error)
+        return "left", f"{sentence.rstrip('.')}. The operator then left the case.", code
     if outcome == "left":
         return (
             "left",

@@ -211,3 +211,16 @@ def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
         cell.engine(plain_order(fit=work)).run_to()
     ending = ending_of(read_for_report(cell.folder))
     assert (ending.word, ending.instrument_in) == ("killed", instrument_in)
+
+
+@pytest.mark.hazard(41)
+def test_a_case_left_after_a_failed_step_names_what_failed_first(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order(fit=raising(GateFailed("too far off"))))
+    with pytest.raises(GateFailed):
+        engine.run_to()
+    engine.close("left")
+    seal_run(cell.folder)
+    ending = ending_of(read_for_report(cell.folder))
+    assert (ending.word, ending.code) == ("left", "PRO-007")
+    assert ending.sentence.startswith("fit:T1 failed. PRO-007: too far off.")
+    assert ending.sentence.endswith(". The operator then left the case.")
