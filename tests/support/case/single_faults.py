@@ -150,7 +150,7 @@ def told_by_arm(fault: str) -> str:
     """Return the codes with which an assistant tells of a fault between two motions."""
     if not fault.startswith("assistant ur "):
         return KUKA_STOPS
-    return UR_LINK if "cut" in fault else UR_STOPS
+    return UR_LINK if fault.split()[2] in ("cut", "cable", "frozen") else UR_STOPS
 
 
 def arms_with(fault: str) -> tuple[str, ...]:
@@ -486,7 +486,7 @@ ROWS = (
         Row(
             fault,
             step,
-            f"DUAL-001 {told_by_arm(fault)}" if theatre_s == AT_ONCE_S else "DUAL-001",
+            f"DUAL-001 {told_by_arm(fault)}",
             theatre_s=theatre_s,
             host_s=30,
             begins=SINCE,
