@@ -163,11 +163,11 @@ def _find_in_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[
     if kind == "robot":
         name = device or (next(iter(theatre.robot)) if len(theatre.robot) == 1 else None)
         if name is None or name not in theatre.robot:
-            several = len(theatre.robot) > 1 and not name
+            found = (
+                "several robots" if theatre.robot and not name else " ".join(("no robot", name or "")).strip()
+            )
             raise DeviceNotInFile(
-                "the theatre file has several robots"
-                if several
-                else f"the theatre file has no robot{f' {name}' if name else ''}",
+                f"the theatre file has {found}",
                 expected=", ".join(theatre.robot) or "a table such as [robot.master]",
             )
         return f"robot.{name}", theatre.robot[name]
