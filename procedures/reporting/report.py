@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from procedures.calibration.base_to_base import LARGEST_ERROR_MM
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
@@ -72,7 +73,9 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD, SEEN_APART_MM
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.two_arms.seen_on_axis import SEEN_APART_RAD
 from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
@@ -139,6 +142,11 @@ def write_report(
         "set_up": reading.find(CheckedSetUp),
         "tools": reading.standing(MountedGuide),
         "bases": reading.find(KnownBases),
+        "bases_limit_mm": LARGEST_ERROR_MM,
+        "coaxial_mm": COAXIAL_MM,
+        "coaxial_rad": COAXIAL_RAD,
+        "seen_apart_mm": SEEN_APART_MM,
+        "seen_apart_rad": SEEN_APART_RAD,
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),

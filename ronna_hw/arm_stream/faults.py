@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from math import degrees
 from typing import Any
@@ -86,9 +87,10 @@ class StreamFaults:
         if state.result is Result.REFUSED_STOP:
             return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
         if state.result is Result.REFUSED_LOADED:
+            axes = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("xyz", state.force_N, strict=True))
             return LoadedAtStart(
                 f"{self.name}: a force acts on the tool at the start, or the arm has just come to rest",
-                got=" ".join(f"{value:.1f}" for value in state.force_N) + " N",
+                got=f"{math.hypot(*state.force_N):.1f} N ({axes} in the frame of the base)",
             )
         reason = _REFUSALS.get(state.result, f"result {state.result.name}")
         return self.errors.refused(f"{self.name}: the motion was refused: {reason}")

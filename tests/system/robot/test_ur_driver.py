@@ -433,7 +433,7 @@ def test_a_load_is_read_back_and_one_that_the_controller_does_not_take_is_refuse
 def test_a_hand_that_pushes_before_the_guidance_is_not_followed(room: Room, arm: UniversalRobotsArm) -> None:
     room.inject("hand +0 +0 +30 N")
     room.clock.sleep(0.5)
-    with pytest.raises(LoadedAtStart):
+    with pytest.raises(LoadedAtStart, match=r"\d N \(x .* in the frame of the base\)"):
         arm.guide_by_hand(HandGuidance(), lambda: True)
     assert arm.read_state().moving is False
 

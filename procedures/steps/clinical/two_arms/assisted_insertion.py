@@ -66,6 +66,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
         assistant.retreat(doubt=_look_before_retreat(context))
+        context.find(f"at {trajectory} the instrument, halted on its way in, was led out first")
     context.request_instrument_removal()
     known = _require_bases(context)
     if assistant.place.is_out:  # stopped on its way earlier: a way in begins at home, so that one leads back

@@ -52,7 +52,7 @@ class AxisApproach(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """An axis in the robot frame with its joints, and how well it suits: the smallest first."""
+    """An axis in the robot frame with its joints by the record, and how well it suits: the smallest first."""
 
     rank: tuple[bool, bool, int, float]
     axis: InsertionAxis
@@ -98,7 +98,7 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
     meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
     turns = _list_turns(context, stop, meeting)
-    found = _list_reached(assistant, turns, known, meeting)
+    found = _list_reached(assistant, turns, known)
     here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
     for one in sorted(found, key=lambda one: one.rank):
@@ -106,14 +106,20 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
             continue
         in_sight += 1
         surround_at_guide(context, one.held_rad, robot_from_ct)
-        onto = assistant.settle_motion(one.start_rad, one.axis.arriving)
-        along = assistant.insert_motion(assistant.axis_in_base(one.axis), one.start_rad)
-        blocked = assistant.explain_blocked([along], one.start_rad)
-        ways = () if blocked else _list_ways(assistant.home_rad, one.start_rad)
+        axis = meeting.command(assistant, one.axis, one.held_rad)
+        try:
+            start_rad = assistant.clamp_joints(axis.start, one.start_rad, axis.arriving)
+        except LimitError as beyond:
+            in_the_way.append(f"{beyond.code} ({beyond.meaning})")
+            continue
+        onto = assistant.settle_motion(start_rad, axis.arriving)
+        along = assistant.insert_motion(assistant.axis_in_base(axis), start_rad)
+        blocked = assistant.explain_blocked([along], start_rad)
+        ways = () if blocked else _list_ways(assistant.home_rad, start_rad)
         for via_rad in ways:
             way = [*map(assistant.go_motion, via_rad), onto]
             if not (blocked := assistant.explain_blocked(way, here_rad)):
-                return AxisApproach(one.axis, one.start_rad, via_rad)
+                return AxisApproach(axis, start_rad, via_rad)
         in_the_way.append(blocked)
     raise NotReachable(
         f"the assistant cannot bring the instrument into the guide at {context.trajectory}: of "
@@ -158,9 +164,7 @@ def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list
     return axes
 
 
-def _list_reached(
-    assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases, meeting: Meeting
-) -> list[_Candidate]:
+def _list_reached(assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 
     First those in the wrist's posture at the looks, for which it is known what the arm errs; of these, those
@@ -186,15 +190,13 @@ def _list_reached(
                 signs = tuple(
                     1 if after >= earlier else -1 for earlier, after in zip(before, at_end, strict=True)
                 )
-                axis = meeting.command(assistant, replace(one, arriving=signs), at_end)
-                start_rad = assistant.clamp_joints(axis.start, near, signs)
             except LimitError:
                 continue
-            marker = assistant.flange_pose(start_rad) @ frame
-            hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, start_rad))
-            way_rad = travel_rad(assistant.home_rad, start_rad) + travel_rad(at_start, at_end)
+            marker = assistant.flange_pose(at_start) @ frame
+            hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, at_start))
+            way_rad = travel_rad(assistant.home_rad, at_start) + travel_rad(at_start, at_end)
             rank = (other_wrist, hidden, round(away / TURN_STEP_RAD), way_rad)
-            found.append(_Candidate(rank, axis, start_rad, at_end))
+            found.append(_Candidate(rank, replace(one, arriving=signs), at_start, at_end))
     return found
 
 
