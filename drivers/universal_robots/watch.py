@@ -21,7 +21,7 @@ from drivers.universal_robots.errors import (
 )
 from drivers.universal_robots.faults import may_be_power
 from drivers.universal_robots.primary.client import ControllerState
-from ronna_hw.arm_stream.records import Fault, Phase
+from ronna_hw.arm_stream.records import Fault, Phase, StopOrder
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
@@ -94,8 +94,9 @@ class UrWatch(StreamWatch[ControllerState]):
         Other threads wait for that: `failure` can be seen before this is called.
         """
         try:
-            if self._guard.state in RUNNING:
-                super().on_loss(self._cause_of(failure))
+            if self._guard.state in RUNNING and (link := self._connections.open_link) is not None:
+                link.stop(StopOrder.PROTECTIVE)  # first: to ask takes up to a second
+                self._latch_with_record(self._cause_of(failure), link)
         finally:
             with self._explaining:
                 self._explained = failure
@@ -125,7 +126,9 @@ class UrWatch(StreamWatch[ControllerState]):
             return
         state = link.state
         must_end = state.phase is Phase.SILENT or state.fault in LINK_FAULTS
-        was_ended, self._program_ended = self._program_ended, must_end
-        if must_end and not was_ended:
-            with contextlib.suppress(RonnaError):
+        if must_end and not self._program_ended:
+            try:
                 dashboard.ask(Order.STOP, DASHBOARD_LIMIT_S)
+            except RonnaError:
+                return  # at the next state, or the next silence, again
+        self._program_ended = must_end

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NoReturn, TypeVar
 
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
@@ -21,6 +22,7 @@ from ronna_hw.arm.clearance.arm_pair import (
     ArmPairWorld,
     PlacedArm,
     SampledPath,
+    name_of,
     require_apart,
 )
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
@@ -47,6 +49,7 @@ WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at 250 mm/s,
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
 STOP_LIMIT_S = 5.0  # host time
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
+STOPPED_FOR_UNKNOWN = "the {} has stopped, and its controller has not said why"
 ROLES = (MASTER, ASSISTANT)
 R = TypeVar("R")
 
@@ -81,7 +84,7 @@ class ArmPair:
         self._clock = clock
         self._instrument_inside = instrument_inside
         self._around = dict.fromkeys(ROLES, Surroundings())
-        self._touching: dict[str, frozenset[str]] = dict.fromkeys(ROLES, frozenset())
+        self._contacts: frozenset[tuple[str, str]] = frozenset()  # of a body of the master and the assistant
         self._moving = threading.Lock()  # held by the motion under way
         self._at_rest_rad: dict[str, JointVector] = {}  # of arms that must not move meanwhile
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
@@ -106,20 +109,21 @@ class ArmPair:
 
     def rest_apart(self, joints_rad: Mapping[str, JointVector]) -> bool:
         """Return whether both arms, at these joints, would keep the distance that is planned between them."""
-        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT))
+        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT), self._contacts)
         apart_mm = world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm
         return apart_mm >= PLANNED_APART_MM + self._uncertain_mm
 
     def place_assistant(self, base: Pose, uncertain_mm: float) -> None:
         """Take another pose ROBOT <- base of the assistant, as measured better.
 
-        By `uncertain_mm` the assistant may be elsewhere: both arms keep that much more distance.
+        By `uncertain_mm` the assistant may be elsewhere: both arms keep that much more distance, and the
+        assistant does so from all that surrounds it.
         """
         self._bases[ASSISTANT], self._uncertain_mm = base, uncertain_mm
 
-    def touch(self, parts: Mapping[str, Collection[str]]) -> None:
-        """Name the parts of the tools that may come close to the other arm, by role; none to end that."""
-        self._touching = {role: frozenset(parts.get(role, ())) for role in ROLES}
+    def allow_contact(self, of_master: Collection[str], of_assistant: Collection[str]) -> None:
+        """Let these parts of one tool come close to these of the other, and no others any more."""
+        self._contacts = frozenset(product(of_master, of_assistant))
 
     def acknowledge(self, confirmed_by: str) -> None:
         """Release a halt once both arms can move again. Raises DEV-006 without a name, DUAL-001 otherwise."""
@@ -155,7 +159,16 @@ class ArmPair:
         other, around = _other(role), self._around[role]
         rests_rad = self._joints_now(other)
         obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
-        self._arms[role].surround(replace(around, obstacles=(*around.obstacles, *obstacles)))
+        if role == ASSISTANT:
+            around = around.thickened(self._uncertain_mm)
+        contacts = (pair if role == MASTER else pair[::-1] for pair in self._contacts)
+        self._arms[role].surround(
+            replace(
+                around,
+                obstacles=(*around.obstacles, *obstacles),
+                contacts=tuple((own, name_of(part, other)) for own, part in contacts),
+            )
+        )
         return rests_rad
 
     def move_together(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
@@ -166,7 +179,7 @@ class ArmPair:
         with self._under_way():
             self._at_rest_rad = {}
             paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
-            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm)
+            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm, self._contacts)
             margin_mm = PLANNED_APART_MM + self._uncertain_mm
             require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S, margin_mm)
             for role, arm in self._arms.items():
@@ -200,6 +213,7 @@ class ArmPair:
         if found is not None:
             role, reason, kind = found
             self.stop(reason, role, kind)
+            self._ask_why(role)
 
     def _find_trouble(self) -> tuple[str, str, StopKind] | None:
         joints: dict[str, JointVector] = {}
@@ -210,6 +224,8 @@ class ArmPair:
             if seen.state is not self._expected.get(role, seen.state):
                 kind = StopKind.HOLD if seen.state is Lifecycle.HOLD else StopKind.PROTECTIVE
                 return role, _tell_state(role, seen), kind
+            if seen.stopped:
+                return role, STOPPED_FOR_UNKNOWN.format(role), StopKind.PROTECTIVE
             try:
                 joints[role] = self._joints(role, seen.reading, now_s)
             except OtherArmUnknown as error:
@@ -218,7 +234,7 @@ class ArmPair:
                 moved_rad = max(abs(a - b) for a, b in zip(joints[role], rests_rad, strict=True))
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
-        live = self._live or LivePair(self._placed(MASTER), self._placed(ASSISTANT))
+        live = self._live or self._watched_pair()
         least_mm = APART_MM + self._uncertain_mm
         near = live.find_near(joints[MASTER], joints[ASSISTANT], least_mm)
         if near is not None:
@@ -226,6 +242,12 @@ class ArmPair:
             words = f"{bodies} are {near.distance_mm:.1f} mm apart"
             return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
         return None
+
+    def _ask_why(self, role: str) -> None:
+        """Have the halt say why an arm stopped that had not told it: stopping it has waited for that."""
+        seen, halt = self._arms[role].observe(), self.halted
+        if halt is not None and halt.reason == STOPPED_FOR_UNKNOWN.format(role) and seen.fault is not None:
+            self.halted = replace(halt, reason=_tell_state(role, seen))
 
     @contextmanager
     def _under_way(self, *, with_instrument: bool = False) -> Iterator[None]:
@@ -238,7 +260,7 @@ class ArmPair:
             self._require_released()
             if not with_instrument and (place := self._instrument_inside()) is not None:
                 raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
-            self._live = LivePair(self._placed(MASTER), self._placed(ASSISTANT))
+            self._live = self._watched_pair()
             yield
         finally:
             self._live, self._expected, self._at_rest_rad = None, {}, {}
@@ -327,11 +349,11 @@ class ArmPair:
         return SampledPath.driven(self._placed(role), arm.kinematics, plan, limits.cycle_s)
 
     def _placed(self, role: str) -> PlacedArm:
-        around, touching = self._around[role], self._touching[role]
-        if touching:
-            around = replace(around, tool=tuple(part for part in around.tool if part.name not in touching))
-        bodies = Bodies(self._arms[role].kinematics, around)
+        bodies = Bodies(self._arms[role].kinematics, self._around[role])
         return PlacedArm(role, bodies, self._bases[role])
+
+    def _watched_pair(self) -> LivePair:
+        return LivePair(self._placed(MASTER), self._placed(ASSISTANT), self._contacts)
 
     def _grown_mm(self, role: str) -> float:
         """Return the thickening of the other arm that turns obstacle margins into those between two arms."""

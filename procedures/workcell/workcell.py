@@ -51,6 +51,8 @@ from ronna_hw.vectors import JointVector
 
 D = TypeVar("D")
 
+TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
+
 
 class Workcell(SupervisedArm):
     """An arm with its tool and devices. All tool poses are ROBOT <- TOOL of the mounted tool."""
@@ -307,7 +309,7 @@ class Workcell(SupervisedArm):
         """Let the instrument in the holder come close to the guide, and nothing without one."""
         held = self._require_assistant().history.held
         if self._pair is not None:
-            self._pair.touch({} if held is None else {MASTER: held.at_bore, ASSISTANT: AT_GUIDE})
+            self._pair.allow_contact(*((), ()) if held is None else (held.at_bore, AT_GUIDE))
 
     def assistant_rests_clear(self, joints_rad: JointVector, tip_mm: float) -> bool:
         """Return whether the assistant, with such an instrument, keeps its margin at these joints."""
@@ -363,15 +365,32 @@ class Workcell(SupervisedArm):
         self._pair.acknowledge(by)
         return True
 
-    def shift_obstacles(self, by: Transform, on_cart: Collection[str]) -> None:
-        """Move the obstacles in the room against a moved cart, except the bodies that it carries, by name."""
-        if (around := self.surroundings) is None:
-            return
-        moved = around.moved(Pose.from_matrix(by.as_matrix().tolist()))
-        pairs = zip(around.obstacles, moved.obstacles, strict=True)
-        obstacles = tuple(before if before.name in on_cart else after for before, after in pairs)
-        self.surroundings = replace(moved, obstacles=obstacles)
-        self._surround_master(self.surroundings)
+    def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
+        """Move the room, with the assistant in it, against a moved cart of the master.
+
+        The bodies that this cart carries, by name, stay.
+        """
+
+        def shifted(around: Surroundings) -> Surroundings:
+            moved = around.moved(Pose.from_matrix(by.as_matrix().tolist()))
+            pairs = zip(around.obstacles, moved.obstacles, strict=True)
+            return replace(
+                moved, obstacles=tuple(stays if stays.name in on_cart else moves for stays, moves in pairs)
+            )
+
+        if self.surroundings is not None:
+            self.surroundings = shifted(self.surroundings)
+            self._surround_master(self.surroundings)
+        if self._around_assistant is not None:
+            assistant, (around, near_rad) = self._require_assistant(), self._around_assistant
+            self.place_assistant(by @ assistant.base, assistant.history.base_uncertain_mm)
+            self.surround_assistant(shifted(around), near_rad)
+
+    def doubt_assistant(self, seen_apart_mm: float) -> None:
+        """Keep more distance between both arms: the assistant was seen elsewhere than its base has it."""
+        assistant = self._require_assistant()
+        uncertain_mm = assistant.history.base_uncertain_mm + TURNED_CART * seen_apart_mm
+        self.place_assistant(assistant.base, uncertain_mm)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""

@@ -149,7 +149,12 @@ class StreamedArm(ABC, Generic[S]):
         reported = self.connections.reported
         if reported is not self._stated[0]:
             self._stated = reported, () if reported is None else tuple(self._controller_facts(reported))
-        return self._guard.last_known(self._readings.newest(streaming=streaming), self._stated[1])
+        link = self.connections.open_link
+        return self._guard.last_known(
+            self._readings.newest(streaming=streaming),
+            self._stated[1],
+            stopped=streaming and link is not None and bool(link.state.fault),
+        )
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self.connections.recorder = sink
@@ -320,19 +325,23 @@ class StreamedArm(ABC, Generic[S]):
         self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self.connections.open_link
-        if link is None or not link.alive:
-            return  # nothing is moving the arm
+        if link is None or not link.alive:  # nothing is moving the arm
+            if kind is StopKind.DRIVES_OFF:
+                self._switch_drives_off(timeout_s)
+            return
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
         was_held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
         number = link.stop(_STOP_ORDERS[kind])
         was_held = (
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or was_held
         )  # a start that ended meanwhile
-        rest_state = self._follower.wait(
-            lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
-        )
-        if kind is StopKind.DRIVES_OFF:
-            self._switch_drives_off(timeout_s)
+        try:
+            rest_state = self._follower.wait(
+                lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
+            )
+        finally:  # also if the process that sends our set-points has died meanwhile
+            if kind is StopKind.DRIVES_OFF:
+                self._switch_drives_off(timeout_s)
         if rest_state is None and not link.state.fault:
             if was_held:  # HOLD means an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)

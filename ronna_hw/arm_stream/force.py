@@ -25,19 +25,20 @@ class ForceWatch:
         self._tare: Vector3 | None = None
         self._limit_N = 0.0  # none
         self._is_number = True
+        self._motion_peak_N = 0.0  # largest change of the motion under way
         self.filtered_N: Vector3 = NO_FORCE
-        self.peak_N = 0.0  # largest change since the motion began
+        self.peak_N = 0.0  # the same since the tare: also before a stop, if the motion goes on after it
 
     @property
     def change_N(self) -> Vector3:
-        """Force that has been added since the motion began."""
+        """Force that has been added since the tare."""
         (x, y, z), (a, b, c) = self.filtered_N, self._tare or NO_FORCE
         return x - a, y - b, z - c
 
     @property
     def is_exceeded(self) -> bool:
         """Whether the motion under way must stop."""
-        return self._limit_N > 0.0 and not (self._is_number and self.peak_N <= self._limit_N)
+        return self._limit_N > 0.0 and not (self._is_number and self._motion_peak_N <= self._limit_N)
 
     def begin(self, force: ForceLimit) -> bool:
         """Tare and watch this limit; False if a force acts already, or the force at rest is not known.
@@ -49,8 +50,8 @@ class ForceWatch:
         if not hypot(*self._at_rest) <= self._rest_limit_N:
             return False
         if not force.goes_on or self._tare is None:
-            self._tare = self._at_rest
-        self._limit_N, self.peak_N = force.limit_N, 0.0
+            self._tare, self.peak_N = self._at_rest, 0.0
+        self._limit_N, self._motion_peak_N = force.limit_N, 0.0
         return True
 
     def end(self) -> None:
@@ -77,4 +78,6 @@ class ForceWatch:
         else:
             self._at_rest, self._rest_cycles = self.filtered_N, 1
         if self._limit_N:
-            self.peak_N = max(self.peak_N, hypot(*self.change_N))
+            change_N = hypot(*self.change_N)
+            self._motion_peak_N = max(self._motion_peak_N, change_N)
+            self.peak_N = max(self.peak_N, change_N)

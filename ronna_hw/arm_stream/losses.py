@@ -30,12 +30,16 @@ class LossCount:
         self.reply_lost = False  # the last reply had no effect
         self.held_cycles = 0  # consecutive cycles, up to now, without an effective reply
 
-    def note(self, missing: int, late: int) -> None:
-        """Count one telegram, the `missing` ones before it, and the late replies that it reports."""
-        self.lost += missing
-        self.late += late
+    def note(self, missing: int, late: int, *, standing: bool = False) -> None:
+        """Count one telegram, the `missing` ones before it, and the late replies that it reports.
+
+        Replies to a controller that is `standing` by its own setting have no effect, and are not lost.
+        """
         self.reply_lost = late > missing
         self.held_cycles = missing + self.held_cycles + 1 if self.reply_lost else missing
+        late = missing if standing else late
+        self.lost += missing
+        self.late += late
         self._judge_stretch(max(missing, late))
         self._judge_window(1 + missing, max(missing, late))
 

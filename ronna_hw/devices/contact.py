@@ -84,7 +84,7 @@ class GuidanceEnd(StrEnum):
 
     RELEASED = "released"  # by the operator
     TIMED_OUT = "timed out"
-    AT_LIMIT = "at a limit"  # of a joint's range or speed
+    AT_LIMIT = "at a limit"  # of a joint's range or speed, or of lost cycles
 
 
 @dataclass(frozen=True)

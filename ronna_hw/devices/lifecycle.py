@@ -78,6 +78,7 @@ class LastKnown(Generic[R_co]):
     fault: RonnaError | None
     reading: R_co | None
     says: tuple[Fact, ...] = ()  # what the device reported unsolicited
+    stopped: bool = False  # by a fault that is not latched yet, as its cause is still being asked for
 
 
 @runtime_checkable
@@ -245,9 +246,11 @@ class LifecycleGuard:
         """Error that latched FAULT, if any."""
         return self._now[1]
 
-    def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
+    def last_known(
+        self, reading: R | None, says: tuple[Fact, ...] = (), *, stopped: bool = False
+    ) -> LastKnown[R]:
         """Build the result of `Device.observe` with the driver's latest reading."""
-        return LastKnown(*self._now, reading, says)
+        return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
         """Raise DEV-001 unless the state is one of `allowed`; the error quotes any latched fault."""

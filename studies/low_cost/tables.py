@@ -148,7 +148,8 @@ def tabulate_relations(arms: list[Arm]) -> Table:
         ("requirement", "value", "limit", "held"),
         [(*row[:3], row[3] or NOT_JUDGED) for row in rows],
         f"{NOT_FOUND} Both methods with nominal DH. Row 2 is not judged: tip, registration and tracker err "
-        "alike in both methods, and one orientation may suit an arm by chance. Fewer than {LEAST_ARMS} arms "
+        "alike in both methods, and one orientation may suit an arm by chance. "
+        f"Fewer than {LEAST_ARMS} arms "
         "say nothing about dependence on the arm: their few targets differ as much.",
         _describe_verdict(rows),
     )

@@ -186,11 +186,12 @@ class RtdeSession(StreamSession):
         echo = round(values[ECHO])
         used = max(echo - self._echo, 0)
         self._echo, self._missing = echo, cycles - 1
+        standing = not self._controller_speed  # at a slider of zero a script may stand still (U)
         if used:
             self._unused_cycles = 0
-        elif self._controller_speed:  # at a slider of zero a script may stand still (U)
+        elif not standing:
             self._unused_cycles += cycles
-        self._losses.note(cycles - 1, max(cycles - used, 0))
+        self._losses.note(cycles - 1, max(cycles - used, 0), standing=standing)
 
     def _is_stopped(self, values: Output) -> bool:
         """Return whether the controller has ended the stream, and latch that unless we asked for it."""

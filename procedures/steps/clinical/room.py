@@ -216,12 +216,12 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
     else:
         context.void(GlobalLocalization, moved)
     if isinstance(moved, BaseShifted):
-        _shift_obstacles(context, moved)
+        _shift_room(context, moved)
 
 
-def _shift_obstacles(context: StepContext, moved: BaseShifted) -> None:
-    """Move head, clamp and spheres by what one look tells, for the clearance of the way home."""
+def _shift_room(context: StepContext, moved: BaseShifted) -> None:
+    """Move the room and the assistant by what one look tells, for the clearance of the way home."""
     if moved.room_moved is not None:
         bodies = context.setting.surroundings.bodies
         on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
-        context.workcell.shift_obstacles(moved.room_moved, on_cart)
+        context.workcell.shift_room(moved.room_moved, on_cart)

@@ -9,7 +9,7 @@ Lengths in mm. The common frame is the base of the master; `base` of an arm lead
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -75,13 +75,18 @@ class PlacedArm:
         to_other = seen_from.inverse()
         return tuple(
             Obstacle(
-                f"{name} of the {self.name}",
+                name_of(name, self.name),
                 Capsule(vector3(start), vector3(end), radius + grown_mm).moved(to_other),
             )
             for name, radius, (start, end) in zip(
                 self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
             )
         )
+
+
+def name_of(body: str, arm: str) -> str:
+    """Return the name of a body of one arm as an obstacle of the other."""
+    return f"{body} of the {arm}"
 
 
 class ArmDistance(NamedTuple):
@@ -93,10 +98,16 @@ class ArmDistance(NamedTuple):
 
 
 class ArmPairWorld:
-    """Collision world of two placed arms."""
+    """Collision world of two placed arms.
 
-    def __init__(self, first: PlacedArm, second: PlacedArm) -> None:
+    `contacts` are the names of a body of each that may come close to each other.
+    """
+
+    def __init__(
+        self, first: PlacedArm, second: PlacedArm, contacts: Collection[tuple[str, str]] = frozenset()
+    ) -> None:
         self.first, self.second = first, second
+        self._contacts = frozenset(contacts)
         self._shapes: dict[tuple[int, int], coal.CollisionObject] = {}
         self._request = coal.DistanceRequest()
         self._result = coal.DistanceResult()
@@ -116,6 +127,8 @@ class ArmPairWorld:
         found = ArmDistance(np.inf, "", "")
         for one, first in zip(ones, self.first.names, strict=True):
             for other, second in zip(others, self.second.names, strict=True):
+                if (first, second) in self._contacts:
+                    continue
                 self._result.clear()
                 apart = coal.distance(one, other, self._request, self._result)
                 if apart < found.distance_mm:

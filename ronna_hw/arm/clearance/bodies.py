@@ -166,7 +166,8 @@ ARMS_OWN_RADII = MeasuredRadii()
 class Surroundings:
     """Collision bodies around the arm, with the minimum distances (planned and live) and the speed zone.
 
-    With several arms, messages name the bodies of this one after its `owner`.
+    With several arms, messages name the bodies of this one after its `owner`. `contacts` are the names of a
+    moving body and an obstacle that may come close to each other.
     """
 
     tool: tuple[Part, ...] = ()
@@ -177,6 +178,7 @@ class Surroundings:
     zone: SpeedZone | None = None
     corridor: Corridor | None = None
     owner: str = ""
+    contacts: tuple[tuple[str, str], ...] = ()
 
     def moved(self, by: Pose) -> Surroundings:
         """Return a copy with all room-fixed bodies and the corridor transformed."""
@@ -187,6 +189,16 @@ class Surroundings:
             corridor=corridor
             and corridor._replace(
                 entry_mm=by.apply(corridor.entry_mm), target_mm=by.apply(corridor.target_mm)
+            ),
+        )
+
+    def thickened(self, by_mm: float) -> Surroundings:
+        """Return a copy with all room-fixed bodies thicker."""
+        return replace(
+            self,
+            obstacles=tuple(
+                item._replace(capsule=item.capsule._replace(radius_mm=item.capsule.radius_mm + by_mm))
+                for item in self.obstacles
             ),
         )
 
@@ -214,6 +226,7 @@ class Surroundings:
             if corridor is None
             else Corridor(_vector3(corridor[0]), _vector3(corridor[1]), corridor[2]),
             owner=str(values["owner"]),
+            contacts=tuple((str(moving), str(other)) for moving, other in values["contacts"]),
         )
 
 
@@ -293,6 +306,7 @@ class Bodies:
         """Pairs of bodies that can collide, excluding those in contact by design."""
         links, tool = self.arm.links, self.surroundings.tool
         obstacles = self.surroundings.obstacles
+        names, contacts = self.moving_names, frozenset(self.surroundings.contacts)
         count = len(links)
         touches = (*(link.touches for link in links), *((links[-1].name,) for _ in tool))
         enters = (*(False,) * count, *(part.enters_head for part in tool))
@@ -303,6 +317,7 @@ class Bodies:
             listed_pairs += [
                 Pair(moving, number, enters[moving], obstacle.is_head)
                 for number, obstacle in enumerate(obstacles, start=1)
+                if (names[moving], obstacle.name) not in contacts
             ]
         for inner, link in enumerate(links):
             listed_pairs += [

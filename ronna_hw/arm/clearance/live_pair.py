@@ -7,6 +7,7 @@ each other to reach the limit, by the levers of their joints as in `live_watch`.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import dist, inf
 
 from ronna_hw.arm.clearance.arm_pair import ArmDistance, PlacedArm
@@ -17,10 +18,13 @@ from ronna_hw.vectors import JointVector, Vector3
 
 
 class LivePair:
-    """Two placed arms whose bodies are kept apart."""
+    """Two placed arms whose bodies are kept apart, but for `contacts` of a body of each, by name."""
 
-    def __init__(self, first: PlacedArm, second: PlacedArm) -> None:
+    def __init__(
+        self, first: PlacedArm, second: PlacedArm, contacts: Collection[tuple[str, str]] = frozenset()
+    ) -> None:
         self._first, self._second = first, second
+        self._contacts = frozenset(contacts)
         to_first = first.base.inverse()
         self._to_first = to_first.compose(second.base)
         self._measured: tuple[JointVector, JointVector, float] | None = None  # postures and distance
@@ -50,6 +54,8 @@ class LivePair:
             for (other_start, other_end), other_radius, other_name in others:
                 thick = radius + other_radius
                 if _far_apart(start, end, other_start, other_end, thick + found.distance_mm):
+                    continue
+                if (name, other_name) in self._contacts:
                     continue
                 apart = segment_distance_mm(start, end, other_start, other_end) - thick
                 if apart < found.distance_mm:

@@ -273,6 +273,7 @@ class LiveWatch:
     def sent(self, joints_rad: JointVector) -> None:
         """Record a set-point as sent, or as the arm's current position."""
         if joints_rad is self._joints:
+            self._trials.clear()
             return
         trial = next((item for item in self._trials if item.joints_rad is joints_rad), None)
         if trial is None:

@@ -252,7 +252,8 @@ class PathProgress:
         if self._halt is not None:
             self._halt = self._plan_stop(self.state)
         else:
-            self._leg = self._plan_leg(self._speed_at(self.state.position[0]))
+            velocity = self._speed_at(self.state.position[0])
+            self._leg = self._plan_leg(velocity) if velocity else self._braking_leg(velocity)
 
     def _choose_state(self) -> State:
         """Return the fastest next state from which the end and every slower section can still be reached."""
@@ -278,8 +279,7 @@ class PathProgress:
         """
         if velocity and _peak_speed(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
             return self._plan_leg(velocity), self._cycle_s
-        bounds = self._bounds(velocity) if velocity else self._stop_bounds
-        braking = _Leg(self._profiler.brake(self.state, [velocity], bounds), velocity, False)
+        braking = self._braking_leg(velocity)
         slow = braking.sample(braking.profile.duration_s)
         if self._leg.leads_to_end and self._stop_position(slow) + slow.velocity[0] * self._cycle_s > 1.0:
             return self._leg._replace(velocity=velocity), self._time_s + self._cycle_s
@@ -336,6 +336,10 @@ class PathProgress:
     def _plan_leg(self, velocity: float) -> _Leg:
         bounds = self._bounds(velocity * (1.0 + ROUNDING))
         return _Leg(self._profiler.move(self.state, [1.0], bounds), velocity, True)
+
+    def _braking_leg(self, velocity: float) -> _Leg:
+        bounds = self._bounds(velocity) if velocity else self._stop_bounds
+        return _Leg(self._profiler.brake(self.state, [velocity], bounds), velocity, False)
 
     def _bounds(self, velocity: float) -> Bounds:
         return Bounds([velocity], [self._limits.acceleration], [self._limits.jerk])

@@ -80,6 +80,22 @@ def test_what_presses_while_a_motion_is_held_counts_once_it_goes_on(goes_on: boo
     assert stand.session.result is end
 
 
+@pytest.mark.parametrize(("goes_on", "peak_N"), [(True, 12.0), (False, 0.0)])
+def test_the_largest_force_counts_from_the_tare_also_over_a_stop(goes_on: bool, peak_N: float) -> None:
+    stand = resting()
+    move(stand, 30.0)
+    stand.cycles(200)
+    stand.force_N = (0.0, 12.0, 0.0)
+    stand.cycles(100)
+    stand.stop(StopOrder.HOLD)
+    stand.force_N = (0.0, 0.0, 0.0)
+    stand.cycles(2 * REST_CYCLES)
+    stand.move(force=ForceLimit(30.0, goes_on))
+    stand.run()
+    assert stand.session.result is Result.DONE
+    assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(peak_N, abs=0.1)
+
+
 def test_a_force_at_the_start_cannot_be_tared_away() -> None:
     stand = resting((0.0, 16.0, 0.0))
     move(stand, 30.0)

@@ -233,6 +233,7 @@ def test_a_relation_that_does_not_hold_is_named(arms: list[tuple[float, ...]], m
     assert list_missed_relations(sums) == missed
     table = tabulate_relations(collect_arms(sums))
     assert len(table.rows) == 6
+    assert f"Fewer than {LEAST_ARMS} arms" in table.markdown()
     verdict = f"NOT HELD: {'; '.join(missed)}" if missed else "HELD: 5 of 5 requirements"
     assert table.markdown().splitlines()[2].startswith(f"**{verdict}")
 

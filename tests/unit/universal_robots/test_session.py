@@ -11,6 +11,7 @@ from rtde_stand import CYCLE_S, FAR, IN, LIMITS, RUN, SETTINGS, START, RtdeStand
 
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.realtime.session import REPORT_CYCLES
+from ronna_hw.arm_stream.losses import WINDOW_CYCLES
 from ronna_hw.arm_stream.records import EndStream, Fault, Phase, Result, StopOrder
 
 WORKING_STEP_RAD = max(LIMITS.speed_rad_s) * CYCLE_S
@@ -108,6 +109,22 @@ def test_the_speed_slider_slows_the_path_and_at_zero_holds_it_until_it_is_raised
     assert step == pytest.approx(fraction * WORKING_STEP_RAD, rel=0.02, abs=1e-12)
     assert stand.session.moving
     stand.fraction = 1.0
+    stand.run()
+    assert stand.session.result is Result.DONE
+
+
+@pytest.mark.hazard(52)
+@pytest.mark.parametrize("lost", [4, 8])
+def test_a_path_held_by_the_slider_at_zero_survives_lost_packages_and_a_script_that_stands(lost: int) -> None:
+    stand = moving()
+    stand.fraction = 0.0
+    stand.cycles(REST_CYCLES)
+    stand.cycle(lost=lost)
+    stand.cycles(3)
+    stand.is_replaced = True  # stands still: it uses no set-points
+    stand.cycles(3 * WINDOW_CYCLES)
+    assert stand.session.fault is Fault.NONE
+    stand.is_replaced, stand.fraction = False, 1.0
     stand.run()
     assert stand.session.result is Result.DONE
 

@@ -13,7 +13,7 @@ from ideal_arm import Controller, IdealArm
 
 from procedures.workcell.arm_pair import ArmPair
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
-from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
 from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock, HostClock
@@ -23,8 +23,9 @@ from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.vectors import JointVector, Vector3, joint_vector, vector3
 
 HOST = DeviceConfig(driver="ideal", endpoint="host:")
 ACROSS = Pose.from_kuka(-1300.0, 0.0, 0.0, 180.0, 0.0, 0.0)  # face to face: both arms reach to the middle
@@ -38,13 +39,20 @@ class WatchedArm(IdealArm):
         super().__init__(name, HOST, clock)
         self.controller = Controller(joints_rad)
         self.frozen: ArmReading | None = None
+        self.stopped_by: RonnaError | None = None  # a fault whose cause shows only once it is asked for
         self.on_step: Callable[[], None] = lambda: None
 
     def observe(self) -> LastKnown[ArmReading]:
         self.on_step()
         joints_rad = self.controller.joints_rad
         now = ArmReading(self._stamp(), Validity.OK, joints_rad, joints_rad, self._under_way.locked())
-        return self.guard.last_known(self.frozen or now)
+        return self.guard.last_known(self.frozen or now, stopped=self.stopped_by is not None)
+
+    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
+        if self.stopped_by is None:
+            super().stop(kind, timeout_s)
+        else:
+            self.guard.latch(self.stopped_by)
 
 
 def turned(arm: WatchedArm, base_deg: float) -> JointMove:
@@ -129,6 +137,47 @@ def test_no_motion_begins_while_another_is_under_way(
     assert [error.code for error in refused] == ["DUAL-002"]
 
 
+HOME_POSE = IdealArm.kinematics.forward(HOME_RAD)
+HAND_MM = ACROSS.compose(HOME_POSE).position_mm  # of the assistant
+MIDDLE_MM = vector3([(a + b) / 2.0 for a, b in zip(HOME_POSE.position_mm, HAND_MM, strict=True)])
+
+
+def reaching(name: str, role: str, place_mm: Vector3) -> Part:
+    """Return a rod from the flange of an arm at home to a place in the common frame."""
+    base = Pose((0.0, 0.0, 0.0)) if role == MASTER else ACROSS
+    return Part(name, Capsule((0.0, 0.0, 0.0), base.compose(HOME_POSE).inverse().apply(place_mm), 5.0))
+
+
+@pytest.mark.hazard(58)
+def test_only_the_named_parts_of_both_tools_may_come_close_to_each_other(
+    pair: ArmPair, assistant: WatchedArm
+) -> None:
+    at_home = {MASTER: HOME_RAD, ASSISTANT: HOME_RAD}
+    pair.surround(MASTER, Surroundings(tool=(reaching("tube", MASTER, MIDDLE_MM),)))
+    pair.surround(ASSISTANT, Surroundings(tool=(reaching("instrument", ASSISTANT, MIDDLE_MM),)))
+    assert not pair.rest_apart(at_home)
+    pair.allow_contact(["bridge"], ["instrument"])
+    assert not pair.rest_apart(at_home)
+    pair.allow_contact(["tube"], ["instrument"])
+    assert pair.rest_apart(at_home)
+    pair.watch()
+    assert pair.halted is None
+    pair.move(ASSISTANT, turned(assistant, 1.0))
+
+
+@pytest.mark.hazard(58)
+def test_a_part_that_may_touch_the_instrument_keeps_its_distance_from_the_rest_of_the_other_arm(
+    pair: ArmPair, assistant: WatchedArm
+) -> None:
+    pair.surround(MASTER, Surroundings(tool=(reaching("tube", MASTER, HAND_MM),)))
+    pair.surround(ASSISTANT, Surroundings(tool=(reaching("instrument", ASSISTANT, HAND_MM),)))
+    pair.allow_contact(["tube"], ["instrument"])
+    assert not pair.rest_apart({MASTER: HOME_RAD, ASSISTANT: HOME_RAD})
+    pair.watch()
+    assert pair.halted is not None
+    assert "tube of the master" in pair.halted.reason
+
+
 def test_both_arms_move_together_on_paths_that_are_clear_of_each_other(
     pair: ArmPair, master: WatchedArm, assistant: WatchedArm
 ) -> None:
@@ -145,6 +194,20 @@ def test_paths_that_meet_are_refused_before_anything_moves(
     with pytest.raises(ArmsTooClose, match="ARM-011"):
         pair.move_together(both)
     assert master.controller.joints_rad == assistant.controller.joints_rad == HOME_RAD
+
+
+@pytest.mark.hazard(58)
+def test_an_arm_that_has_stopped_halts_the_other_before_its_controller_says_why(
+    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+) -> None:
+    def stops() -> None:
+        master.on_step = lambda: None
+        assistant.stopped_by = ForceLimitExceeded("pressed")
+
+    master.on_step = stops
+    with pytest.raises(BothArmsHalted, match="the assistant has gone to fault: pressed"):
+        pair.move(MASTER, turned(master, 10.0))
+    assert {master.state, assistant.state} == {Lifecycle.FAULT}
 
 
 def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:

@@ -233,6 +233,7 @@ def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) ->
             got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
         )
         context.void(GlobalLocalization, moved)  # else a repeated step would end here again
+        context.workcell.doubt_assistant(moved_mm)
         raise moved
     return True
 
@@ -277,6 +278,7 @@ def _require_seen_coaxial(
         )
     except GateFailed as elsewhere:
         context.void(GlobalLocalization, elsewhere)
+        workcell.doubt_assistant(apart_mm)
         raise
     context.find(
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "

@@ -212,6 +212,7 @@ def require_platforms_unmoved(context: StepContext) -> None:
             got=f"{format_against_limit(shift.shift_mm, limit_mm, 2)} mm",
         )
         context.void(GlobalLocalization, moved)
+        context.workcell.doubt_assistant(shift.shift_mm)
         raise moved
 
 

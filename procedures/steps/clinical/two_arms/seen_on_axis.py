@@ -82,11 +82,12 @@ def require_seen_on_axis(
     if on_master is None or on_assistant is None:
         raise NotCompared(f"the tracker does not see {names[0] if on_master is None else names[1]}")
     apart = compare_frames(workcell, assistant, known, axis.arriving, on_master, on_assistant)
-    along = assistant.base.rotation_matrix @ axis.held.rotation_matrix[:, 2]
+    along = known.robot_from_base.transform.rotation_matrix @ axis.held.rotation_matrix[:, 2]
     across_mm = float(np.linalg.norm(apart.way_mm - (apart.way_mm @ along) * along))
     got = f"{format_against_limit(across_mm, SHIFTED_MM, 2)} mm, {math.degrees(apart.turned_rad):.2f} deg"
     if across_mm <= SHIFTED_MM and apart.turned_rad <= SEEN_APART_RAD:
         return got
+    workcell.doubt_assistant(across_mm)
     raise InsertionDisturbed(
         f"the tracker sees the assistant beside the axis of {axis.trajectory}, with the instrument in the "
         "guide: a cart was displaced, or a frame or the tracker",
@@ -106,11 +107,12 @@ def compare_frames(
 ) -> FramesApart:
     """Compare the frames of both arms by the tracker, TRACKER <- MARKER at its localization, with the joints.
 
+    The base is the one measured: where a look has since seen the assistant does not show whether it stood.
     The joints of the assistant have arrived from the sides `arriving`.
     """
     held_on = workcell.place.axis
     arrived = None if held_on is None else held_on.arriving
-    flange = assistant.base @ assistant.flange_pose(assistant.joints_rad(), arriving)
+    flange = known.robot_from_base.transform @ assistant.flange_pose(assistant.joints_rad(), arriving)
     by_joints = (flange @ known.flange_from_frame.transform).rigid
     turn = known.robot_from_tracker.transform.rigid.rotation
     # From the master's frame: the tracker's smooth error is much the same for both.

@@ -138,6 +138,14 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
+def test_a_watched_arm_that_stands_for_long_keeps_nothing_of_its_cycles() -> None:
+    watch = LiveWatch(Bodies(MODEL, AROUND), CYCLE_S, MODEL.home_rad)
+    for _ in range(1000):
+        watch.check(MODEL.home_rad)
+        watch.sent(MODEL.home_rad)
+    assert len(watch._trials) <= 1
+
+
 @pytest.mark.parametrize(
     "arm", [MODEL, universal_robot("ur5"), CALIBRATED_UR], ids=lambda arm: type(arm).__name__
 )

@@ -68,7 +68,12 @@ def the_tracker_sees(monkeypatch: pytest.MonkeyPatch, place_mm: tuple[float, flo
 @pytest.mark.hazard(61)
 def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     void: list[Any] = []
-    fields = {"trajectory": "T1", "void": lambda model, _reason: void.append(model)}
+    doubted_mm: list[float] = []
+    fields = {
+        "trajectory": "T1",
+        "void": lambda model, _reason: void.append(model),
+        "workcell": SimpleNamespace(doubt_assistant=doubted_mm.append),
+    }
     context, known = cast("StepContext", SimpleNamespace(**fields)), cast("Any", SimpleNamespace())
     known.assistant_seen_mm = SEEN_MM
     the_tracker_sees(monkeypatch, (100.2, 200.0, -1500.2))
@@ -78,6 +83,7 @@ def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: p
     with pytest.raises(PlatformMoved, match="CAL-023"):
         _has_stood(context, an_assistant(), known)
     assert void == [GlobalLocalization]
+    assert doubted_mm == [pytest.approx(0.9)]  # until the bases are known again, both keep that much away
     the_tracker_sees(monkeypatch, None)
     assert not _has_stood(context, an_assistant(), known)
 
@@ -110,7 +116,9 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         flange_from_frame=on_flange,
         flange_from_master_frame=on_flange,
         robot_from_tracker=robot_from_tracker,
+        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ROBOT)),
     )
+    doubted_mm: list[float] = []
     arm = {
         "joints_rad": lambda: (0.0,) * 6,
         "flange_pose": lambda _joints, _arrived: Transform.of(Frame.ROBOT, Frame.FLANGE),
@@ -119,11 +127,16 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
     void: list[Any] = []
     fields = {
         "trajectory": "T1",
-        "workcell": SimpleNamespace(calibrations=records, place=SimpleNamespace(axis=None), **arm),
+        "workcell": SimpleNamespace(
+            calibrations=records,
+            place=SimpleNamespace(axis=None),
+            doubt_assistant=doubted_mm.append,
+            **arm,
+        ),
         "void": lambda model, _reason: void.append(model),
     }
     holder = SimpleNamespace(frame="assistant_frame")
-    assistant = SimpleNamespace(base=Transform.of(Frame.ROBOT, Frame.ROBOT), holder=holder, **arm)
+    assistant = SimpleNamespace(holder=holder, **arm)
     places = ((0.0, 0.0, 0.0), (0.0, 1.1, 0.0))
     seen = [Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place) for place in places]
     monkeypatch.setattr(assisted_insertion, "_see_frames", lambda _context, *_names: seen)
@@ -136,6 +149,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
             stood=True,
         )
     assert void == [GlobalLocalization]
+    assert doubted_mm == [pytest.approx(1.1)]
 
 
 SPHERES_MM = np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0], [0.0, 120.0, 0.0], [0.0, 0.0, 120.0]])

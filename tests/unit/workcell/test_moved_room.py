@@ -1,0 +1,64 @@
+"""Clearance of both arms after a cart has moved: what one look tells holds for both."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from procedures.workcell import Workcell
+from procedures.workcell.workcell import TURNED_CART
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
+from ronna_hw.frames import Frame, Transform
+
+HEAD = Obstacle("head", Capsule((500.0, 0.0, 0.0), (500.0, 0.0, 0.0), 90.0), True)
+ON_CART = Obstacle("cabinet", Capsule((0.0, 0.0, -300.0), (0.0, 0.0, -400.0), 200.0))
+AROUND = Surroundings(obstacles=(HEAD, ON_CART))
+BASE = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(-1300.0, 0.0, 0.0))
+MOVED = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(0.0, 40.0, 0.0))
+
+
+class Cell:
+    """Workcell that records what it declares of the assistant."""
+
+    def __init__(self) -> None:
+        self.surroundings = AROUND
+        self._around_assistant = AROUND, None
+        self.of_master: list[Surroundings] = []
+        self.of_assistant: list[Surroundings] = []
+        self.placed: list[tuple[Transform, float]] = []
+
+    def _surround_master(self, around: Surroundings) -> None:
+        self.of_master.append(around)
+
+    def surround_assistant(self, around: Surroundings, _near_rad: object) -> None:
+        self.of_assistant.append(around)
+
+    def place_assistant(self, base: Transform, uncertain_mm: float) -> None:
+        self.placed.append((base, uncertain_mm))
+
+    def _require_assistant(self) -> Any:
+        return SimpleNamespace(base=BASE, history=SimpleNamespace(base_uncertain_mm=1.0))
+
+
+@pytest.mark.hazard(58)
+def test_a_moved_cart_of_the_master_moves_head_and_assistant_against_it_for_both_arms() -> None:
+    cell = Cell()
+    Workcell.shift_room(cast("Any", cell), MOVED, [ON_CART.name])
+    for around in (*cell.of_master, *cell.of_assistant):
+        head, cabinet = around.obstacles
+        assert head.capsule.start_mm == pytest.approx((500.0, 40.0, 0.0))
+        assert cabinet == ON_CART
+    assert len(cell.of_master) == len(cell.of_assistant) == 1
+    ((base, uncertain_mm),) = cell.placed
+    assert np.allclose(base.translation_mm, (-1300.0, 40.0, 0.0))
+    assert uncertain_mm == 1.0
+
+
+@pytest.mark.hazard(58)
+def test_an_assistant_that_was_seen_elsewhere_is_kept_farther_away() -> None:
+    cell = Cell()
+    Workcell.doubt_assistant(cast("Any", cell), 3.0)
+    assert cell.placed == [(BASE, 1.0 + TURNED_CART * 3.0)]
