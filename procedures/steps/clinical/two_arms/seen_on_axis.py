@@ -87,7 +87,6 @@ def require_seen_on_axis(
     got = f"{format_against_limit(across_mm, SHIFTED_MM, 2)} mm, {math.degrees(apart.turned_rad):.2f} deg"
     if across_mm <= SHIFTED_MM and apart.turned_rad <= SEEN_APART_RAD:
         return got
-    workcell.doubt_assistant(across_mm)
     raise InsertionDisturbed(
         f"the tracker sees the assistant beside the axis of {axis.trajectory}, with the instrument in the "
         "guide: a cart was displaced, or a frame or the tracker",

@@ -41,7 +41,6 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
         place=SimpleNamespace(axis=axis, is_out=True),
         holder=SimpleNamespace(frame=ON_ASSISTANT),
         history=SimpleNamespace(base=object()),
-        base=Transform.of(Frame.ROBOT, Frame.ROBOT),
         require_on_axis=lambda: None,
         **arm,
     )
@@ -58,6 +57,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
         flange_from_frame=flange,
         flange_from_master_frame=flange,
         robot_from_tracker=posed(Transform.of(Frame.ROBOT, Frame.TRACKER)),
+        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ROBOT)),
     )
     results = {KnownBases: bases, GlobalLocalization: None}
     places = {ON_MASTER: (0.0, 0.0, 0.0), ON_ASSISTANT: seen_mm}
