@@ -266,46 +266,6 @@ class TrackerFrameCalibration(DatedRecord):
     tool_from_marker: MountPose = Field(description="Pose tool centre <- reference frame.")
 
 
-Joints6 = tuple[float, float, float, float, float, float]
-LEAST_REFERENCES = 3  # postures in which a frame is seen: fewer do not show a rotation
-
-
-class FrameReference(Strict):
-    """A posture of an arm, and where the tracker saw its frame when the bases were calibrated."""
-
-    joints_rad: Joints6 = Field(description="Joints of the arm, from the base outwards.")
-    tracker_from_frame_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
-        description="Origin of the arm's frame, tracker."
-    )
-
-
-References = Annotated[tuple[FrameReference, ...], Field(min_length=LEAST_REFERENCES)]
-
-
-class BaseCalibration(DatedRecord):
-    """Calibration of where the assistant stands: its base in that of the master.
-
-    It holds for these two arms, until a platform moves: then the frames are seen elsewhere in the postures of
-    reference, those of the assistant relative to those of the master.
-    """
-
-    master: ArmName = Field(description="Name of the master's kinematic model.")
-    master_serial: Words | None = Field(default=None, description="Serial number of the master, if reported.")
-    assistant: ArmName = Field(description="Name of the assistant's kinematic model.")
-    assistant_serial: Words | None = Field(
-        default=None, description="Serial number of the assistant, if reported."
-    )
-    robot_from_base: PoseRecord = Field(description="Pose robot <- base of the assistant.")
-    region_mm: Numbers3 = Field(description="Where stated_error_mm holds, robot frame.")
-    refined: bool = Field(description="True if the stereo head has looked at the assistant's ball.")
-    frame: Words = Field(description="Name of the assistant's frame in the tracker's options.")
-    flange_from_ball_mm: Annotated[Numbers3, farther_than(0.0, FARTHEST_ON_TOOL_MM)] | None = Field(
-        default=None, description="Centre of the assistant's ball on its flange, as found."
-    )
-    master_references: References = Field(description="Postures of the master and where its frame was seen.")
-    assistant_references: References = Field(description="The same for the assistant.")
-
-
 class HolderCalibration(DatedRecord):
     """Calibration of the assistant's holder: the clamp of the instrument, the ball, and the frame as drawn.
 

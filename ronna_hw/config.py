@@ -17,7 +17,6 @@ from ronna_hw.arm.catalogue import BUILT_IN
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
-    BaseCalibration,
     Dated,
     DatedRecord,
     HolderCalibration,
@@ -277,9 +276,6 @@ class Calibrations(Strict):
     )
     assistant_holder: HolderCalibration | None = Field(
         default=None, description="Holder of the assistant, with frame and ball."
-    )
-    assistant_base: BaseCalibration | None = Field(
-        default=None, description="Where the assistant stands; without it, the assistant does not move."
     )
 
     @property

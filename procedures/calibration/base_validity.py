@@ -1,4 +1,4 @@
-"""Whether a calibration of the bases still holds: for these arms, on platforms that have not moved.
+"""Shift of a platform since the bases of two arms were measured.
 
 A platform is watched through the frame on its arm, in postures of reference, where the arm's own errors
 recur. The tracker may have been moved in between: the frames of the master show by how much.
@@ -6,15 +6,13 @@ recur. The tracker may have been moved in between: the frames of the master show
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.errors import BasesOfOtherArms, DegeneratePoses, PlatformMoved
-from ronna_hw.calibration import BaseCalibration, FrameReference
+from procedures.calibration.errors import DegeneratePoses
 from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
@@ -26,51 +24,11 @@ LEAST_SPREAD_MM = 50.0  # of the master's places in the direction in which they 
 
 
 @dataclass(frozen=True)
-class ArmIdentity:
-    """Kinematic model and serial number of a connected arm; the number is empty if it reports none."""
-
-    arm: str
-    serial: str = ""
-
-
-@dataclass(frozen=True)
 class PlatformShift:
     """Largest shift of the assistant's frame against the master's, and its 3-D standard error, in mm."""
 
     shift_mm: float
     error_mm: float
-
-
-def require_these_arms(record: BaseCalibration, master: ArmIdentity, assistant: ArmIdentity) -> None:
-    """Raise CAL-024 unless the record is that of these two arms, as far as they report serial numbers."""
-    for role, found, arm, serial in (
-        ("master", master, record.master, record.master_serial),
-        ("assistant", assistant, record.assistant, record.assistant_serial),
-    ):
-        other_serial = bool(serial and found.serial) and serial != found.serial
-        if found.arm != arm or other_serial:
-            raise BasesOfOtherArms(
-                f"the calibration {record.identifier} was made with another {role}",
-                expected=f"{arm} {serial or ''}".rstrip(),
-                got=f"{found.arm} {found.serial}".rstrip(),
-            )
-
-
-def require_unmoved(record: BaseCalibration, master_mm: ArrayLike, assistant_mm: ArrayLike) -> PlatformShift:
-    """Return how far the platforms have moved, by both frames (k, 3) and (m, 3) as the tracker sees them now.
-
-    Raises CAL-023 from 0.2 mm on, CAL-003 if the places seen cannot show that much.
-    """
-    shift = platform_shift(
-        _places(record.master_references), master_mm, _places(record.assistant_references), assistant_mm
-    )
-    if shift.shift_mm > MOVED_MM:
-        raise PlatformMoved(
-            f"a platform has moved since the calibration {record.identifier}",
-            limit=f"{MOVED_MM:g} mm",
-            got=f"{format_against_limit(shift.shift_mm, MOVED_MM, 2)} mm",
-        )
-    return shift
 
 
 def platform_shift(
@@ -121,10 +79,6 @@ def _prediction_error_mm(places_mm: Array, at_mm: Array, seen_mm: float) -> floa
     covariance = 2.0 * seen_mm**2 * np.linalg.inv(rows.T @ rows)
     slope = np.hstack([-cross_matrix(at_mm), np.eye(3)])
     return float(np.sqrt(np.trace(slope @ covariance @ slope.T) + 2.0 * 3.0 * seen_mm**2))
-
-
-def _places(references: Sequence[FrameReference]) -> Array:
-    return np.array([one.tracker_from_frame_mm for one in references])
 
 
 def cross_matrix(vector: Array) -> Array:

@@ -169,10 +169,3 @@ class PlatformMoved(RefusedError):
 
     code = "CAL-023"
     action = "Lock both carts, then calibrate the bases again; the assistant does not move until then."
-
-
-class BasesOfOtherArms(RefusedError):
-    """The calibration of the bases belongs to other arms than those in the theatre file."""
-
-    code = "CAL-024"
-    action = "Calibrate the bases of these two arms; the assistant does not move until then."

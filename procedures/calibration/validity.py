@@ -29,7 +29,6 @@ MADE_BY_HAND = {  # no command writes these into the theatre file
     "calibrate, and copy its [calibration.arm] to [calibration.assistant_arm]",
     "assistant_holder": "measure the assistant's holder again, and write its record to "
     "[calibration.assistant_holder]",
-    "assistant_base": "remove [calibration.assistant_base]: a case measures where the assistant stands",
 }
 
 SAME_PLACE_MM = 1e-3  # more than copying a number changes
