@@ -35,7 +35,7 @@ from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, ToolMount
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
-from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.bodies import ARMS_OWN_RADII, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
@@ -272,8 +272,7 @@ class Workcell(SupervisedArm):
             self._pair.reading = self.reading
             if self.surroundings is not None:
                 self._surround_master(self.surroundings)
-            # Margins and radii are those of the theatre, for both arms.
-            known = self.surroundings or Surroundings()
+            known = self._for_assistant(self.surroundings or Surroundings())
             bare = replace(known, obstacles=(), corridor=None, zone=None, tool=assistant.tool())
             self._pair.surround(ASSISTANT, bare)  # until its own surroundings are declared
         self._pair.place_assistant(base, uncertain_mm)
@@ -286,8 +285,14 @@ class Workcell(SupervisedArm):
         """
         assistant = self._require_assistant()
         assert self._pair is not None, "where the assistant stands is known first"
+        surroundings = self._for_assistant(surroundings)
         self._around_assistant = surroundings, near_rad
         self._pair.surround(ASSISTANT, assistant.surroundings(surroundings, near_rad))
+
+    def _for_assistant(self, around: Surroundings) -> Surroundings:
+        """Return surroundings with radii that hold for the assistant: measured ones only for the same model."""
+        same = self._require_assistant().arm.kinematics.name == self._arm.kinematics.name
+        return around if same else replace(around, radii=ARMS_OWN_RADII)
 
     def hold_instrument(self, held: HeldInstrument) -> None:
         """Take an instrument as held by the assistant, which may come close to the guide from now on."""

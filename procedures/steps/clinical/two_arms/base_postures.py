@@ -48,11 +48,10 @@ def turn_towards(facing: ArrayLike, wanted: ArrayLike, most_rad: float = MOST_FA
     """Return the turn of a direction (3,) towards another, by `most_rad` at most."""
     one, other = (np.asarray(way, dtype=float) / np.linalg.norm(way) for way in (facing, wanted))
     axis = np.cross(one, other)
-    sine = float(np.linalg.norm(axis))
-    if not sine:
-        return Rotation.identity()
-    angle_rad = math.atan2(sine, float(one @ other))
-    return Rotation.from_rotvec(axis / sine * min(angle_rad, most_rad))
+    angle_rad = math.atan2(float(np.linalg.norm(axis)), float(one @ other))
+    if not axis.any():  # opposite directions are turned into each other about any axis across them
+        axis = np.cross(one, np.eye(3)[np.argmin(np.abs(one))])
+    return Rotation.from_rotvec(axis / np.linalg.norm(axis) * min(angle_rad, most_rad))
 
 
 def face_along(instrument: ArrayLike, inwards: ArrayLike) -> Rotation:
