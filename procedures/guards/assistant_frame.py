@@ -1,4 +1,4 @@
-"""Displacement of the assistant against its frame while it leads an instrument through the guide."""
+"""Displacement of the assistant against its frame while it leads an instrument through the guide, or out."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.devices.readings import TrackerFrame, Validity
 
 if TYPE_CHECKING:
     from procedures.workcell.assistant import Assistant
     from ronna_hw.frames import Transform
+    from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -24,16 +25,29 @@ SHIFTED_MM = 0.8
 
 @dataclass
 class AssistantFrame:
-    """Way of the assistant's frame beside its joints since the motion along an axis began.
+    """Way of the assistant's frame beside its joints since the tracker was last looked at over the guide.
 
-    Only across the axis: along it the joints are read some milliseconds after the frame, and the arm moves.
-    The flange does not turn on that way, so its own position stands for that of the frame on it.
+    Without that look, since the motion along the axis began. Only across the axis: along it the joints are
+    read some milliseconds after the frame, and the arm moves. The flange does not turn on that way, so its
+    own position stands for that of the frame on it.
     """
 
     assistant: Assistant
     shifted_mm: float = 0.0
     _first_mm: Array | None = None
     _recent_mm: deque[Array] = field(default_factory=lambda: deque(maxlen=READINGS))
+
+    def begin_at(self, seen_mm: ArrayLike, robot_from_tracker: Transform) -> None:
+        """Count from where the frame is seen now, with the assistant at rest."""
+        if (known := self.assistant.arm.observe().reading) is not None:
+            self._first_mm = self._beside_joints_mm(seen_mm, known.joints_rad, robot_from_tracker)
+        self._recent_mm.clear()
+
+    def _beside_joints_mm(
+        self, seen_mm: ArrayLike, joints_rad: JointVector, robot_from_tracker: Transform
+    ) -> Array:
+        flange = self.assistant.calibrated.forward(joints_rad)
+        return robot_from_tracker.apply(seen_mm) - self.assistant.base.apply(flange.position_mm)
 
     def add_frame(self, frame: TrackerFrame, robot_from_tracker: Transform) -> None:
         """Add a tracker frame; one that does not show the assistant, or off the axis, tells nothing."""
@@ -43,13 +57,11 @@ class AssistantFrame:
         seen_mm = reading.position_mm if reading.validity is Validity.OK else None
         if seen_mm is None or axis is None or known is None:
             return
-        base, flange = assistant.base, assistant.calibrated.forward(known.joints_rad)
-        beside_mm = robot_from_tracker.apply(seen_mm) - base.apply(flange.position_mm)
-        along = base.rotation_matrix @ axis.held.rotation_matrix[:, 2]
-        self._recent_mm.append(beside_mm - (beside_mm @ along) * along)
+        self._recent_mm.append(self._beside_joints_mm(seen_mm, known.joints_rad, robot_from_tracker))
         if len(self._recent_mm) < READINGS:
             return
         mean_mm = np.mean(self._recent_mm, axis=0)
         if self._first_mm is None:
             self._first_mm = mean_mm
-        self.shifted_mm = float(np.linalg.norm(mean_mm - self._first_mm))
+        along = assistant.base.rotation_matrix @ axis.held.rotation_matrix[:, 2]
+        self.shifted_mm = float(np.linalg.norm(np.cross(along, mean_mm - self._first_mm)))

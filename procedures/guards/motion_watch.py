@@ -22,6 +22,7 @@ from procedures.guards.errors import (
     FrameSlipped,
     InsertionDisturbed,
     PatientMoved,
+    PatientUnseen,
     RoomMoved,
     RoomUndecided,
 )
@@ -81,7 +82,7 @@ class MotionWatch:
     def watching(self, what: str, motion: str | None) -> Iterator[None]:
         """Watch the patient during a motion of this kind, or a wait (None).
 
-        Raises PRO-019, PRO-020, PRO-051, PRO-052 or PRO-054 with the arm at rest. A pushed tracker is a
+        Raises PRO-019, PRO-020, PRO-022, PRO-051, PRO-052 or PRO-054 with the arm at rest. A pushed tracker is a
         finding: the motion that it stopped is planned again, as after any stop.
         """
         room = self.memory.find(RoomWatch)
@@ -107,6 +108,7 @@ class MotionWatch:
             what,
             self.tell,
             guide=self.memory.find(GuideAtRest),
+            assistant=self.memory.find(AssistantFrame),
         )
         room.begin_motion(self.clock.now_s())
         try:
@@ -124,7 +126,10 @@ class MotionWatch:
             finally:
                 thread.end()
             raise
-        self._conclude(thread.end(), what)
+        seen = thread.end()
+        self._conclude(seen, what)
+        if seen.arm_moves and seen.is_overdue:
+            raise PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
 
     @property
     def _is_wanted(self) -> bool:
@@ -143,7 +148,8 @@ class MotionWatch:
             if seen.guide is not None and seen.guide.is_worked_through:
                 seen.guide.look(self.workcell, self.clock, seen.room)
         elif seen.disturbed:
-            raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=seen.limit, got=seen.got)
+            limit, got = seen.limit or None, seen.got or None
+            raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
         elif seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem:
@@ -212,7 +218,7 @@ class _WatchThread:
     has_seen: bool = False
     unseen_s: float = 0.0
     _seen_s: float = 0.0
-    _overdue: bool = False
+    is_overdue: bool = False
     _stop_wanted: bool = False
     _stopping: threading.Thread | None = None
     guide: GuideAtRest | None = None  # as it was held, while somebody works through it
@@ -222,14 +228,16 @@ class _WatchThread:
     disturbed: str = ""  # what made the assistant stop on its way into the guide
     limit: str = ""
     got: str = ""
-    _assistant: AssistantFrame | None = None
+    assistant: AssistantFrame | None = None  # as seen over the guide
     _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
         assistant = self.workcell.assistant
-        if self._leads_in and assistant is not None:
-            self._assistant = AssistantFrame(assistant)
+        if not self._leads_instrument or assistant is None:
+            self.assistant = None
+        elif self.assistant is None:
+            self.assistant = AssistantFrame(assistant)
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
@@ -239,9 +247,10 @@ class _WatchThread:
         return self.motion is not None
 
     @property
-    def _leads_in(self) -> bool:
-        """Whether the assistant leads an instrument through the guide, which the master holds."""
-        return self.motion == MotionKind.INSERT and self.guide is not None and self.guide.is_worked_through
+    def _leads_instrument(self) -> bool:
+        """Whether the assistant leads an instrument through the guide, which the master holds, or out."""
+        leads = self.motion in (MotionKind.INSERT, MotionKind.WITHDRAW)
+        return leads and self.guide is not None and self.guide.is_worked_through
 
     @property
     def has_moved(self) -> bool:
@@ -273,6 +282,8 @@ class _WatchThread:
             self._read()
         except Exception as problem:  # recorded when the motion ends; what lasts is latched by the tracker
             self.problem = summary_of(problem)
+            if self._leads_instrument and self.motion == MotionKind.INSERT:
+                self._disturb(f"the assistant is not watched any more ({self.problem})")
             self._report_silence(self.problem)
         finally:
             self._first.set()
@@ -331,8 +342,8 @@ class _WatchThread:
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()
         self.unseen_s = now_s - self._seen_s
-        if not self._overdue and self.room.is_overdue(now_s):
-            self._overdue = True
+        if not self.is_overdue and self.room.is_overdue(now_s):
+            self.is_overdue = True
             self._raise_alarm(UNSEEN, stop=self.arm_moves)
 
     def _check_late(self) -> None:
@@ -343,7 +354,7 @@ class _WatchThread:
         self.late_s = max(self.late_s, late)
 
     def _check_push(self, frame: TrackerFrame) -> None:
-        """Report each push once; one on the way into the guide stops the assistant.
+        """Report each push once; one on the way into the guide, or a large one on the way out, stops.
 
         Otherwise the guard at the next checkpoint suspends the case while it lasts.
         """
@@ -352,24 +363,30 @@ class _WatchThread:
         self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
-        if pushed and self._leads_in:
-            self._disturb(PUSHED, PUSHED_MM, self.guide.now_mm)
+        most_mm = PUSHED_MM if self.motion == MotionKind.INSERT else SHIFTED_MM
+        if self._leads_instrument and self.guide.now_mm > most_mm:
+            self._disturb(PUSHED, most_mm, self.guide.now_mm)
         elif pushed and not self._pushed:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
         self._pushed = pushed
 
     def _check_assistant(self, frame: TrackerFrame) -> None:
-        """Stop an assistant that has moved against its frame on its way into the guide."""
-        if self._assistant is None:
+        """Stop an assistant that has moved against its frame on its way through the guide."""
+        if self.assistant is None:
             return
-        self._assistant.add_frame(frame, self.room.robot_from_tracker)
-        if (shifted_mm := self._assistant.shifted_mm) > SHIFTED_MM:
+        self.assistant.add_frame(frame, self.room.robot_from_tracker)
+        if (shifted_mm := self.assistant.shifted_mm) > SHIFTED_MM:
             self._disturb(ASSISTANT_MOVED, SHIFTED_MM, shifted_mm)
 
-    def _disturb(self, what: str, limit_mm: float, got_mm: float) -> None:
-        if not self.disturbed:
-            self.disturbed, self.limit, self.got = what, f"{limit_mm:g} mm", f"{got_mm:.2f} mm"
-            self._raise_alarm(f"{what}: {got_mm:.2f} mm", stop=True)
+    def _disturb(self, what: str, limit_mm: float | None = None, got_mm: float | None = None) -> None:
+        if self.disturbed:
+            return
+        self.disturbed = what
+        if limit_mm is None or got_mm is None:
+            self._raise_alarm(what, stop=True)
+        else:
+            self.limit, self.got = f"{limit_mm:g} mm", f"{got_mm:.2f} mm"
+            self._raise_alarm(f"{what}: {self.got}", stop=True)
 
     def _check_base(self, frame: TrackerFrame, begin_mm: Vector3 | None) -> None:
         """Compare the frame on the arm with the arm, which had it at `begin_mm` before this frame."""

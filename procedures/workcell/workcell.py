@@ -290,7 +290,7 @@ class Workcell(SupervisedArm):
         self._pair.surround(ASSISTANT, assistant.surroundings(surroundings, near_rad))
 
     def _for_assistant(self, around: Surroundings) -> Surroundings:
-        """Return surroundings with radii that hold for the assistant: measured ones only for the same model."""
+        """Return surroundings for the assistant: measured radii hold for one of the same model."""
         same = self._require_assistant().arm.kinematics.name == self._arm.kinematics.name
         return around if same else replace(around, radii=ARMS_OWN_RADII)
 

@@ -54,3 +54,13 @@ def test_a_cart_that_moves_across_the_axis_is_noticed() -> None:
 def test_the_way_along_the_axis_and_hidden_frames_are_no_move() -> None:
     assert watch_way((0.0, 0.0, -3.0)) == pytest.approx(0.0, abs=1e-9)
     assert watch_way((0.0, 2.0, 0.0), hidden=4 * READINGS) == 0.0
+
+
+@pytest.mark.hazard(64)
+def test_a_cart_that_moved_after_the_look_over_the_guide_is_noticed_from_the_first_frames_on() -> None:
+    assistant = LedAssistant()
+    watch = AssistantFrame(cast("Any", assistant))
+    watch.begin_at((1100.0, 0.0, 0.0), STANDS)
+    for _ in range(READINGS):
+        watch.add_frame(frame((1100.0, 1.2 * SHIFTED_MM, 0.0)), STANDS)
+    assert watch.shifted_mm == pytest.approx(1.2 * SHIFTED_MM)

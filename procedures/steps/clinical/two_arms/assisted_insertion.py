@@ -13,6 +13,7 @@ import numpy as np
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
+from procedures.guards.assistant_frame import AssistantFrame
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
@@ -171,11 +172,14 @@ def _require_bases(context: StepContext) -> KnownBases:
 
 
 def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
-    """Have the assistant lead the instrument straight out, once the operator confirms it."""
+    """Have the assistant lead the instrument straight out, once the operator confirms it.
+
+    Raises PRO-054 if a cart was displaced while the instrument was at its target.
+    """
     assistant = context.workcell.assistant
     if assistant is not None and assistant.place.is_on_axis:
         context.workcell.start()
-        assistant.retreat(_guided_stretch(context, stop))
+        assistant.retreat(_guided_stretch(context, stop), _look_before_retreat(context))
 
 
 def send_assistant_home(context: StepContext) -> None:
@@ -266,6 +270,7 @@ def _require_seen_coaxial(
             f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; at home "
             "it has just seen the assistant where it stood"
         )
+        context.setting.memory.drop(AssistantFrame)
         return None, None
     apart = compare_frames(workcell, assistant, known, axis.arriving, on_master, on_assistant)
     apart_mm, turned_rad = float(np.linalg.norm(apart.way_mm)), apart.turned_rad
@@ -280,6 +285,11 @@ def _require_seen_coaxial(
         context.void(GlobalLocalization, elsewhere)
         workcell.doubt_assistant(apart_mm)
         raise
+    watched = AssistantFrame(assistant)
+    watched.begin_at(
+        on_assistant.translation_mm, context.result(GlobalLocalization).robot_from_tracker.transform
+    )
+    context.setting.memory.keep(watched)
     context.find(
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
         f"and {math.degrees(turned_rad):.2f} deg"

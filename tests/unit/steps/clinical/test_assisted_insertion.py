@@ -10,6 +10,7 @@ import pytest
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
+from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
@@ -92,7 +93,12 @@ def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: p
 def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[str] = []
     records = SimpleNamespace(tracker_frame=SimpleNamespace(tool="robot_frame"))
-    fields = {"trajectory": "T1", "workcell": SimpleNamespace(calibrations=records), "find": found.append}
+    fields = {
+        "trajectory": "T1",
+        "workcell": SimpleNamespace(calibrations=records),
+        "find": found.append,
+        "setting": SimpleNamespace(memory=CaseMemory()),
+    }
     context = cast("StepContext", SimpleNamespace(**fields))
     the_tracker_sees(monkeypatch, None)
     with pytest.raises(GateFailed, match="nothing shows that its cart has stood still"):
