@@ -82,8 +82,8 @@ class MotionWatch:
     def watching(self, what: str, motion: str | None) -> Iterator[None]:
         """Watch the patient during a motion of this kind, or a wait (None).
 
-        Raises PRO-019, PRO-020, PRO-022, PRO-051, PRO-052 or PRO-054 with the arm at rest. A pushed tracker is a
-        finding: the motion that it stopped is planned again, as after any stop.
+        Raises PRO-019, PRO-020, PRO-022, PRO-051, PRO-052 or PRO-054 with the arm at rest. A pushed tracker
+        is a finding: the motion that it stopped is planned again, as after any stop.
         """
         room = self.memory.find(RoomWatch)
         if room is None or not self._is_wanted:

@@ -163,7 +163,7 @@ def open_engine(
             ended_by = problem if isinstance(problem, RonnaError) else None
             raise
         finally:
-            if (instrument := engine.setting.workcell.place.instrument_description) is not None:
+            if (instrument := engine.setting.workcell.instrument_description) is not None:
                 tell(f"{instrument}: the arm does not move")
             if engine.record_is_deleted:
                 from procedures.runs.theatre_note import describe_arm_without_record

@@ -282,6 +282,11 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
         first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
     if (current_trajectory := workcell.place.trajectory) is not None:
         first.append(f"the guide retreats from {current_trajectory} along its axis")
+    if assistant is not None and (held := assistant.history.held) is not None:
+        first.append(
+            f"{'then' if first else 'first'}, by hand: take the instrument for {held.trajectory} out of the "
+            "assistant's holder"
+        )
     if assistant is not None and assistant.place.is_out:
         first.append("the assistant goes home")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:

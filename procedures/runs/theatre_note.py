@@ -19,7 +19,13 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import ArmPlace, arm_history, fold_arms, is_any_arm_out
+from procedures.workcell.arm_history import (
+    ArmPlace,
+    arm_history,
+    describe_instrument,
+    fold_arms,
+    is_any_arm_out,
+)
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -211,12 +217,12 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
         return FormerRun()
     try:
         chain, lost_lines = _read_left_journal(last)
-        place = fold_arms(chain, lost_lines)[0].place
+        master, assistant = fold_arms(chain, lost_lines)
         is_out = is_any_arm_out(chain, lost_lines)
     except (RonnaError, OSError):
         lost = _describe_lost_run(last, at_home=note.at_home)
         return FormerRun() if lost is None else FormerRun(last, lost)
-    inside = place.instrument_description
+    inside = describe_instrument(master.place, assistant.held)
     try:
         read_request(last)
         home = f"ronna-procedure home {shlex.quote(str(last))}"

@@ -114,6 +114,11 @@ class HeldInstrument:
     tip_mm: float
     at_bore: tuple[str, ...]
 
+    @property
+    def description(self) -> str:
+        """Statement that it is in the holder."""
+        return f"the instrument for {self.trajectory} is in the assistant's holder"
+
 
 class MotionKind(StrEnum):
     """Kind of motion, as recorded in the journal."""
@@ -377,6 +382,11 @@ def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> 
 def fold_arms(chain: Chain, lost: Sequence[Line] = ()) -> tuple[ArmHistory, ArmHistory]:
     """Build the histories of master and assistant; that of a missing assistant is empty. Raises as above."""
     return fold_history(chain, lost), fold_history(chain, lost, ASSISTANT)
+
+
+def describe_instrument(master: ArmPlace, held: HeldInstrument | None) -> str | None:
+    """State where an instrument is or may be: inside, or in the assistant's holder; None if nowhere."""
+    return master.instrument_description or (None if held is None else held.description)
 
 
 def is_any_arm_out(chain: Chain, lost: Sequence[Line] = ()) -> bool:

@@ -18,8 +18,10 @@ from typing import NoReturn, TypeVar
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
 from ronna_hw.arm.clearance.arm_pair import (
     APART_MM,
+    NO_CLOSENESS,
     PLANNED_APART_MM,
     ArmPairWorld,
+    Closeness,
     PlacedArm,
     SampledPath,
     name_of,
@@ -84,7 +86,7 @@ class ArmPair:
         self._clock = clock
         self._instrument_inside = instrument_inside
         self._around = dict.fromkeys(ROLES, Surroundings())
-        self._contacts: frozenset[tuple[str, str]] = frozenset()  # of a body of the master and the assistant
+        self._closeness = NO_CLOSENESS  # of the master, then the assistant
         self._moving = threading.Lock()  # held by the motion under way
         self._at_rest_rad: dict[str, JointVector] = {}  # of arms that must not move meanwhile
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
@@ -109,7 +111,7 @@ class ArmPair:
 
     def rest_apart(self, joints_rad: Mapping[str, JointVector]) -> bool:
         """Return whether both arms, at these joints, would keep the distance that is planned between them."""
-        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT), self._contacts)
+        world = ArmPairWorld(self._placed(MASTER), self._placed(ASSISTANT), self._closeness)
         apart_mm = world.distance(joints_rad[MASTER], joints_rad[ASSISTANT]).distance_mm
         return apart_mm >= PLANNED_APART_MM + self._uncertain_mm
 
@@ -122,8 +124,11 @@ class ArmPair:
         self._bases[ASSISTANT], self._uncertain_mm = base, uncertain_mm
 
     def allow_contact(self, of_master: Collection[str], of_assistant: Collection[str]) -> None:
-        """Let these parts of one tool come close to these of the other, and no others any more."""
-        self._contacts = frozenset(product(of_master, of_assistant))
+        """Let these parts of one tool touch these of the other, and no others any more.
+
+        The rest of the assistant may come as close to these parts of the master as to a guide.
+        """
+        self._closeness = Closeness(frozenset(product(of_master, of_assistant)), frozenset(of_master))
 
     def acknowledge(self, confirmed_by: str) -> None:
         """Release a halt once both arms can move again. Raises DEV-006 without a name, DUAL-001 otherwise."""
@@ -158,10 +163,11 @@ class ArmPair:
         """Surround an arm with the other one, where it rests; return the joints of that."""
         other, around = _other(role), self._around[role]
         rests_rad = self._joints_now(other)
-        obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], self._grown_mm(role))
+        near, grown_mm = self._closeness.near if role == ASSISTANT else (), self._grown_mm(role)
+        obstacles = self._placed(other).as_obstacles(rests_rad, self._bases[role], grown_mm, near)
         if role == ASSISTANT:
             around = around.thickened(self._uncertain_mm)
-        contacts = (pair if role == MASTER else pair[::-1] for pair in self._contacts)
+        contacts = (pair if role == MASTER else pair[::-1] for pair in self._closeness.contacts)
         self._arms[role].surround(
             replace(
                 around,
@@ -179,7 +185,7 @@ class ArmPair:
         with self._under_way():
             self._at_rest_rad = {}
             paths = {role: self._sampled_path(role, motions[role]) for role in ROLES}
-            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm, self._contacts)
+            world = ArmPairWorld(paths[MASTER].arm, paths[ASSISTANT].arm, self._closeness)
             margin_mm = PLANNED_APART_MM + self._uncertain_mm
             require_apart(world, paths[MASTER], paths[ASSISTANT], LARGEST_LAG_S, margin_mm)
             for role, arm in self._arms.items():
@@ -239,8 +245,10 @@ class ArmPair:
         near = live.find_near(joints[MASTER], joints[ASSISTANT], least_mm)
         if near is not None:
             bodies = f"{near.first} of the {MASTER} and {near.second} of the {ASSISTANT}"
-            words = f"{bodies} are {near.distance_mm:.1f} mm apart"
-            return MASTER, f"{words}: expected at least {least_mm:g} mm", StopKind.PROTECTIVE
+            closer_mm = live.closeness.allowance_mm(near.first, near.second)
+            words = f"{bodies} are {near.distance_mm - closer_mm:.1f} mm apart"
+            limit_mm = least_mm - closer_mm
+            return MASTER, f"{words}: expected at least {limit_mm:g} mm", StopKind.PROTECTIVE
         return None
 
     def _ask_why(self, role: str) -> None:
@@ -353,7 +361,7 @@ class ArmPair:
         return PlacedArm(role, bodies, self._bases[role])
 
     def _watched_pair(self) -> LivePair:
-        return LivePair(self._placed(MASTER), self._placed(ASSISTANT), self._contacts)
+        return LivePair(self._placed(MASTER), self._placed(ASSISTANT), self._closeness)
 
     def _grown_mm(self, role: str) -> float:
         """Return the thickening of the other arm that turns obstacle margins into those between two arms."""

@@ -25,6 +25,7 @@ from procedures.workcell.arm_history import (
     HeldInstrument,
     InsertionAxis,
     MotionKind,
+    describe_instrument,
 )
 from procedures.workcell.arm_pair import ArmPair, Halt
 from procedures.workcell.assistant import AT_GUIDE, Assistant
@@ -293,6 +294,12 @@ class Workcell(SupervisedArm):
         """Return surroundings for the assistant: measured radii hold for one of the same model."""
         same = self._require_assistant().arm.kinematics.name == self._arm.kinematics.name
         return around if same else replace(around, radii=ARMS_OWN_RADII)
+
+    @property
+    def instrument_description(self) -> str | None:
+        """Statement that an instrument is or may be inside or in the assistant's holder; None if not."""
+        held = None if self.assistant is None else self.assistant.history.held
+        return describe_instrument(self.place, held)
 
     def hold_instrument(self, held: HeldInstrument) -> None:
         """Take an instrument as held by the assistant, which may come close to the guide from now on."""

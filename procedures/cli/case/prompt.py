@@ -100,13 +100,10 @@ class Prompt:
             if _has_surplus_argument(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
             elif order is Quit:
-                if engine.instrument_in is None:
+                if (left := engine.setting.workcell.instrument_description) is None:
                     self._print_resume_hint(engine)
                     return False
-                self._say(
-                    f"{engine.setting.workcell.place.instrument_description}: home asks whether it is out, "
-                    "then parks"
-                )
+                self._say(f"{left}: home asks whether it is out, then parks")
             elif self._resumes and (order is Resume or (order is Next and engine.upcoming is None)):
                 return True  # with nothing upcoming, the way home is next
             else:

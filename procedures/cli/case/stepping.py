@@ -109,7 +109,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
 
 def _require_instrument_out(engine: Engine) -> None:
     """Raise PRO-055 if the case ends with an instrument inside: `quit` is refused, but not the end."""
-    inside = engine.setting.workcell.place.instrument_description
+    inside = engine.setting.workcell.instrument_description
     if inside is None:
         return
     run = shlex.quote(str(engine.case.folder))

@@ -32,9 +32,32 @@ Array = NDArray[np.float64]
 
 APART_MM = 30.0  # between the arms, at any moment
 PLANNED_APART_MM = 40.0  # along planned paths: the rest is for the errors of both arms and their bases
+# Between the assistant and a guide that it leads an instrument to: it is slow there, and was seen within a
+# millimetre of where its joints have it. Planned paths keep the same reserve beyond that.
+APART_AT_GUIDE_MM = 10.0
 STRAIGHT_FACTOR = 1.01  # between two samples of a line a joint turns slightly more than their difference
 POINT_MM = 1e-6  # a shorter axis has no direction
 NO_TURN = np.eye(3)
+
+
+class Closeness(NamedTuple):
+    """What may come closer than the arms otherwise.
+
+    `contacts` are pairs of a body of the first arm and one of the second, by name, that may touch. All of the
+    second may come as close to the bodies `near` of the first as to a guide.
+    """
+
+    contacts: frozenset[tuple[str, str]] = frozenset()
+    near: frozenset[str] = frozenset()
+
+    def allowance_mm(self, first: str, second: str) -> float:
+        """Return by how much a pair of bodies may come closer, mm; infinite if it may touch."""
+        if (first, second) in self.contacts:
+            return np.inf
+        return APART_MM - APART_AT_GUIDE_MM if first in self.near else 0.0
+
+
+NO_CLOSENESS = Closeness()
 
 
 @dataclass(frozen=True)
@@ -70,13 +93,20 @@ class PlacedArm:
         turn = np.reshape(self.base.rotation, (3, 3))
         return np.asarray(ends @ turn.T + np.array(self.base.position_mm))
 
-    def as_obstacles(self, joints_rad: JointVector, seen_from: Pose, grown_mm: float) -> tuple[Obstacle, ...]:
-        """Return the arm at rest as obstacles of another arm with base `seen_from`, thicker by `grown_mm`."""
-        to_other = seen_from.inverse()
+    def as_obstacles(
+        self, joints_rad: JointVector, seen_from: Pose, grown_mm: float, near: Collection[str] = ()
+    ) -> tuple[Obstacle, ...]:
+        """Return the arm at rest as obstacles of another arm with base `seen_from`, thicker by `grown_mm`.
+
+        All of that arm may come as close to the bodies `near`, by name, as to a guide.
+        """
+        to_other, closer_mm = seen_from.inverse(), APART_MM - APART_AT_GUIDE_MM
         return tuple(
             Obstacle(
                 name_of(name, self.name),
-                Capsule(vector3(start), vector3(end), radius + grown_mm).moved(to_other),
+                Capsule(
+                    vector3(start), vector3(end), radius + grown_mm - (closer_mm if name in near else 0.0)
+                ).moved(to_other),
             )
             for name, radius, (start, end) in zip(
                 self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
@@ -98,16 +128,11 @@ class ArmDistance(NamedTuple):
 
 
 class ArmPairWorld:
-    """Collision world of two placed arms.
+    """Collision world of two placed arms. What may come closer counts as that much farther apart."""
 
-    `contacts` are the names of a body of each that may come close to each other.
-    """
-
-    def __init__(
-        self, first: PlacedArm, second: PlacedArm, contacts: Collection[tuple[str, str]] = frozenset()
-    ) -> None:
+    def __init__(self, first: PlacedArm, second: PlacedArm, closeness: Closeness = NO_CLOSENESS) -> None:
         self.first, self.second = first, second
-        self._contacts = frozenset(contacts)
+        self._closeness = closeness
         self._shapes: dict[tuple[int, int], coal.CollisionObject] = {}
         self._request = coal.DistanceRequest()
         self._result = coal.DistanceResult()
@@ -127,10 +152,10 @@ class ArmPairWorld:
         found = ArmDistance(np.inf, "", "")
         for one, first in zip(ones, self.first.names, strict=True):
             for other, second in zip(others, self.second.names, strict=True):
-                if (first, second) in self._contacts:
+                if (allowance_mm := self._closeness.allowance_mm(first, second)) == np.inf:
                     continue
                 self._result.clear()
-                apart = coal.distance(one, other, self._request, self._result)
+                apart = coal.distance(one, other, self._request, self._result) + allowance_mm
                 if apart < found.distance_mm:
                     found = ArmDistance(float(apart), first, second)
         return found

@@ -7,10 +7,9 @@ each other to reach the limit, by the levers of their joints as in `live_watch`.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from math import dist, inf
 
-from ronna_hw.arm.clearance.arm_pair import ArmDistance, PlacedArm
+from ronna_hw.arm.clearance.arm_pair import NO_CLOSENESS, ArmDistance, Closeness, PlacedArm
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
 from ronna_hw.arm.clearance.live_watch import PlacedBodies
 from ronna_hw.arm.kinematics import Segment
@@ -18,13 +17,11 @@ from ronna_hw.vectors import JointVector, Vector3
 
 
 class LivePair:
-    """Two placed arms whose bodies are kept apart, but for `contacts` of a body of each, by name."""
+    """Two placed arms whose bodies are kept apart. What may come closer counts as that much farther apart."""
 
-    def __init__(
-        self, first: PlacedArm, second: PlacedArm, contacts: Collection[tuple[str, str]] = frozenset()
-    ) -> None:
+    def __init__(self, first: PlacedArm, second: PlacedArm, closeness: Closeness = NO_CLOSENESS) -> None:
         self._first, self._second = first, second
-        self._contacts = frozenset(contacts)
+        self.closeness = closeness
         to_first = first.base.inverse()
         self._to_first = to_first.compose(second.base)
         self._measured: tuple[JointVector, JointVector, float] | None = None  # postures and distance
@@ -55,9 +52,9 @@ class LivePair:
                 thick = radius + other_radius
                 if _far_apart(start, end, other_start, other_end, thick + found.distance_mm):
                     continue
-                if (name, other_name) in self._contacts:
-                    continue
                 apart = segment_distance_mm(start, end, other_start, other_end) - thick
+                if apart < found.distance_mm:
+                    apart += self.closeness.allowance_mm(name, other_name)
                 if apart < found.distance_mm:
                     found = ArmDistance(apart, name, other_name)
         return found
