@@ -80,6 +80,7 @@ class Ending:
     sentence: str
     code: str = ""
     instrument_in: str | None = None  # the trajectory it was still in
+    instrument_held_for: str | None = None  # the trajectory, if it was still in the assistant's holder
     is_open: bool = False  # in another program, which goes on with it or has yet to seal it
 
 
@@ -92,7 +93,9 @@ def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: 
     its target; not sealed as long as nothing confirms its end; and its error is not determined if the truth
     of its simulated theatre is lost. What is in doubt stays so.
     """
-    ending = _by_journal(reading.run.journal, error)
+    ending = replace(
+        _by_journal(reading.run.journal, error), instrument_held_for=_instrument_held_for(reading.run.journal)
+    )
     holder = None if is_writer else find_run_holder(reading.folder)
     if ending.word == "killed" and holder is not None:
         return Ending(RUNNING, f"{holder} has it open.", is_open=True)
@@ -165,6 +168,11 @@ def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
+
+
+def _instrument_held_for(journal: Sequence[Line]) -> str | None:
+    last = next((line for line in reversed(journal) if line["entry"] == Entry.HELD), None)
+    return str(last["trajectory"]) if last is not None and last["held"] else None
 
 
 def _instrument_in(journal: Sequence[Line]) -> str | None:

@@ -89,6 +89,7 @@ class LinkClient:
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._end_reason: str | None = None
+        self._last_words = ""  # of a process that ended by itself
         self._command_count = 0
         self.stop_number = 0  # of the last stop ordered
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
@@ -182,7 +183,10 @@ class LinkClient:
         """Build the error for a process that terminated unexpectedly."""
         if self._end_reason is None:
             self._end_reason = self._read_end_reason()
-        return self._errors.died(f"the real-time process ended: {self._end_reason}")
+        error = self._errors.died(f"the real-time process ended: {self._end_reason}")
+        if self._last_words:
+            error.attachments["real-time-process.txt"] = self._last_words
+        return error
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Return the most recent cycles, oldest first; frozen while a fault is latched."""
@@ -250,8 +254,18 @@ class LinkClient:
     def _read_end_reason(self) -> str:
         stream = self.process.stderr
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
-        code = self.process.wait()
-        return text.splitlines()[-1] if text and code >= 0 else describe_exit(code)
+        code, self._last_words = self.process.wait(), text
+        return raised_line(text) if text and code >= 0 else describe_exit(code)
+
+
+def raised_line(text: str) -> str:
+    """Return the line of the exception in what a program wrote before it ended, or the last line.
+
+    Libraries may write more after the traceback.
+    """
+    before, found, after = text.rpartition("Traceback (most recent call last):\n")
+    lines = (after if found else before or text).splitlines()
+    return next((line for line in lines if not line.startswith(" ")), lines[-1]) if found else lines[-1]
 
 
 def pass_traffic(sink: ByteSink, link: str) -> TrafficHandler:

@@ -28,6 +28,7 @@ MASTERBOARD = struct.Struct(wire.MASTERBOARD_PART)
 KINEMATICS = struct.Struct(wire.KINEMATICS_PART)
 MESSAGE = struct.Struct(wire.MESSAGE_HEADER)
 MOVING_RAD_S = 1e-3
+FARTHEST_JOINT_RAD = 8.0  # from zero: a joint turns by 363 deg either way
 
 
 class RobotModeData(NamedTuple):
@@ -111,6 +112,8 @@ def _read_part(kind: int, body: bytes) -> Part | None:
             return RobotModeData(*MODE.unpack_from(body))
         if kind == PartKind.JOINTS:
             rows = [JOINT.unpack_from(body, k * JOINT.size) for k in range(JOINTS)]
+            if not all(abs(row[0]) <= FARTHEST_JOINT_RAD for row in rows):  # also if one is no number
+                raise BadBytes("joint angles that no arm has", wire=body)
             return Joints(
                 joint_vector(row[0] for row in rows), any(abs(row[2]) > MOVING_RAD_S for row in rows)
             )

@@ -83,6 +83,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         )
     if row["instrument_in"]:
         say(f"the instrument was still in {row['instrument_in']}")
+    elif row["instrument_held_for"]:
+        say(f"the instrument for {row['instrument_held_for']} was still in the assistant's holder")
     say(f"done: {', '.join(row['done']) or 'nothing'}")
     if row["superseded"]:
         say(f"superseded: {', '.join(row['superseded'])}")
@@ -140,6 +142,7 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         "ended": ending.word,
         "sentence": ending.sentence,
         "instrument_in": ending.instrument_in,
+        "instrument_held_for": ending.instrument_held_for,
         "restarts": len(restarts := run.lines(Entry.RESTARTED)),
         "resumes": resumes(run.journal),
         "only_leaving": sum(ONLY_LEAVING in line for line in restarts),

@@ -220,6 +220,8 @@ def test_an_instrument_in_the_holder_is_taken_out_before_the_assistant_goes_home
     assert process.returncode == EXIT_REFUSED, said
     stopped = journal_of(folder)
     assert "instrument_in" not in stopped[-1]
+    shown = commands.run("ronna-procedure", "show", str(folder), timeout_s=LIMIT_S)
+    assert "the instrument for T1 was still in the assistant's holder" in shown.stdout
     done = commands.run("ronna-procedure", "resume", str(folder), "--accept", "--json", timeout_s=LIMIT_S)
     assert done.returncode == 0, done.stderr
     after = journal_of(folder)[len(stopped) :]
