@@ -282,8 +282,6 @@ class _WatchThread:
             self._read()
         except Exception as problem:  # recorded when the motion ends; what lasts is latched by the tracker
             self.problem = summary_of(problem)
-            if self._leads_instrument and self.motion == MotionKind.INSERT:
-                self._disturb(f"the assistant is not watched any more ({self.problem})")
             self._report_silence(self.problem)
         finally:
             self._first.set()
@@ -437,7 +435,12 @@ class _WatchThread:
         self._stopping = stopping
 
     def _report_silence(self, why: str) -> None:
-        """Report a silent tracker once, immediately, since the unwatched motion may still take long."""
+        """Report a silent tracker once, immediately, since the unwatched motion may still take long.
+
+        An assistant on its way into the guide is stopped: nobody would notice a push.
+        """
         if not self._silence_reported:
             self._silence_reported = True
             self.tell(f"the head is not watched: {why}")
+            if self._leads_instrument and self.motion == MotionKind.INSERT:
+                self._disturb(f"the assistant is not watched: {why}")

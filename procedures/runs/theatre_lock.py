@@ -1,7 +1,7 @@
-"""Theatre lock: one program at a time may use the devices, for the run named in the arm's note.
+"""Theatre lock: one program at a time may use the devices, for the run named in the notes of the arms.
 
-Note and theatre file are both locked. The note belongs to the arm, whatever the file is called. The file
-serves a user who can neither write nor create the note.
+Notes and theatre file are all locked. A note belongs to its arm, whatever the file is called and whichever
+role the arm has there. The file serves a user who can neither write nor create the note.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.theatre_note import TheatreNote, find_former_run, note_path, read_note
+from procedures.runs.theatre_note import (
+    TheatreNote,
+    find_former_run,
+    find_telling,
+    note_paths,
+    read_note,
+)
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, find_lock_holder
@@ -59,35 +65,36 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
     """
     if user := _find_user_of_own_run(theatre):
         raise _build_in_use_error(user)
-    path = note_path(theatre)
     with ExitStack() as stack:
-        note_descriptor = _open_note(path)
-        for file in (
-            _open_own(path, NOTE) if note_descriptor is None else note_descriptor,
-            _open_own(theatre),
-        ):
+        notes = {path: _open_note(path) for path in note_paths(theatre)}
+        opened = [(path, _open_own(path, NOTE) if file is None else file) for path, file in notes.items()]
+        opened.append((next(iter(notes)), own := _open_own(theatre)))
+        for _, file in opened:
             if file is not None:
                 stack.callback(os.close, file)
-                _lock(file, path, needed=note_descriptor in (None, file))
-        before = read_note(path).with_outcome()
-        find_former_run(before, run).require_no_instrument()
-        if note_descriptor is not None:
-            with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
-                os.fchmod(
-                    note_descriptor, (os.fstat(note_descriptor).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH
-                )
+        for path, file in opened:
+            if file is not None:
+                _lock(file, path, needed=file is not own or None in notes.values())
+        before = {path: read_note(path).with_outcome() for path in notes}
+        for note in before.values():
+            find_former_run(note, run).require_no_instrument()
         lines = 0 if run is None else _count_journal_lines(run)
-        note = before.model_copy(
-            update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
-        )
-        if not (_write_note(note_descriptor, note) or only_leaving):
-            raise TheatreNotNoted(
-                f"cannot write {path}: a later run would not know that this one left the arm away from home"
-            )
+        mine = {"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
+        noted = {path: note.model_copy(update=mine) for path, note in before.items()}
+        for path, file in notes.items():
+            if file is not None:
+                with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
+                    os.fchmod(file, (os.fstat(file).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH)
+            if not (_write_note(file, noted[path]) or only_leaving):
+                raise TheatreNotNoted(
+                    f"cannot write {path}: a later run would not know that this one left the arm away "
+                    "from home"
+                )
         try:
-            yield before
+            yield find_telling(tuple(before.values()), run)
         finally:  # from here on its folder may be moved
-            _write_note(note_descriptor, note.with_outcome())
+            for path, file in notes.items():
+                _write_note(file, noted[path].with_outcome())
 
 
 def _open_note(path: Path) -> int | None:
@@ -133,9 +140,9 @@ def find_theatre_user(theatre: Path) -> TheatreUser | None:
     """Return the current user of a theatre file's devices, or None, as far as permissions allow."""
     if user := _find_user_of_own_run(theatre):
         return user
-    path = note_path(theatre)
-    for file in (_open_own(path, NOTE), _open_own(theatre)):
-        if file is None:
+    paths = note_paths(theatre)
+    for path, lockable, flags in (*((path, path, NOTE) for path in paths), (paths[0], theatre, os.O_RDONLY)):
+        if (file := _open_own(lockable, flags)) is None:
             continue
         try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
             if find_lock_holder(file) is not None:
@@ -146,15 +153,17 @@ def find_theatre_user(theatre: Path) -> TheatreUser | None:
 
 
 def read_last_note(theatre: Path) -> TheatreNote:
-    """Return the note about the arm of a theatre file, whether or not a program holds its devices."""
-    return read_note(note_path(theatre)).with_outcome()
+    """Return the telling note about the arms of a theatre, whether or not a program holds its devices."""
+    return find_telling([read_note(path).with_outcome() for path in note_paths(theatre)], None)
 
 
 def find_unwritable_note(theatre: Path) -> Path | None:
-    """Return the path of the note that `hold_theatre` needs to write if this user may not, else None."""
-    path = note_path(theatre)
-    nearest_existing = next(place for place in (path, *path.parents) if place.exists())
-    return None if os.access(nearest_existing, os.W_OK) else path
+    """Return the path of a note that `hold_theatre` needs to write if this user may not, else None."""
+    for path in note_paths(theatre):
+        nearest_existing = next(place for place in (path, *path.parents) if place.exists())
+        if not os.access(nearest_existing, os.W_OK):
+            return path
+    return None
 
 
 def list_last_runs(theatre: Path) -> tuple[Path, ...]:

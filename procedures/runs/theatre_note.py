@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from procedures.workcell.arm_history import (
     is_any_arm_out,
 )
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.config import MASTER, read_theatre_file
+from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import Chain, Line, read_chain
@@ -93,29 +93,30 @@ def _read_left_journal(run: Path) -> tuple[Chain, tuple[Line, ...]]:
     return chain, find_lost_lines(events, chain.lines)
 
 
-def note_path(theatre: Path) -> Path:
-    """Return the path of an arm's note, beside the theatre file if the arm has no key."""
+def note_paths(theatre: Path) -> tuple[Path, ...]:
+    """Return the paths of the notes of a theatre's arms, or that beside its file if none has a key."""
     theatre = theatre.resolve()
-    if controller := _controller_key(theatre):
-        return ARMS_FOLDER / f"{controller}.in-use"
-    return theatre.with_name(f".{theatre.name}.in-use")
+    of_arms = tuple(ARMS_FOLDER / f"{controller}.in-use" for controller in _controller_keys(theatre))
+    return of_arms or (theatre.with_name(f".{theatre.name}.in-use"),)
 
 
-def _controller_key(theatre: Path) -> str:
-    """Return a key for the arm: its addresses, a simulated theatre's identity, or empty if unknown."""
+def _controller_keys(theatre: Path) -> tuple[str, ...]:
+    """Return a key for each arm whose addresses are known, or only a simulated theatre's identity."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
-        return ""
-    arm = file.robot.get(MASTER)
-    if arm is None:
-        return ""
-    texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
-    peers = [parse_endpoint(text).resolve_names() for text in texts]
-    if any(map(is_on_this_computer, peers)):
-        return file.identity
-    # At a UDP endpoint this computer listens: it says nothing about who sends there.
-    return "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
+        return ()
+    keys = []
+    for arm in file.robot.values():
+        texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
+        peers = [parse_endpoint(text).resolve_names() for text in texts]
+        if any(map(is_on_this_computer, peers)):
+            return (file.identity,) if file.identity else ()
+        # At a UDP endpoint this computer listens: it says nothing about who sends there.
+        keys.append(
+            "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
+        )
+    return tuple(sorted(filter(None, keys)))  # in one order, whatever their roles
 
 
 def read_note(path: Path) -> TheatreNote:
@@ -237,6 +238,11 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
     if inside is not None:
         message = f"{message}, and {inside}: take it out by hand"
     return FormerRun(last, f"{message}; {JOG}", inside)
+
+
+def find_telling(notes: Sequence[TheatreNote], run: Path | None) -> TheatreNote:
+    """Return the first note by which another run than `run` left an arm away from home, or the first."""
+    return next((note for note in notes if find_former_run(note, run) != FormerRun()), notes[0])
 
 
 def _describe_lost_run(last: Path, *, at_home: bool) -> str | None:

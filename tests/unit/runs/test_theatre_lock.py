@@ -184,6 +184,31 @@ def test_a_controller_is_the_same_under_every_name_that_leads_to_it(
         assert find_theatre_user(numbered) is not None
 
 
+@pytest.mark.hazard(5)
+def test_an_arm_that_assists_in_one_theatre_is_in_use_for_another_in_which_it_is_the_master(
+    tmp_path: Path, arms_folder: Path
+) -> None:
+    alone = with_arm(tmp_path / "alone.toml", "tcp://192.168.10.3:54602")
+    pair = with_arm(tmp_path / "pair.toml", "tcp://192.168.10.2:54602")
+    pair.write_text(
+        f"{pair.read_text()}[robot.assistant]\n"
+        'driver = "kuka_rsi"\n'
+        'endpoints = { rsi = "udp://0.0.0.0:59153", eki = "tcp://192.168.10.3:54602" }\n'
+    )
+    run = tmp_path / "run-1"
+    with hold_theatre(pair, run):
+        assert sorted(note.name for note in arms_folder.iterdir()) == [
+            "192.168.10.2.in-use",
+            "192.168.10.3.in-use",
+        ]
+        with pytest.raises(TheatreInUse, match="run-1"):
+            hold_theatre(alone, None).__enter__()
+    require_free_theatre(alone)
+    with hold_theatre(alone, None), pytest.raises(TheatreInUse):
+        require_free_theatre(pair)
+    assert {read_note(note).run for note in arms_folder.iterdir()} == {run, None}
+
+
 def test_a_note_that_is_a_link_is_refused_and_what_it_leads_to_stays(
     tmp_path: Path, arms_folder: Path
 ) -> None:

@@ -25,7 +25,7 @@ from procedures.runs import theatre_note
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import RequestFile, write_request
 from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import TheatreNote, note_path
+from procedures.runs.theatre_note import TheatreNote, note_paths
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -174,7 +174,7 @@ def leave_instrument(theatre: Path, run: Path) -> None:
     journal.close()
     with hold_theatre(theatre, None):
         note = TheatreNote(run=run, moved_before=run)
-    note_path(theatre).write_text(note.model_dump_json())
+    note_paths(theatre)[0].write_text(note.model_dump_json())
 
 
 @pytest.mark.hazard(5)
