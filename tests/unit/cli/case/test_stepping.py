@@ -10,15 +10,18 @@ import pytest
 
 from procedures.cli.case.stepping import _require_instrument_out
 from procedures.engine.errors import CaseLeftWithInstrument
-from procedures.workcell.arm_history import ArmPlace
+from procedures.workcell.arm_history import ArmPlace, HeldInstrument, describe_instrument
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 
 RUN = Path("/runs/a case")
 
 
-def left_with(inside: str | None, *, assumed: bool = False) -> Any:
+HELD = HeldInstrument("T1", 180.0, ())
+
+
+def left_with(inside: str | None, *, assumed: bool = False, held: HeldInstrument | None = None) -> Any:
     place = ArmPlace(instrument_may_be_inside=inside, assumed=assumed)
-    workcell = SimpleNamespace(place=place)
+    workcell = SimpleNamespace(instrument_description=describe_instrument(place, held))
     return SimpleNamespace(setting=SimpleNamespace(workcell=workcell), case=SimpleNamespace(folder=RUN))
 
 
@@ -35,3 +38,9 @@ def test_the_end_of_the_commands_with_an_instrument_inside_is_an_error_that_name
 
 def test_the_end_of_the_commands_with_no_instrument_inside_is_no_error() -> None:
     _require_instrument_out(cast("Any", left_with(None)))
+
+
+@pytest.mark.hazard(63)
+def test_the_end_of_the_commands_with_an_instrument_in_the_holder_is_the_same_error() -> None:
+    with pytest.raises(CaseLeftWithInstrument, match=r"instrument for T1 is in the assistant's holder"):
+        _require_instrument_out(left_with(None, held=HELD))
