@@ -6,6 +6,7 @@ connection, recipes, a script and a session number of its own.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import socket
@@ -204,6 +205,15 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         """End the script by its order, or by the dashboard if that fails, and close the RTDE connection."""
         super().end_stream(deadline)
         self.power.await_condition(lambda: not self.dashboard.is_program_running(ASK_LIMIT_S), deadline)
+
+    def stop_program(self, timeout_s: float) -> None:
+        """Stop whatever program runs, by a new connection if the dashboard's has been closed."""
+        try:
+            self.dashboard.ask(Order.STOP, timeout_s)
+        except RonnaError:
+            address = self._dashboard_address
+            with contextlib.closing(DashboardClient(address.host, address.port, timeout_s)) as anew:
+                anew.ask(Order.STOP, timeout_s)
 
     def acknowledge(self, person: str, deadline: float) -> None:
         """End any program and release what a person has to release; moves nothing.

@@ -26,7 +26,6 @@ from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.universal_robots_services import Order
 
 DASHBOARD_LIMIT_S = 1.0
 EXPLAIN_LIMIT_S = 2.0 * DASHBOARD_LIMIT_S  # another question may have to be answered before
@@ -128,7 +127,7 @@ class UrWatch(StreamWatch[ControllerState]):
         must_end = state.phase is Phase.SILENT or state.fault in LINK_FAULTS
         if must_end and not self._program_ended:
             try:
-                dashboard.ask(Order.STOP, DASHBOARD_LIMIT_S)
+                self._connections.stop_program(DASHBOARD_LIMIT_S)
             except RonnaError:
                 return  # at the next state, or the next silence, again
         self._program_ended = must_end

@@ -37,11 +37,15 @@ class AssistantFrame:
     _first_mm: Array | None = None
     _recent_mm: deque[Array] = field(default_factory=lambda: deque(maxlen=READINGS))
 
+    def begin_watch(self) -> None:
+        """Discard what an earlier watch has seen, but for where it counts from."""
+        self.shifted_mm = 0.0
+        self._recent_mm.clear()
+
     def begin_at(self, seen_mm: ArrayLike, robot_from_tracker: Transform) -> None:
         """Count from where the frame is seen now, with the assistant at rest."""
         if (known := self.assistant.arm.observe().reading) is not None:
             self._first_mm = self._beside_joints_mm(seen_mm, known.joints_rad, robot_from_tracker)
-        self._recent_mm.clear()
 
     def _beside_joints_mm(
         self, seen_mm: ArrayLike, joints_rad: JointVector, robot_from_tracker: Transform

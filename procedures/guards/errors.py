@@ -21,6 +21,7 @@ class BaseShifted(RefusedError):
     )
     cart: bool = True  # else it was the tracker
     room_moved: Transform | None = None  # against a moved cart, robot frame, as far as one look tells
+    frame_off_mm: float | None = None  # if no look tells that: the frame on the arm from where the arm has it
 
 
 class InputChanged(RefusedError):

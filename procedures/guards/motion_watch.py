@@ -128,7 +128,7 @@ class MotionWatch:
             raise
         seen = thread.end()
         self._conclude(seen, what)
-        if seen.arm_moves and seen.is_overdue:
+        if seen.is_overdue and motion == MotionKind.INSERT:
             raise PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
 
     @property
@@ -193,9 +193,11 @@ class MotionWatch:
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
         if seen.moved_mm is None:
-            return BaseShifted(
+            shifted = BaseShifted(
                 f"{BASE_MOVED} during {what}", limit=f"{GROSS_LIMIT_MM:g} mm", got=f"{seen.base_mm:.1f} mm"
             )
+            shifted.frame_off_mm = seen.base_mm
+            return shifted
         return PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)
 
 
@@ -236,8 +238,9 @@ class _WatchThread:
         assistant = self.workcell.assistant
         if not self._leads_instrument or assistant is None:
             self.assistant = None
-        elif self.assistant is None:
-            self.assistant = AssistantFrame(assistant)
+        else:
+            self.assistant = self.assistant or AssistantFrame(assistant)
+            self.assistant.begin_watch()
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
@@ -249,8 +252,10 @@ class _WatchThread:
     @property
     def _leads_instrument(self) -> bool:
         """Whether the assistant leads an instrument through the guide, which the master holds, or out."""
-        leads = self.motion in (MotionKind.INSERT, MotionKind.WITHDRAW)
-        return leads and self.guide is not None and self.guide.is_worked_through
+        assistant = self.workcell.assistant
+        if assistant is None or self.motion not in (MotionKind.INSERT, MotionKind.WITHDRAW):
+            return False
+        return assistant.place.is_on_axis or (self.guide is not None and self.guide.is_worked_through)
 
     @property
     def has_moved(self) -> bool:
@@ -356,7 +361,7 @@ class _WatchThread:
 
         Otherwise the guard at the next checkpoint suspends the case while it lasts.
         """
-        if self.guide is None or not self.guide.is_worked_through:
+        if self.guide is None or not (self.guide.is_worked_through or self._leads_instrument):
             return
         self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)

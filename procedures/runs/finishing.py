@@ -297,8 +297,9 @@ def _has_other_run_left_arm_away(folder: Path) -> bool:
     from procedures.runs.theatre_note import FormerRun, find_former_run
 
     with contextlib.suppress(RonnaError, OSError):
-        theatre = read_request(folder).config
-        return theatre is not None and find_former_run(read_last_note(theatre), folder) != FormerRun()
+        request = read_request(folder)
+        if (theatre := request.config) is not None:
+            return find_former_run(read_last_note(theatre, folder, request.roles), folder) != FormerRun()
     return False
 
 

@@ -188,8 +188,9 @@ def _hold_configured_theatre(
     from ronna_hw.theatre_kind import is_simulated
 
     only_leaving = resumption is not None and resumption.only_leaving
-    note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
-    not_home = find_former_run(note, folder).not_home
+    notes = stack.enter_context(hold_theatre(file, folder, request.roles, only_leaving=only_leaving))
+    left = (find_former_run(note, folder).not_home for note in notes)
+    not_home = "; ".join(dict.fromkeys(filter(None, left))) or None
     if request.ask and (control := os.environ.get(VARIABLE)):  # it is not needed to acknowledge a fault
         staff = SimulatedRoom(control)
         if resumption is None or resumption.asks:

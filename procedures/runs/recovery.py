@@ -280,8 +280,6 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
         first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
     if (place := engine.instrument_in) is not None:
         first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
-    if (current_trajectory := workcell.place.trajectory) is not None:
-        first.append(f"the guide retreats from {current_trajectory} along its axis")
     if assistant is not None and (held := assistant.history.held) is not None:
         first.append(
             f"{'then' if first else 'first'}, by hand: take the instrument for {held.trajectory} out of the "
@@ -289,6 +287,8 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
         )
     if assistant is not None and assistant.place.is_out:
         first.append("the assistant goes home")
+    if (current_trajectory := workcell.place.trajectory) is not None:
+        first.append(f"the guide retreats from {current_trajectory} along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
         first.append("the arm goes home the way it came")
     return tuple(first)

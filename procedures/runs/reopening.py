@@ -77,13 +77,13 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
 def require_free_devices(request: RunRequest) -> None:
     """Raise PRO-043 while another program is using the configured devices of the run."""
     if request.config is not None:
-        require_free_theatre(request.config)
+        require_free_theatre(request.config, request.roles)
 
 
 def require_ready_devices(request: RunRequest, run: Path) -> None:
     """Raise PRO-043 as above, or PRO-047 while the instrument of another run than `run` may be inside."""
     if request.config is not None:
-        require_ready_theatre(request.config, run)
+        require_ready_theatre(request.config, run, request.roles)
 
 
 def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from procedures.engine.methods import CaseMethods
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
@@ -151,6 +152,12 @@ class RunRequest:
     def has_person(self) -> bool:
         """Whether a person, not a script, answers what no file does."""
         return self.ask or self.config is not None
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Roles of the arms that it uses."""
+        dual = isinstance(self.procedure, CaseProcedure) and self.procedure.dual
+        return (MASTER, ASSISTANT) if dual else (MASTER,)
 
     @property
     def seed(self) -> int | None:

@@ -42,7 +42,7 @@ def check_theatre(request: RunRequest) -> None:
     if request.config is not None:
         from procedures.runs.theatre_lock import require_ready_theatre
 
-        require_ready_theatre(request.config)
+        require_ready_theatre(request.config, roles=request.roles)
     check_asking(request)
     if request.choice.records:
         from procedures.runs.calibration_files import require_records

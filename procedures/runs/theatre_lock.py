@@ -10,7 +10,7 @@ import fcntl
 import os
 import shlex
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from pathlib import Path
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.theatre_note import (
+    ROLES,
     TheatreNote,
     find_former_run,
     find_telling,
@@ -56,8 +57,10 @@ class TheatreUser:
 
 
 @contextmanager
-def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
-    """Lock a theatre file's devices for a run and yield the note left by earlier runs.
+def hold_theatre(
+    theatre: Path, run: Path | None, roles: Collection[str] = ROLES, *, only_leaving: bool = False
+) -> Iterator[tuple[TheatreNote, ...]]:
+    """Lock a theatre file's arms in these roles for a run; yield the notes left by earlier runs.
 
     Raises PRO-043 while another program has them, PRO-047 while the instrument of another run may be inside,
     and PRO-045 if the next run could not know of this one.
@@ -66,7 +69,8 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
     if user := _find_user_of_own_run(theatre):
         raise _build_in_use_error(user)
     with ExitStack() as stack:
-        notes = {path: _open_note(path) for path in note_paths(theatre)}
+        paths = note_paths(theatre, roles)
+        notes = {path: _open_note(path) for path in paths}
         opened = [(path, _open_own(path, NOTE) if file is None else file) for path, file in notes.items()]
         opened.append((next(iter(notes)), own := _open_own(theatre)))
         for _, file in opened:
@@ -80,7 +84,7 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
             find_former_run(note, run).require_no_instrument()
         lines = 0 if run is None else _count_journal_lines(run)
         mine = {"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
-        noted = {path: note.model_copy(update=mine) for path, note in before.items()}
+        noted = {path: note.model_copy(update=mine | {"role": paths[path]}) for path, note in before.items()}
         for path, file in notes.items():
             if file is not None:
                 with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
@@ -91,7 +95,7 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
                     "from home"
                 )
         try:
-            yield find_telling(tuple(before.values()), run)
+            yield tuple(before.values())
         finally:  # from here on its folder may be moved
             for path, file in notes.items():
                 _write_note(file, noted[path].with_outcome())
@@ -136,11 +140,11 @@ def _write_note(file: int | None, note: TheatreNote) -> bool:
     return True
 
 
-def find_theatre_user(theatre: Path) -> TheatreUser | None:
-    """Return the current user of a theatre file's devices, or None, as far as permissions allow."""
+def find_theatre_user(theatre: Path, roles: Collection[str] = ROLES) -> TheatreUser | None:
+    """Return the current user of a theatre file's arms, or None, as far as permissions allow."""
     if user := _find_user_of_own_run(theatre):
         return user
-    paths = note_paths(theatre)
+    paths = tuple(note_paths(theatre, roles))
     for path, lockable, flags in (*((path, path, NOTE) for path in paths), (paths[0], theatre, os.O_RDONLY)):
         if (file := _open_own(lockable, flags)) is None:
             continue
@@ -152,9 +156,14 @@ def find_theatre_user(theatre: Path) -> TheatreUser | None:
     return None
 
 
-def read_last_note(theatre: Path) -> TheatreNote:
-    """Return the telling note about the arms of a theatre, whether or not a program holds its devices."""
-    return find_telling([read_note(path).with_outcome() for path in note_paths(theatre)], None)
+def read_last_notes(theatre: Path, roles: Collection[str] = ROLES) -> tuple[TheatreNote, ...]:
+    """Return the notes about the arms of a theatre, whether or not a program holds its devices."""
+    return tuple(read_note(path).with_outcome() for path in note_paths(theatre, roles))
+
+
+def read_last_note(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> TheatreNote:
+    """Return the first of these notes by which another run than `run` left an arm, or the first of all."""
+    return find_telling(read_last_notes(theatre, roles), run)
 
 
 def find_unwritable_note(theatre: Path) -> Path | None:
@@ -167,20 +176,22 @@ def find_unwritable_note(theatre: Path) -> Path | None:
 
 
 def list_last_runs(theatre: Path) -> tuple[Path, ...]:
-    """Return the last run that moved a theatre's arm, then the last run that held its devices."""
-    note = read_last_note(theatre)
-    return tuple(run for run in (note.moved_before, note.run) if run is not None)
+    """Return the last runs that moved a theatre's arms, then the last that held its devices."""
+    notes = read_last_notes(theatre)
+    runs = (*(note.moved_before for note in notes), *(note.run for note in notes))
+    return tuple(dict.fromkeys(run for run in runs if run is not None))
 
 
-def require_ready_theatre(theatre: Path, run: Path | None = None) -> None:
+def require_ready_theatre(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> None:
     """Raise PRO-043 or PRO-047 as `hold_theatre` would for `run`, before anyone prepares anything."""
-    require_free_theatre(theatre)
-    find_former_run(read_last_note(theatre), run).require_no_instrument()
+    require_free_theatre(theatre, roles)
+    for note in read_last_notes(theatre, roles):
+        find_former_run(note, run).require_no_instrument()
 
 
-def require_free_theatre(theatre: Path) -> None:
-    """Raise PRO-043 while another program holds the devices, before anyone prepares anything."""
-    if user := find_theatre_user(theatre):
+def require_free_theatre(theatre: Path, roles: Collection[str] = ROLES) -> None:
+    """Raise PRO-043 while another program holds the arms, before anyone prepares anything."""
+    if user := find_theatre_user(theatre, roles):
         raise _build_in_use_error(user)
 
 

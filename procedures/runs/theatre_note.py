@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,16 +24,16 @@ from procedures.workcell.arm_history import (
     arm_history,
     describe_instrument,
     fold_arms,
-    is_any_arm_out,
 )
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import ASSISTANT, MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import Chain, Line, read_chain
 from ronna_hw.evidence.lost_end import find_lost_lines, read_events
 from ronna_hw.theatre_kind import is_on_this_computer
 
+ROLES = (MASTER, ASSISTANT)
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
 NOT_KNOWN = (
     "the note about the last run on this arm cannot be read, or accounts that do not use the arm may have "
@@ -53,20 +53,24 @@ class TheatreNote(BaseModel):
     moved_before: Path | None = None  # the last run that moved the arm, `run` included once `pid` is gone
     at_home: bool = False  # that is where it left it
     unreadable: bool = False  # a note before was, and no run has moved the arm since
+    role: str | None = None  # of this arm in `run`; None: the note is for all of its arms
+    moved_role: str | None = None  # the same in `moved_before`
 
     def with_outcome(self) -> TheatreNote:
         """Return the note updated from the journal of `run`; the arm of a missing run may be anywhere."""
         home = (
             None
             if self.pid is None or self.run is None
-            else _has_brought_arm_home(self.run, self.lines_before)
+            else _has_brought_arm_home(self.run, self.lines_before, self.role)
         )
         if home is None:
             return self.model_copy(update={"pid": None})
-        return TheatreNote(run=self.run, moved_before=self.run, at_home=home)
+        return TheatreNote(
+            run=self.run, moved_before=self.run, at_home=home, role=self.role, moved_role=self.role
+        )
 
 
-def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
+def _has_brought_arm_home(run: Path, lines_before: int, role: str | None) -> bool | None:
     """Whether a run brought the arm home with nothing inside, or None if it certainly did not move the arm.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.
@@ -76,12 +80,13 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
             return None
         chain, lost = _read_left_journal(run)
         arms = fold_arms(chain, lost)
-        inside = arms[0].place.instrument_may_be_inside
+        inside = describe_instrument(arms[0].place, arms[1].held)
+        arms_noted = [arm for arm in arms if role in (None, arm.arm)]
         before = chain.lines[:lines_before]
-        moved = any(arm.journeys != arm_history(before, arm.arm).journeys for arm in arms)
+        moved = any(arm.journeys != arm_history(before, arm.arm).journeys for arm in arms_noted)
         if not (chain.torn or lost or inside or moved):
             return None
-        return not (inside or any(arm.place.is_out for arm in arms))
+        return not (inside or any(arm.place.is_out for arm in arms_noted))
     except (OSError, RonnaError):
         return False
 
@@ -93,30 +98,37 @@ def _read_left_journal(run: Path) -> tuple[Chain, tuple[Line, ...]]:
     return chain, find_lost_lines(events, chain.lines)
 
 
-def note_paths(theatre: Path) -> tuple[Path, ...]:
-    """Return the paths of the notes of a theatre's arms, or that beside its file if none has a key."""
+def note_paths(theatre: Path, roles: Collection[str] = ROLES) -> dict[Path, str | None]:
+    """Return the paths of the notes of a theatre's arms in these roles, with the role of each.
+
+    One note is for all arms of a simulated theatre; one beside the theatre file, if no arm has a key.
+    """
     theatre = theatre.resolve()
-    of_arms = tuple(ARMS_FOLDER / f"{controller}.in-use" for controller in _controller_keys(theatre))
-    return of_arms or (theatre.with_name(f".{theatre.name}.in-use"),)
+    noted = {
+        ARMS_FOLDER / f"{controller}.in-use": role
+        for role, controller in _controller_keys(theatre).items()
+        if role is None or role in roles
+    }
+    return noted or {theatre.with_name(f".{theatre.name}.in-use"): None}
 
 
-def _controller_keys(theatre: Path) -> tuple[str, ...]:
-    """Return a key for each arm whose addresses are known, or only a simulated theatre's identity."""
+def _controller_keys(theatre: Path) -> dict[str | None, str]:
+    """Return the keys of arms with known addresses, by role; for None that of a simulated theatre."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
-        return ()
-    keys = []
-    for arm in file.robot.values():
+        return {}
+    keys: dict[str | None, str] = {}
+    for role, arm in file.robot.items():
         texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
         peers = [parse_endpoint(text).resolve_names() for text in texts]
         if any(map(is_on_this_computer, peers)):
-            return (file.identity,) if file.identity else ()
+            return {None: file.identity} if file.identity else {}
         # At a UDP endpoint this computer listens: it says nothing about who sends there.
-        keys.append(
-            "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
-        )
-    return tuple(sorted(filter(None, keys)))  # in one order, whatever their roles
+        hosts = {(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}
+        if hosts:
+            keys[role] = "+".join(sorted(hosts))
+    return keys
 
 
 def read_note(path: Path) -> TheatreNote:
@@ -219,7 +231,7 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
     try:
         chain, lost_lines = _read_left_journal(last)
         master, assistant = fold_arms(chain, lost_lines)
-        is_out = is_any_arm_out(chain, lost_lines)
+        is_out = any(arm.place.is_out for arm in (master, assistant) if note.moved_role in (None, arm.arm))
     except (RonnaError, OSError):
         lost = _describe_lost_run(last, at_home=note.at_home)
         return FormerRun() if lost is None else FormerRun(last, lost)

@@ -50,6 +50,7 @@ OLDEST_IN_LOCK_STEP_S = 2.4
 WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at 250 mm/s, of the 30 mm kept
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
 STOP_LIMIT_S = 5.0  # host time
+LEAVING_MM = 1.0  # by which arms that are closer than they should be may come closer on their way apart
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
 STOPPED_FOR_UNKNOWN = "the {} has stopped, and its controller has not said why"
 ROLES = (MASTER, ASSISTANT)
@@ -91,6 +92,7 @@ class ArmPair:
         self._at_rest_rad: dict[str, JointVector] = {}  # of arms that must not move meanwhile
         self._expected: dict[str, Lifecycle] = {}  # states of both arms during the motion under way
         self._live: LivePair | None = None
+        self._least_mm = APART_MM  # between the arms in the motion under way
         self.halted: Halt | None = None
         self.reading: Callable[[], AbstractContextManager[None]] = (
             nullcontext  # held by the thread that moves
@@ -241,7 +243,7 @@ class ArmPair:
                 if moved_rad > STILL_RAD:
                     return role, f"the {role} moves although the other arm does", StopKind.PROTECTIVE
         live = self._live or self._watched_pair()
-        least_mm = APART_MM + self._uncertain_mm
+        least_mm = self._least_mm
         near = live.find_near(joints[MASTER], joints[ASSISTANT], least_mm)
         if near is not None:
             bodies = f"{near.first} of the {MASTER} and {near.second} of the {ASSISTANT}"
@@ -269,10 +271,22 @@ class ArmPair:
             if not with_instrument and (place := self._instrument_inside()) is not None:
                 raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
             self._live = self._watched_pair()
+            self._least_mm = self._find_least_mm(self._live)
             yield
         finally:
-            self._live, self._expected, self._at_rest_rad = None, {}, {}
+            self._live, self._expected, self._at_rest_rad, self._least_mm = None, {}, {}, APART_MM
             self._moving.release()
+
+    def _find_least_mm(self, live: LivePair) -> float:
+        """Return the distance that the motion which begins now must keep.
+
+        Where the assistant may be elsewhere, more than between arms at rest; but arms that have come closer
+        than that before it was doubted may stay so, or move apart: else nothing could go home any more.
+        """
+        if not self._uncertain_mm:
+            return APART_MM
+        at_start = live.distance(self._joints_now(MASTER), self._joints_now(ASSISTANT))
+        return max(APART_MM, min(APART_MM + self._uncertain_mm, at_start.distance_mm - LEAVING_MM))
 
     def _drive(self, motions: Mapping[str, Callable[[RobotArm], R]]) -> Mapping[str, R]:
         """Drive the motions, watched, and return what each returns once all have ended."""

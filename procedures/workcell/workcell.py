@@ -7,6 +7,7 @@ nothing moves at all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -52,6 +53,7 @@ from ronna_hw.vectors import JointVector
 
 D = TypeVar("D")
 
+ONE_LOOK_MM = 5.0  # by which a moved cart, seen by one look at the frame on its arm, may be misplaced (U)
 TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
 
 
@@ -380,26 +382,29 @@ class Workcell(SupervisedArm):
     def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
         """Move the room, with the assistant in it, against a moved cart of the master.
 
-        The bodies that this cart carries, by name, stay.
+        The bodies that this cart carries, by name, stay. What surrounds the assistant stands to it as before.
+        A later program has the former places, and is told how far the assistant may be from its own.
         """
-
-        def shifted(around: Surroundings) -> Surroundings:
+        if (around := self.surroundings) is not None:
             moved = around.moved(Pose.from_matrix(by.as_matrix().tolist()))
             pairs = zip(around.obstacles, moved.obstacles, strict=True)
-            return replace(
-                moved, obstacles=tuple(stays if stays.name in on_cart else moves for stays, moves in pairs)
-            )
-
-        if self.surroundings is not None:
-            self.surroundings = shifted(self.surroundings)
+            obstacles = tuple(stays if stays.name in on_cart else moves for stays, moves in pairs)
+            self.surroundings = replace(moved, obstacles=obstacles)
             self._surround_master(self.surroundings)
-        if self._around_assistant is not None:
-            assistant, (around, near_rad) = self._require_assistant(), self._around_assistant
-            self.place_assistant(by @ assistant.base, assistant.history.base_uncertain_mm)
-            self.surround_assistant(shifted(around), near_rad)
+        if self._pair is not None:
+            assistant = self._require_assistant()
+            before, after = assistant.base, by @ assistant.base
+            uncertain_mm = assistant.history.base_uncertain_mm
+            by_mm = math.dist(before.translation_mm, after.translation_mm)
+            assistant.place_base(before, uncertain_mm + by_mm)
+            self._pair.place_assistant(
+                Pose.from_matrix(after.as_matrix().tolist()), uncertain_mm + ONE_LOOK_MM
+            )
 
     def doubt_assistant(self, seen_apart_mm: float) -> None:
         """Keep more distance between both arms: the assistant was seen elsewhere than its base has it."""
+        if self._pair is None:
+            return
         assistant = self._require_assistant()
         uncertain_mm = assistant.history.base_uncertain_mm + TURNED_CART * seen_apart_mm
         self.place_assistant(assistant.base, uncertain_mm)

@@ -57,13 +57,13 @@ def guide(config: Path, name: str, guidance: HandGuidance) -> None:
     """
     if not on_terminal(sys.stdin):
         raise UsageMistake("guide needs a terminal, whose space bar is the switch that a person holds")
-    require_free_theatre(config)
+    require_free_theatre(config, (name,))
     if (run := resumable_run(config)) is not None:
         raise RecoveryRefused(
             f"run {run.name} on this theatre is unfinished, and knows its arms where it left them",
             action=f"Nothing was moved. Bring them home first: ronna-procedure home {shlex.quote(str(run))}.",
         )
-    with Theatre.from_file(config) as theatre, hold_theatre(config, None):
+    with Theatre.from_file(config) as theatre, hold_theatre(config, None, (name,)):
         theatre.require(f"robot.{name}")
         holder = None if theatre.file.calibration is None else theatre.file.calibration.assistant_holder
         around = Surroundings()

@@ -117,7 +117,9 @@ def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
     """Raise PRO-032 or PRO-047 if another run must bring the arm home first, PRO-043 while it is active."""
     if request.config is None:
         return
-    former = find_former_run(read_last_note(request.config), interrupted.folder)
+    former = find_former_run(
+        read_last_note(request.config, interrupted.folder, request.roles), interrupted.folder
+    )
     if former == FormerRun():
         return
     require_ready_devices(request, interrupted.folder)

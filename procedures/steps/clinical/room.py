@@ -225,3 +225,5 @@ def _shift_room(context: StepContext, moved: BaseShifted) -> None:
         bodies = context.setting.surroundings.bodies
         on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
         context.workcell.shift_room(moved.room_moved, on_cart)
+    elif moved.frame_off_mm:
+        context.workcell.doubt_assistant(moved.frame_off_mm)

@@ -64,3 +64,17 @@ def test_a_cart_that_moved_after_the_look_over_the_guide_is_noticed_from_the_fir
     for _ in range(READINGS):
         watch.add_frame(frame((1100.0, 1.2 * SHIFTED_MM, 0.0)), STANDS)
     assert watch.shifted_mm == pytest.approx(1.2 * SHIFTED_MM)
+
+
+def test_what_an_earlier_watch_has_seen_stops_no_later_one() -> None:
+    assistant = LedAssistant()
+    watch = AssistantFrame(cast("Any", assistant))
+    watch.begin_at((1100.0, 0.0, 0.0), STANDS)
+    for _ in range(READINGS):
+        watch.add_frame(frame((1100.0, 3.0, 0.0)), STANDS)
+    watch.begin_watch()
+    watch.add_frame(frame(None), STANDS)
+    assert watch.shifted_mm == 0.0
+    for _ in range(READINGS):
+        watch.add_frame(frame((1100.0, 0.1, 0.0)), STANDS)
+    assert watch.shifted_mm == pytest.approx(0.1)

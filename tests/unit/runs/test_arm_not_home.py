@@ -74,7 +74,7 @@ def warning(runs: Path) -> str | None:
 def warning_of(run: Path) -> str | None:
     """What a session of that run on the theatre is warned of."""
     run.mkdir(exist_ok=True)
-    with hold_theatre(run.parent / "theatre.toml", run) as last:
+    with hold_theatre(run.parent / "theatre.toml", run) as (last,):
         return find_former_run(last, run).not_home
 
 
@@ -289,7 +289,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     assert f"ronna-procedure home {cell.folder}" in away.seen
     with pytest.raises(InstrumentLeftInside, match=says), hold_theatre(copy, tmp_path / "new"):
         pytest.fail("no other run begins")
-    with hold_theatre(copy, cell.folder) as last:  # its own way out
+    with hold_theatre(copy, cell.folder) as (last,):  # its own way out
         assert find_former_run(last, cell.folder).inside is None
     assert not list(use_diagnostics(simulated_theatre(tmp_path / "fresh.toml", "b" * 32)))
 

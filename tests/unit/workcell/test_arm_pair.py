@@ -210,6 +210,16 @@ def test_an_arm_that_has_stopped_halts_the_other_before_its_controller_says_why(
     assert {master.state, assistant.state} == {Lifecycle.FAULT}
 
 
+@pytest.mark.hazard(58)
+def test_arms_that_are_closer_than_a_doubt_about_the_base_allows_may_still_go_home(
+    pair: ArmPair, master: WatchedArm
+) -> None:
+    pair.place_assistant(ACROSS, 5000.0)
+    *others, wrist_rad = HOME_RAD
+    pair.move(MASTER, JointMove(joint_vector((*others, wrist_rad + radians(30.0)))))  # comes no closer
+    assert pair.halted is None
+
+
 def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
     def stop() -> None:
         arm.on_step = lambda: None

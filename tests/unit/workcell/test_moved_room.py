@@ -5,12 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from procedures.workcell import Workcell
-from procedures.workcell.workcell import TURNED_CART
+from procedures.workcell.workcell import ONE_LOOK_MM, TURNED_CART
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
+from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, Transform
 
 HEAD = Obstacle("head", Capsule((500.0, 0.0, 0.0), (500.0, 0.0, 0.0), 90.0), True)
@@ -21,40 +21,46 @@ MOVED = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(0.0, 40.0, 0.0))
 
 
 class Cell:
-    """Workcell that records what it declares of the assistant."""
+    """Workcell with two arms that records what it declares of the assistant."""
 
     def __init__(self) -> None:
         self.surroundings = AROUND
-        self._around_assistant = AROUND, None
-        self.of_master: list[Surroundings] = []
-        self.of_assistant: list[Surroundings] = []
+        self.of_pair: list[tuple[Pose, float]] = []
+        self._pair = SimpleNamespace(place_assistant=lambda *placed: self.of_pair.append(placed))
         self.placed: list[tuple[Transform, float]] = []
 
     def _surround_master(self, around: Surroundings) -> None:
-        self.of_master.append(around)
-
-    def surround_assistant(self, around: Surroundings, _near_rad: object) -> None:
-        self.of_assistant.append(around)
+        self.surroundings = around
 
     def place_assistant(self, base: Transform, uncertain_mm: float) -> None:
         self.placed.append((base, uncertain_mm))
 
     def _require_assistant(self) -> Any:
-        return SimpleNamespace(base=BASE, history=SimpleNamespace(base_uncertain_mm=1.0))
+        return SimpleNamespace(
+            base=BASE,
+            history=SimpleNamespace(base_uncertain_mm=1.0),
+            place_base=lambda *placed: self.placed.append(placed),
+        )
 
 
 @pytest.mark.hazard(58)
-def test_a_moved_cart_of_the_master_moves_head_and_assistant_against_it_for_both_arms() -> None:
+def test_a_moved_cart_of_the_master_moves_head_and_assistant_against_it() -> None:
     cell = Cell()
     Workcell.shift_room(cast("Any", cell), MOVED, [ON_CART.name])
-    for around in (*cell.of_master, *cell.of_assistant):
-        head, cabinet = around.obstacles
-        assert head.capsule.start_mm == pytest.approx((500.0, 40.0, 0.0))
-        assert cabinet == ON_CART
-    assert len(cell.of_master) == len(cell.of_assistant) == 1
-    ((base, uncertain_mm),) = cell.placed
-    assert np.allclose(base.translation_mm, (-1300.0, 40.0, 0.0))
-    assert uncertain_mm == 1.0
+    head, cabinet = cell.surroundings.obstacles
+    assert head.capsule.start_mm == pytest.approx((500.0, 40.0, 0.0))
+    assert cabinet == ON_CART
+    ((base, uncertain_mm),) = cell.of_pair
+    assert base.position_mm == pytest.approx((-1300.0, 40.0, 0.0))
+    assert uncertain_mm == 1.0 + ONE_LOOK_MM
+
+
+@pytest.mark.hazard(58)
+def test_a_later_program_knows_how_far_the_assistant_may_be_from_where_it_has_it() -> None:
+    """It has the head where it was as well: both fit together."""
+    cell = Cell()
+    Workcell.shift_room(cast("Any", cell), MOVED, [])
+    assert cell.placed == [(BASE, 1.0 + 40.0)]
 
 
 @pytest.mark.hazard(58)

@@ -174,7 +174,7 @@ def leave_instrument(theatre: Path, run: Path) -> None:
     journal.close()
     with hold_theatre(theatre, None):
         note = TheatreNote(run=run, moved_before=run)
-    note_paths(theatre)[0].write_text(note.model_dump_json())
+    next(iter(note_paths(theatre))).write_text(note.model_dump_json())
 
 
 @pytest.mark.hazard(5)
