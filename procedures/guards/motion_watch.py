@@ -252,10 +252,11 @@ class _WatchThread:
     @property
     def _leads_instrument(self) -> bool:
         """Whether the assistant leads an instrument through the guide, which the master holds, or out."""
-        assistant = self.workcell.assistant
-        if assistant is None or self.motion not in (MotionKind.INSERT, MotionKind.WITHDRAW):
+        if self.motion not in (MotionKind.INSERT, MotionKind.WITHDRAW):
             return False
-        return assistant.place.is_on_axis or (self.guide is not None and self.guide.is_worked_through)
+        assistant = self.workcell.assistant
+        led = assistant is not None and assistant.place.is_on_axis
+        return led or (self.guide is not None and self.guide.is_worked_through)
 
     @property
     def has_moved(self) -> bool:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from procedures.engine.methods import CaseMethods
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
@@ -156,6 +155,8 @@ class RunRequest:
     @property
     def roles(self) -> tuple[str, ...]:
         """Roles of the arms that it uses."""
+        from ronna_hw.config import ASSISTANT, MASTER  # here: it costs every command a tenth of a second
+
         dual = isinstance(self.procedure, CaseProcedure) and self.procedure.dual
         return (MASTER, ASSISTANT) if dual else (MASTER,)
 

@@ -18,6 +18,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
+from procedures.guards.assistant_frame import SHIFTED_MM
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientMoved
 from procedures.guards.guide_displacement import GuideAtRest
 from procedures.guards.room_watch import RoomWatch
@@ -275,6 +276,12 @@ def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_pa
         eventually(lambda: cell.arm.stops > 0)
     with engine.checkpoint.watching("the way out", MotionKind.WITHDRAW):
         pass
+    pushed.now_mm = 1.1 * SHIFTED_MM
+    with (
+        pytest.raises(InsertionDisturbed, match="PRO-054: the guide was pushed"),
+        engine.checkpoint.watching("the way out", MotionKind.WITHDRAW),
+    ):
+        eventually(lambda: cell.arm.stops > 1)
 
 
 def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
