@@ -23,7 +23,10 @@ class DoesNotFit(DataError):
     """The observations do not fit any rigid pair of cameras on the flange."""
 
     code = "CAL-004"
-    action = "Check that ball and mount are rigid and that images and arm variant match this run; repeat."
+    action = (
+        "Check that ball, frame and mount are rigid, that neither a cart nor anything else was moved meanwhile, "
+        "and that images and arm variant match this run; repeat."
+    )
 
 
 class BadObservations(DataError):

@@ -14,6 +14,9 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
@@ -54,6 +57,7 @@ from ronna_hw.vectors import JointVector
 D = TypeVar("D")
 
 ONE_LOOK_MM = 5.0  # by which a moved cart, seen by one look at the frame on its arm, may be misplaced (U)
+TURNED_SHARE = 0.25  # of the way of its frame, by which a cart that turned has moved other parts differently
 TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
 
 
@@ -408,6 +412,18 @@ class Workcell(SupervisedArm):
         assistant = self._require_assistant()
         uncertain_mm = assistant.history.base_uncertain_mm + TURNED_CART * seen_apart_mm
         self.place_assistant(assistant.base, uncertain_mm)
+
+    def follow_assistant(self, way_mm: ArrayLike) -> None:
+        """Take the assistant for as far away (3,) mm, robot frame, as its frame was seen from its place.
+
+        For the way home only: its cart may have turned as well.
+        """
+        assistant, way = self._require_assistant(), np.asarray(way_mm, dtype=float)
+        moved_mm = float(np.linalg.norm(way))
+        uncertain_mm = assistant.history.base_uncertain_mm + ONE_LOOK_MM + TURNED_SHARE * moved_mm
+        self.place_assistant(assistant.base.displace(way), uncertain_mm)
+        if self._around_assistant is not None:
+            self.surround_assistant(*self._around_assistant)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream and, if requested, the cameras. Raises PRO-002, TOOL-001."""

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from procedures.workcell import Workcell
-from procedures.workcell.workcell import ONE_LOOK_MM, TURNED_CART
+from procedures.workcell.workcell import ONE_LOOK_MM, TURNED_CART, TURNED_SHARE
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, Transform
@@ -25,6 +25,7 @@ class Cell:
 
     def __init__(self) -> None:
         self.surroundings = AROUND
+        self._around_assistant = None
         self.of_pair: list[tuple[Pose, float]] = []
         self._pair = SimpleNamespace(place_assistant=lambda *placed: self.of_pair.append(placed))
         self.placed: list[tuple[Transform, float]] = []
@@ -68,3 +69,12 @@ def test_an_assistant_that_was_seen_elsewhere_is_kept_farther_away() -> None:
     cell = Cell()
     Workcell.doubt_assistant(cast("Any", cell), 3.0)
     assert cell.placed == [(BASE, 1.0 + TURNED_CART * 3.0)]
+
+
+@pytest.mark.hazard(58)
+def test_an_assistant_is_taken_for_where_its_frame_was_seen_on_the_way_home() -> None:
+    cell = Cell()
+    Workcell.follow_assistant(cast("Any", cell), (0.0, 20.0, 0.0))
+    ((base, uncertain_mm),) = cell.placed
+    assert base.translation_mm == pytest.approx((-1300.0, 20.0, 0.0))
+    assert uncertain_mm == 1.0 + ONE_LOOK_MM + TURNED_SHARE * 20.0

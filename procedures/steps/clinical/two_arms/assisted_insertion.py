@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
@@ -46,6 +47,8 @@ from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
+Array = NDArray[np.float64]
+
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
 # Between the frames of both arms, by the tracker and by the joints: three standard errors of the bases by the
 # tracker alone (0.3 mm) and of its angles. Coarse, but of another kind than the joints.
@@ -77,6 +80,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     stood = _has_stood(context, assistant, known)
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
+    (presented,) = _see_frames(context, assistant.holder.frame)
     workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
@@ -90,6 +94,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         [*map(assistant.go_motion, via_rad), assistant.settle_motion(start_rad, axis.arriving)],
         trajectory,
     )
+    stood = _stands_as_presented(context, assistant, known, presented) and stood
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     for joints_rad in via_rad:
         assistant.go(joints_rad)
@@ -228,18 +233,37 @@ def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) ->
     (frame,) = _see_frames(context, assistant.holder.frame)
     if frame is None:
         return False
-    moved_mm = math.dist(frame.translation_mm, known.assistant_seen_mm)
-    if moved_mm > STOOD_MM:
-        moved = PlatformMoved(
-            f"before the insertion at {context.trajectory}: the assistant's cart has moved since its base "
-            "was measured",
-            limit=f"{STOOD_MM:g} mm",
-            got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
-        )
-        context.void(GlobalLocalization, moved)  # else a repeated step would end here again
-        context.workcell.doubt_assistant(moved_mm)
-        raise moved
+    _require_stood(context, known, frame.translation_mm - np.asarray(known.assistant_seen_mm))
     return True
+
+
+def _stands_as_presented(
+    context: StepContext, assistant: Assistant, known: KnownBases, before: Transform | None
+) -> bool:
+    """Return whether the tracker sees the assistant, loaded, where it presented its holder.
+
+    Hands have been at the holder since. Raises CAL-023 if it sees it elsewhere.
+    """
+    (now,) = _see_frames(context, assistant.holder.frame)
+    if before is None or now is None:
+        return False
+    _require_stood(context, known, now.translation_mm - before.translation_mm)
+    return True
+
+
+def _require_stood(context: StepContext, known: KnownBases, shift_mm: Array) -> None:
+    """Raise CAL-023 if the assistant's frame is seen a shift (3,), tracker frame, from where it stood."""
+    moved_mm = float(np.linalg.norm(shift_mm))
+    if moved_mm <= STOOD_MM:
+        return
+    moved = PlatformMoved(
+        f"before the insertion at {context.trajectory}: the assistant's cart has moved",
+        limit=f"{STOOD_MM:g} mm",
+        got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
+    )
+    context.void(GlobalLocalization, moved)  # else a repeated step would end here again
+    context.workcell.follow_assistant(known.robot_from_tracker.transform.rotation_matrix @ shift_mm)
+    raise moved
 
 
 def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
@@ -263,12 +287,12 @@ def _require_seen_coaxial(
         if not stood:
             raise GateFailed(
                 f"over {context.trajectory} the tracker does not see {hidden}, nor did it see the assistant "
-                "at home before: nothing shows that its cart has stood still",
+                "before it left: nothing shows that its cart has stood still",
                 action="Send the arms home, clear the line of sight, and go to the target again.",
             )
         context.find(
-            f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; at home "
-            "it has just seen the assistant where it stood"
+            f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; "
+            "before it left, the assistant was seen where it stood"
         )
         context.setting.memory.drop(AssistantFrame)
         return None, None
@@ -279,11 +303,12 @@ def _require_seen_coaxial(
             (apart_mm, turned_rad),
             (SEEN_APART_MM, SEEN_APART_RAD),
             f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
-            "Look for a cart that has moved or a frame that is loose; then localize again.",
+            "Look for a cart that has moved or a frame that is loose. Send the arms home, with the pendant where "
+            "a way is refused, then localize again.",
         )
     except GateFailed as elsewhere:
         context.void(GlobalLocalization, elsewhere)
-        workcell.doubt_assistant(apart_mm)
+        workcell.follow_assistant(apart.way_mm)
         raise
     watched = AssistantFrame(assistant)
     watched.begin_at(

@@ -42,6 +42,7 @@ LEAST_POSTURES = 8  # 16 looks: the instrument is then 0.07 mm off the bore, 2-D
 LOOKS_PER_POSTURE = 2
 LOOKS_TRIED = 6  # for a posture: an arm stands in the way of the other in many
 HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(18.0), math.radians(40.0)
+MOST_UNSEEN = 12  # looks in a row that show no ball: it is not where the bases have it
 ENOUGH_MM = 0.08  # stated error at which no more looks are taken
 
 
@@ -51,6 +52,7 @@ class BallWatch:
     def __init__(self, visits: ArmVisits) -> None:
         self._visits = visits
         self.held_rad = visits.assistant.home_rad  # of the assistant in the last look
+        self._unseen = 0  # looks in a row
 
     def look(self, coarse: BaseToBase) -> BallFit:
         """Look at the ball until the bases are known. Raises CAL-003, CAL-004, CAL-010, CAL-022."""
@@ -83,6 +85,8 @@ class BallWatch:
                 self.held_rad = joints_rad[1]
                 looks.append((pose.as_matrix(), ball_in_head_mm, flange.as_matrix(), *joints_rad))
             held += len(looks) > before
+            if self._unseen >= MOST_UNSEEN:
+                break
             share = 0.5 + min(held / POSTURES, 1.0) / 2.0
             visits.context.progress(share, "looking at the ball")
             if len(looks) < LEAST_BALL_LOOKS or held < LEAST_POSTURES:
@@ -95,6 +99,8 @@ class BallWatch:
                 "too few looks at the ball of the assistant",
                 expected=f"{POSTURES * LOOKS_PER_POSTURE}",
                 got=f"{len(looks)}; {', '.join(sorted(set(reasons)))}",
+                action="Look whether a cart was moved since the arms were home, and whether the ball is in its "
+                "place and in view of the stereo head; then repeat the step.",
             )
         cell.return_home()
         assistant.return_home()
@@ -145,8 +151,10 @@ class BallWatch:
             for _ in self._visits.visit(list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
                 seen = cell.look()
                 if seen.point is None:
+                    self._unseen += 1
                     reasons.append(seen.reason)
                     continue
+                self._unseen = 0
                 yield cell.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
                 looks += 1
                 if looks == LOOKS_PER_POSTURE:

@@ -45,6 +45,7 @@ Array = NDArray[np.float64]
 # With the master home only, its frame and the spheres on the head show how the tracker stands; a shift of the
 # assistant counts from 0.2 mm on, or from three standard errors where these places show less.
 LEAST_SPREAD_MM, MOST_UNCERTAIN_MM, SIGMAS = 20.0, 0.4, 3.0
+MEANWHILE_MM = 0.5  # of the assistant's frame at home, with the tracker's drift: three standard errors
 SAME_SPHERE_MM = 8.0  # from one reading to the next
 LEAST_PAIRS = 3  # for position and direction
 
@@ -102,7 +103,8 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     visits = ArmVisits(context, assistant)
     bring_arms_home(visits)
     frames, ball = BaseFrameLooks(visits), BallWatch(visits)
-    workcell.place_assistant(frames.first_guess(), FIRST_GUESS_MM)
+    first_guess, seen_first_mm = frames.first_guess()
+    workcell.place_assistant(first_guess, FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.joints_rad())
     workcell.start(cameras=True)
     workcell.surround_assistant(visits.around())
@@ -119,6 +121,14 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     workcell.place_assistant(_robot_from_base(fit.bases))
     workcell.surround_assistant(visits.around())
     seen = _see_platforms(context, assistant, context.result(GlobalLocalization).points_mm)
+    moved_mm = math.dist(seen[1], seen_first_mm)
+    if moved_mm > MEANWHILE_MM:
+        raise PlatformMoved(
+            "a cart has moved while the arms were measured against each other",
+            limit=f"{MEANWHILE_MM:g} mm",
+            got=f"{format_against_limit(moved_mm, MEANWHILE_MM, 2)} mm",
+            action="Lock both carts, then repeat the step.",
+        )
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
     apart_mm = float(np.linalg.norm((coarse.robot_from_base @ there_mm)[:3] - fit.region_mm))
     error_mm, by_frames_mm = fit.error_mm, coarse.error_mm(fit.region_mm)
@@ -212,7 +222,8 @@ def require_platforms_unmoved(context: StepContext) -> None:
             got=f"{format_against_limit(shift.shift_mm, limit_mm, 2)} mm",
         )
         context.void(GlobalLocalization, moved)
-        context.workcell.doubt_assistant(shift.shift_mm)
+        seen_mm = assistant_mm - np.array(known.assistant_seen_mm)  # a pushed tracker is in it, and followed
+        context.workcell.follow_assistant(known.robot_from_tracker.transform.rotation_matrix @ seen_mm)
         raise moved
 
 

@@ -45,8 +45,11 @@ class BaseFrameLooks:
 
     visits: ArmVisits
 
-    def first_guess(self) -> Transform:
-        """Return the base by one look at both frames at home, the assistant's as drawn."""
+    def first_guess(self) -> tuple[Transform, Array]:
+        """Return the base by one look at both frames at home, and the assistant's frame (3,) mm, tracker frame.
+
+        That frame is taken as drawn on its flange.
+        """
         cell, assistant_arm = self.visits.cell, self.visits.assistant
         frames = self.visits.read(CAREFUL_FRAMES)
         on_master, on_assistant = cell.calibrations.tracker_frame.tool, assistant_arm.holder.frame
@@ -61,9 +64,8 @@ class BaseFrameLooks:
             )
         flange = assistant_arm.flange_pose(assistant_arm.joints_rad())
         by_master = robot_from_marker(cell, cell.joints_rad()) @ master.inverse()
-        return between_bases(
-            (by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()).as_matrix()
-        )
+        base = by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()
+        return between_bases(base.as_matrix()), assistant.translation_mm
 
     def look(self) -> tuple[PosePairs, PosePairs]:
         """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.

@@ -20,6 +20,7 @@ from procedures.steps.clinical.two_arms.assisted_insertion import (
     _has_stood,
     _require_bases,
     _require_seen_coaxial,
+    _stands_as_presented,
     insert_with_assistant,
 )
 from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
@@ -69,14 +70,15 @@ def the_tracker_sees(monkeypatch: pytest.MonkeyPatch, place_mm: tuple[float, flo
 @pytest.mark.hazard(61)
 def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     void: list[Any] = []
-    doubted_mm: list[float] = []
+    ways_mm: list[list[float]] = []
     fields = {
         "trajectory": "T1",
         "void": lambda model, _reason: void.append(model),
-        "workcell": SimpleNamespace(doubt_assistant=doubted_mm.append),
+        "workcell": SimpleNamespace(follow_assistant=lambda way_mm: ways_mm.append(list(way_mm))),
     }
     context, known = cast("StepContext", SimpleNamespace(**fields)), cast("Any", SimpleNamespace())
     known.assistant_seen_mm = SEEN_MM
+    known.robot_from_tracker = SimpleNamespace(transform=Transform.of(Frame.ROBOT, Frame.TRACKER))
     the_tracker_sees(monkeypatch, (100.2, 200.0, -1500.2))
     assert _has_stood(context, an_assistant(), known)
     assert not _has_stood(context, an_assistant(home=False), known)
@@ -84,9 +86,30 @@ def test_an_assistant_whose_cart_was_moved_at_a_target_is_noticed(monkeypatch: p
     with pytest.raises(PlatformMoved, match="CAL-023"):
         _has_stood(context, an_assistant(), known)
     assert void == [GlobalLocalization]
-    assert doubted_mm == [pytest.approx(0.9)]  # until the bases are known again, both keep that much away
+    assert ways_mm == [pytest.approx([0.0, 0.9, 0.0])]  # for the way home
     the_tracker_sees(monkeypatch, None)
     assert not _has_stood(context, an_assistant(), known)
+
+
+@pytest.mark.hazard(61)
+def test_a_cart_that_is_pushed_while_the_holder_is_loaded_is_noticed_before_the_assistant_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fields = {
+        "trajectory": "T1",
+        "void": lambda _model, _reason: None,
+        "workcell": SimpleNamespace(follow_assistant=lambda _way_mm: None),
+    }
+    context = cast("StepContext", SimpleNamespace(**fields))
+    still = SimpleNamespace(transform=Transform.of(Frame.ROBOT, Frame.TRACKER))
+    known = cast("Any", SimpleNamespace(robot_from_tracker=still))
+    before = Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=SEEN_MM)
+    the_tracker_sees(monkeypatch, SEEN_MM)
+    assert _stands_as_presented(context, an_assistant(), known, before)
+    assert not _stands_as_presented(context, an_assistant(), known, None)
+    the_tracker_sees(monkeypatch, (100.0, 200.0, -1499.1))
+    with pytest.raises(PlatformMoved, match=r"limit 0.5 mm, got 0.90 mm"):
+        _stands_as_presented(context, an_assistant(), known, before)
 
 
 @pytest.mark.hazard(61)
@@ -124,7 +147,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         robot_from_tracker=robot_from_tracker,
         robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ROBOT)),
     )
-    doubted_mm: list[float] = []
+    ways_mm: list[list[float]] = []
     arm = {
         "joints_rad": lambda: (0.0,) * 6,
         "flange_pose": lambda _joints, _arrived: Transform.of(Frame.ROBOT, Frame.FLANGE),
@@ -136,7 +159,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         "workcell": SimpleNamespace(
             calibrations=records,
             place=SimpleNamespace(axis=None),
-            doubt_assistant=doubted_mm.append,
+            follow_assistant=lambda way_mm: ways_mm.append(list(way_mm)),
             **arm,
         ),
         "void": lambda model, _reason: void.append(model),
@@ -155,7 +178,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
             stood=True,
         )
     assert void == [GlobalLocalization]
-    assert doubted_mm == [pytest.approx(1.1)]
+    assert ways_mm == [pytest.approx([0.0, 1.1, 0.0])]
 
 
 SPHERES_MM = np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0], [0.0, 120.0, 0.0], [0.0, 0.0, 120.0]])
