@@ -24,7 +24,7 @@ class DoesNotFit(DataError):
 
     code = "CAL-004"
     action = (
-        "Check that ball, frame and mount are rigid, that neither a cart nor anything else was moved meanwhile, "
+        "Check that ball, frame and mount are rigid, that nothing was moved meanwhile (a cart, the tracker), "
         "and that images and arm variant match this run; repeat."
     )
 
