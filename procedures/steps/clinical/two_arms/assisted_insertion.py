@@ -303,8 +303,8 @@ def _require_seen_coaxial(
             (apart_mm, turned_rad),
             (SEEN_APART_MM, SEEN_APART_RAD),
             f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
-            "Look for a cart that has moved or a frame that is loose. Send the arms home, with the pendant where "
-            "a way is refused, then localize again.",
+            "Look for a cart that has moved or a frame that is loose. Send the arms home, with "
+            "the pendant where a way is refused, then localize again.",
         )
     except GateFailed as elsewhere:
         context.void(GlobalLocalization, elsewhere)

@@ -99,8 +99,8 @@ class BallWatch:
                 "too few looks at the ball of the assistant",
                 expected=f"{POSTURES * LOOKS_PER_POSTURE}",
                 got=f"{len(looks)}; {', '.join(sorted(set(reasons)))}",
-                action="Look whether a cart was moved since the arms were home, and whether the ball is in its "
-                "place and in view of the stereo head; then repeat the step.",
+                action="Look whether a cart was moved since the arms were home, and whether the ball is in "
+                "its place and in view of the stereo head; then repeat the step.",
             )
         cell.return_home()
         assistant.return_home()

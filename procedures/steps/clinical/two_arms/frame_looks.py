@@ -46,7 +46,7 @@ class BaseFrameLooks:
     visits: ArmVisits
 
     def first_guess(self) -> tuple[Transform, Array]:
-        """Return the base by one look at both frames at home, and the assistant's frame (3,) mm, tracker frame.
+        """Return the base by one look at both frames at home, and the assistant's frame as seen, (3,) mm.
 
         That frame is taken as drawn on its flange.
         """
