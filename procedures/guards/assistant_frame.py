@@ -37,6 +37,16 @@ class AssistantFrame:
     _first_mm: Array | None = None
     _recent_mm: deque[Array] = field(default_factory=lambda: deque(maxlen=READINGS))
 
+    @property
+    def has_seen(self) -> bool:
+        """Whether this watch has seen enough of the frame to compare it."""
+        return len(self._recent_mm) == READINGS
+
+    @property
+    def is_referenced(self) -> bool:
+        """Whether it is known where the frame was seen before."""
+        return self._first_mm is not None
+
     def begin_watch(self) -> None:
         """Discard what an earlier watch has seen, but for where it counts from."""
         self.shifted_mm = 0.0

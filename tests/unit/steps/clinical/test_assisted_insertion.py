@@ -11,6 +11,7 @@ import pytest
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.engine.setting import CaseMemory
+from procedures.guards.assistant_frame import READINGS, AssistantFrame
 from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
@@ -18,6 +19,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.two_arms import assisted_insertion, base_to_base
 from procedures.steps.clinical.two_arms.assisted_insertion import (
     _has_stood,
+    _look_before_retreat,
     _require_bases,
     _require_seen_coaxial,
     _stands_as_presented,
@@ -25,6 +27,8 @@ from procedures.steps.clinical.two_arms.assisted_insertion import (
 )
 from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
 
 BASES = object()
@@ -211,6 +215,40 @@ def test_platforms_are_compared_with_both_arms_home_and_by_what_is_seen_where_it
 
 
 @pytest.mark.hazard(64)
+@pytest.mark.parametrize(("seen_mm", "refused"), [((0.0, 0.7, 0.0), False), ((0.0, 0.9, 0.0), True)])
+def test_a_cart_pushed_since_the_look_over_the_guide_keeps_the_instrument_where_it_is(
+    monkeypatch: pytest.MonkeyPatch, seen_mm: tuple[float, float, float], refused: bool
+) -> None:
+    localized = Transform.of(Frame.ROBOT, Frame.TRACKER)
+    reading = SimpleNamespace(joints_rad=(0.0,) * 6)
+    assistant = SimpleNamespace(
+        arm=SimpleNamespace(observe=lambda: SimpleNamespace(reading=reading)),
+        base=Transform.of(Frame.ROBOT, Frame.ROBOT),
+        calibrated=SimpleNamespace(forward=lambda _joints: Pose((0.0, 0.0, 0.0))),
+        holder=SimpleNamespace(frame="assistant_frame"),
+        place=SimpleNamespace(axis=SimpleNamespace(held=Transform.of(Frame.ROBOT, Frame.TOOL))),
+    )
+    watched = AssistantFrame(cast("Any", assistant))
+    watched.begin_at((0.0, 0.0, 0.0), localized)
+    memory = CaseMemory()
+    memory.keep(watched)
+    seen = SimpleNamespace(validity=Validity.OK, position_mm=seen_mm)
+    frames = [SimpleNamespace(tool=lambda _name: seen)] * READINGS
+    monkeypatch.setattr(assisted_insertion, "read_localized", lambda _context: frames)
+    fields = {
+        "trajectory": "T1",
+        "setting": SimpleNamespace(memory=memory),
+        "result": lambda _model: SimpleNamespace(robot_from_tracker=SimpleNamespace(transform=localized)),
+    }
+    context = cast("StepContext", SimpleNamespace(**fields))
+    if refused:
+        with pytest.raises(InsertionDisturbed, match="PRO-054"):
+            _look_before_retreat(context)
+    else:
+        assert _look_before_retreat(context) == ""
+
+
+@pytest.mark.hazard(64)
 def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: pytest.MonkeyPatch) -> None:
     def seen_beside(*_args: object) -> str:
         raise InsertionDisturbed("a cart was displaced")
@@ -222,7 +260,12 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
 
     assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), retreat=retreat)
     workcell = SimpleNamespace(assistant=assistant, start=lambda: None)
-    fields = {"workcell": workcell, "trajectory": "T1", "result_among": lambda _model, pick: pick([BASES])}
+    fields = {
+        "workcell": workcell,
+        "trajectory": "T1",
+        "result_among": lambda _model, pick: pick([BASES]),
+        "setting": SimpleNamespace(memory=CaseMemory()),
+    }
     context = cast("StepContext", SimpleNamespace(**fields))
     monkeypatch.setattr(assisted_insertion, "look_before_retreat", seen_beside)
     with pytest.raises(InsertionDisturbed):
