@@ -44,7 +44,7 @@ class AssistantFrame:
 
     @property
     def is_referenced(self) -> bool:
-        """Whether it is known where the frame was seen before."""
+        """Reference place known, from which the way is counted."""
         return self._first_mm is not None
 
     def begin_watch(self) -> None:

@@ -227,7 +227,7 @@ class _WatchThread:
     _silence_reported: bool = False
     _pushed: bool = False
     _far_frames: int = 0
-    disturbed: str = ""  # what made the assistant stop on its way into the guide
+    disturbed: str = ""  # what made the assistant stop on its way through the guide
     limit: str = ""
     got: str = ""
     assistant: AssistantFrame | None = None  # as seen over the guide

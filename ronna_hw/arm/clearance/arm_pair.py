@@ -41,7 +41,7 @@ NO_TURN = np.eye(3)
 
 
 class Closeness(NamedTuple):
-    """What may come closer than the arms otherwise.
+    """Pairs of bodies, one of each arm, that may come closer than the arms otherwise.
 
     `contacts` are pairs of a body of the first arm and one of the second, by name, that may touch. All of the
     second may come as close to the bodies `near` of the first as to a guide.

@@ -1,4 +1,4 @@
-"""What is told of a real-time process that ended by itself."""
+"""Message about a real-time process that ended by itself."""
 
 from __future__ import annotations
 

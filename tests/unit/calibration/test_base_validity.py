@@ -1,4 +1,4 @@
-"""What the tracker shows of a platform that has moved since the bases were measured."""
+"""Shift of a platform since the bases were measured, as the tracker shows it."""
 
 from __future__ import annotations
 
