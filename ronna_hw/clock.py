@@ -320,7 +320,8 @@ class SharedClock:
     def advance_cycle(self, duration_ns: int, *, stands: bool = False) -> int:
         """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
 
-        A device that stands while another moves takes `STANDING_CYCLE_NS` for a cycle.
+        A device that stands while another moves takes `STANDING_CYCLE_NS` for a cycle. Where all stand, all
+        but the first take `TURN_NS`, which costs readers of a tracker none of its frames.
         Ahead of another device that streams, the time stands until that one has come as far; `TURN_NS` ahead,
         this device is to wait while `must_wait_for_turn`.
         """
@@ -329,8 +330,8 @@ class SharedClock:
         memory, own = self._memory, self._stream
         with self._lock:
             own.stands.write(memory, int(stands))
-            if stands and any(self._streams(row) and not row.stands.read(memory) for row in STREAMS):
-                duration_ns = max(duration_ns, STANDING_CYCLE_NS)
+            if stands:
+                duration_ns = max(duration_ns, self._standing_cycle_ns())
             ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())
@@ -360,6 +361,13 @@ class SharedClock:
                 return True
             TURN.write(memory, self._device)  # the other has ended, has fallen silent or rests
         return False
+
+    def _standing_cycle_ns(self) -> int:
+        """Return the least duration of this device's cycle while it stands, 0 if it alone sets the pace."""
+        streaming = [number for number, row in enumerate(STREAMS) if self._streams(row)]
+        if not all(STREAMS[number].stands.read(self._memory) for number in streaming):
+            return STANDING_CYCLE_NS
+        return 0 if min(streaming, default=self._device) == self._device else TURN_NS
 
     def _cycle_start_ns(self) -> int:
         """Return the theatre time at which this device's next cycle begins."""

@@ -149,12 +149,8 @@ class StreamedArm(ABC, Generic[S]):
         reported = self.connections.reported
         if reported is not self._stated[0]:
             self._stated = reported, () if reported is None else tuple(self._controller_facts(reported))
-        link = self.connections.open_link
-        return self._guard.last_known(
-            self._readings.newest(streaming=streaming),
-            self._stated[1],
-            stopped=streaming and link is not None and bool(link.state.fault),
-        )
+        reading, stopped = self._readings.newest(streaming=streaming)
+        return self._guard.last_known(reading, self._stated[1], stopped=stopped)
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self.connections.recorder = sink

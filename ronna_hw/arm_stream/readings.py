@@ -42,14 +42,18 @@ class StreamReadings(Generic[S]):
         self._newest = _controller_reading(state, self.stamp(state.device_clock))
         return self._newest
 
-    def newest(self, *, streaming: bool) -> ArmReading | None:
-        """Return the latest reading, requested or unsolicited; never raises, in any thread."""
-        link = self._connections.open_link
+    def newest(self, *, streaming: bool) -> tuple[ArmReading | None, bool]:
+        """Return the latest reading, requested or unsolicited, and whether the stream has ended by a fault.
+
+        Never raises, in any thread.
+        """
+        link, stopped = self._connections.open_link, False
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
             now_s, host_s = self._clock.now_s(), time.monotonic()
             if streaming and link is not None:
                 state = link.state
+                stopped = bool(state.fault)
                 age_s = host_s - state.received_ns / 1e9
                 stamp = Stamp(self._sequence, state.device_clock, now_s - age_s)
                 self._newest = self._make_stream_reading(state, stamp)
@@ -59,7 +63,7 @@ class StreamReadings(Generic[S]):
                     age_s = host_s - reported.received_s
                     stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
                     self._newest = _controller_reading(reported, stamp)
-        return self._newest
+        return self._newest, stopped
 
     def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:
         age_s = (time.monotonic_ns() - state.received_ns) / 1e9

@@ -63,6 +63,7 @@ LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
 # Of the assistant's frame at home, between two looks: three standard errors with the repeatability of an arm
 # and the tracker's drift. Less than the instrument has play before it presses on the guide.
 STOOD_MM = 0.5
+STOOD_FRAMES = CAREFUL_FRAMES // 2  # their mean jitters by hundredths of a millimetre
 LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
@@ -84,7 +85,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     stood = _has_stood(context, assistant, known)
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
-    (presented,) = _see_frames(context, assistant.holder.frame)
+    presented = _see_standing(context, assistant)
     workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
     context.perform_task(Task(HOLDER, load, trajectory))
@@ -254,7 +255,7 @@ def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) ->
     """
     if not assistant.place.is_home:
         return False
-    (frame,) = _see_frames(context, assistant.holder.frame)
+    frame = _see_standing(context, assistant)
     if frame is None:
         return False
     _require_stood(context, known, frame.translation_mm - np.asarray(known.assistant_seen_mm))
@@ -268,7 +269,7 @@ def _stands_as_presented(
 
     Hands have been at the holder since. Raises CAL-023 if it sees it elsewhere.
     """
-    (now,) = _see_frames(context, assistant.holder.frame)
+    now = _see_standing(context, assistant)
     if before is None or now is None:
         return False
     _require_stood(context, known, now.translation_mm - before.translation_mm)
@@ -290,10 +291,16 @@ def _require_stood(context: StepContext, known: KnownBases, shift_mm: Array) -> 
     raise moved
 
 
-def _see_frames(context: StepContext, *names: str) -> list[Transform | None]:
+def _see_standing(context: StepContext, assistant: Assistant) -> Transform | None:
+    """Return the mean pose of the assistant's frame, as `_see_frames`."""
+    (seen,) = _see_frames(context, assistant.holder.frame, count=STOOD_FRAMES)
+    return seen
+
+
+def _see_frames(context: StepContext, *names: str, count: int = CAREFUL_FRAMES) -> list[Transform | None]:
     """Return the mean poses of frames, in the tracker frame of the localization; None for a hidden one."""
-    frames = read_localized(context)
-    return [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names]
+    frames = read_localized(context, count)
+    return [mean_pose(frames, name, count // 2) for name in names]
 
 
 def _require_seen_coaxial(
