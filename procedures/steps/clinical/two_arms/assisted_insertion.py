@@ -43,7 +43,7 @@ from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
-from procedures.workcell.tracker_look import mean_pose
+from procedures.workcell.tracker_look import FrameHidden, mean_pose, see_both_arms
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -292,15 +292,8 @@ def _require_stood(context: StepContext, known: KnownBases, shift_mm: Array) -> 
 
 
 def _see_standing(context: StepContext, assistant: Assistant) -> Transform | None:
-    """Return the mean pose of the assistant's frame, as `_see_frames`."""
-    (seen,) = _see_frames(context, assistant.holder.frame, count=STOOD_FRAMES)
-    return seen
-
-
-def _see_frames(context: StepContext, *names: str, count: int = CAREFUL_FRAMES) -> list[Transform | None]:
-    """Return the mean poses of frames, in the tracker frame of the localization; None for a hidden one."""
-    frames = read_localized(context, count)
-    return [mean_pose(frames, name, count // 2) for name in names]
+    """Return the mean pose of the assistant's frame, in the tracker frame of the localization, if seen."""
+    return mean_pose(read_localized(context, STOOD_FRAMES), assistant.holder.frame, STOOD_FRAMES // 2)
 
 
 def _require_seen_coaxial(
@@ -311,16 +304,15 @@ def _require_seen_coaxial(
     Where it does not see both, the joints alone count, provided that the assistant's cart has `stood`.
     """
     workcell = context.workcell
-    names = workcell.calibrations.tracker_frame.tool, assistant.holder.frame
-    on_master, on_assistant = _see_frames(context, *names)
-    if on_master is None or on_assistant is None:
-        hidden = names[0] if on_master is None else names[1]
+    try:
+        on_master, on_assistant = see_both_arms(workcell, read_localized(context))
+    except FrameHidden as hidden:
         if not stood:
             raise GateFailed(
                 f"over {context.trajectory} the tracker does not see {hidden}, nor did it see the assistant "
                 "before it left: nothing shows that its cart has stood still",
                 action="Send the arms home, clear the line of sight, and go to the target again.",
-            )
+            ) from hidden
         context.find(
             f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; "
             "before it left, the assistant was seen where it stood"

@@ -19,7 +19,6 @@ from procedures.calibration.base_validity import MOVED_MM, platform_shift
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import Topic
@@ -30,11 +29,9 @@ from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE, BallWatch
 from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits, between_bases, stated_arms
-from procedures.steps.clinical.two_arms.frame_looks import FIRST_GUESS_MM, BaseFrameLooks
+from procedures.steps.clinical.two_arms.frame_looks import FIRST_GUESS_MM, BaseFrameLooks, see_both_home
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
-from procedures.workcell.assistant import Assistant
-from procedures.workcell.tracker_look import mean_pose
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -120,7 +117,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     fit = ball.look(coarse)
     workcell.place_assistant(_robot_from_base(fit.bases))
     workcell.surround_assistant(visits.around())
-    seen = _see_platforms(context, assistant, context.result(GlobalLocalization).points_mm)
+    seen = _see_platforms(context, context.result(GlobalLocalization).points_mm)
     moved_mm = math.dist(seen[1], seen_first_mm)
     if moved_mm > MEANWHILE_MM:
         raise PlatformMoved(
@@ -191,7 +188,7 @@ def require_platforms_unmoved(context: StepContext) -> None:
             action="Send the arms home, then repeat the step.",
         )
     before_mm = np.array(known.master_seen_mm)
-    now_mm, assistant_mm = _see_platforms(context, assistant, before_mm)
+    now_mm, assistant_mm = _see_platforms(context, before_mm)
     pairs = [
         (one, now_mm[nearest])
         for one in before_mm
@@ -227,29 +224,18 @@ def require_platforms_unmoved(context: StepContext) -> None:
         raise moved
 
 
-def _see_platforms(context: StepContext, assistant: Assistant, spheres_mm: object) -> tuple[Array, Array]:
+def _see_platforms(context: StepContext, spheres_mm: object) -> tuple[Array, Array]:
     """Return the frame on the master with the known spheres (k, 3), and the assistant's frame, tracker frame.
 
     Both arms are home. Raises PRO-007 if a frame is not in view.
     """
     workcell = context.workcell
     frames = read_localized(context)
-    on_master = workcell.calibrations.tracker_frame.tool
-    poses = {
-        name: mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, assistant.holder.frame)
-    }
-    if hidden := [name for name, pose in poses.items() if pose is None]:
-        raise GateFailed(
-            f"with both arms home, the tracker does not see the frame {hidden[0]}",
-            action="Clear the line of sight between tracker and both arms, then repeat the step.",
-        )
-    master_frame, assistant_frame = poses[on_master], poses[assistant.holder.frame]
-    assert master_frame is not None
-    assert assistant_frame is not None
+    master_frame, assistant_frame = see_both_home(workcell, frames)
     expected = np.asarray(spheres_mm, dtype=float).reshape(-1, 3)
     strays = np.array([group.mean_mm for group in average_strays(frames).groups]).reshape(-1, 3)
     known = [one for one in strays if np.linalg.norm(expected - one, axis=1).min() < SAME_SPHERE_MM]
-    markers = master_frame.apply(workcell.tracker.markers_mm[on_master])
+    markers = master_frame.apply(workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool])
     return np.vstack([markers, *known]), assistant_frame.translation_mm
 
 

@@ -25,7 +25,9 @@ from procedures.steps.clinical.two_arms.base_postures import (
 )
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits, Mover, between_bases, list_possible
 from procedures.strategies.strategy import ONE_SIDE
-from procedures.workcell.tracker_look import mean_pose, robot_from_marker
+from procedures.workcell import Workcell
+from procedures.workcell.tracker_look import FrameHidden, mean_pose, robot_from_marker, see_both_arms
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -37,6 +39,17 @@ FRAMES = 12  # of the tracker, averaged per look at a frame
 # Of the region where both frames are seen, from the middle of the entries, along the axes of the robot:
 # between the arms, clear of the one that rests at home.
 FROM_ENTRY_MM = (0.0, -200.0, 300.0)
+
+
+def see_both_home(workcell: Workcell, frames: list[TrackerFrame]) -> tuple[Transform, Transform]:
+    """Return the poses of the frames on master and assistant, both home. Raises PRO-007 for a hidden one."""
+    try:
+        return see_both_arms(workcell, frames)
+    except FrameHidden as hidden:
+        raise GateFailed(
+            f"with both arms home, the tracker does not see the frame {hidden}",
+            action="Clear the line of sight between tracker and both arms, then repeat the step.",
+        ) from hidden
 
 
 @dataclass(frozen=True)
@@ -51,17 +64,7 @@ class BaseFrameLooks:
         That frame is taken as drawn on its flange.
         """
         cell, assistant_arm = self.visits.cell, self.visits.assistant
-        frames = self.visits.read(CAREFUL_FRAMES)
-        on_master, on_assistant = cell.calibrations.tracker_frame.tool, assistant_arm.holder.frame
-        seen = [mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in (on_master, on_assistant)]
-        master, assistant = seen
-        if master is None or assistant is None:
-            name = on_master if master is None else on_assistant
-            raise GateFailed(
-                f"the tracker does not see the frame {name}",
-                expected="both arms home, their frames in view",
-                action="Clear the line of sight between tracker and both arms, then repeat the step.",
-            )
+        master, assistant = see_both_home(cell, self.visits.read(CAREFUL_FRAMES))
         flange = assistant_arm.flange_pose(assistant_arm.joints_rad())
         by_master = robot_from_marker(cell, cell.joints_rad()) @ master.inverse()
         base = by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()

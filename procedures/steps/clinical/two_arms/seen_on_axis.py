@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from procedures.guards.assistant_frame import SHIFTED_MM
 from procedures.guards.errors import InsertionDisturbed
-from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.strategies.strategy import Sides
 from procedures.workcell import Workcell
 from procedures.workcell.assistant import Assistant
-from procedures.workcell.tracker_look import mean_pose
+from procedures.workcell.tracker_look import FrameHidden, see_both_arms
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -74,13 +73,11 @@ def require_seen_on_axis(
     if known is None:
         raise NotCompared("no record says where the assistant's frame was seen")
     try:
-        frames = read()
+        on_master, on_assistant = see_both_arms(workcell, read())
     except RonnaError as problem:
         raise NotCompared(f"the assistant was not compared with its frame ({problem.summary})") from problem
-    names = workcell.calibrations.tracker_frame.tool, assistant.holder.frame
-    on_master, on_assistant = (mean_pose(frames, name, CAREFUL_FRAMES // 2) for name in names)
-    if on_master is None or on_assistant is None:
-        raise NotCompared(f"the tracker does not see {names[0] if on_master is None else names[1]}")
+    except FrameHidden as hidden:
+        raise NotCompared(f"the tracker does not see {hidden}") from hidden
     apart = compare_frames(workcell, assistant, known, axis.arriving, on_master, on_assistant)
     along = known.robot_from_base.transform.rotation_matrix @ axis.held.rotation_matrix[:, 2]
     across_mm = float(np.linalg.norm(apart.way_mm - (apart.way_mm @ along) * along))

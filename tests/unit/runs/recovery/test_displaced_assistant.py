@@ -13,8 +13,9 @@ from procedures.runs import assistant_comparison
 from procedures.runs.assistant_comparison import compare_assistant
 from procedures.runs.comparison import Comparison
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.two_arms import seen_on_axis
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.two_arms.seen_on_axis import LOOK_AT_CART
+from procedures.workcell import tracker_look
 from procedures.workcell.arm_history import InsertionAxis
 from procedures.workcell.tracker_move import UNPUSHED
 from ronna_hw.errors import LinkTimeout
@@ -72,7 +73,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
         "mean_pose": mean_pose,
     } | lacking
     for name, patch in patches.items():
-        module = seen_on_axis if name == "mean_pose" else assistant_comparison
+        module = tracker_look if name == "mean_pose" else assistant_comparison
         monkeypatch.setattr(module, name, patch)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
     left = SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=())
@@ -114,4 +115,4 @@ def test_staff_look_at_an_assistant_that_the_tracker_cannot_compare(
 ) -> None:
     comparison = compare_seen(monkeypatch, seen_mm, **lacking)
     assert comparison.differences == []
-    assert seen_on_axis.LOOK_AT_CART in comparison.warnings[0]
+    assert LOOK_AT_CART in comparison.warnings[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -27,6 +28,7 @@ from procedures.steps.clinical.two_arms.assisted_insertion import (
 )
 from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
+from procedures.workcell.tracker_look import FrameHidden
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
@@ -68,7 +70,12 @@ def an_assistant(*, home: bool = True) -> Any:
 
 def the_tracker_sees(monkeypatch: pytest.MonkeyPatch, place_mm: tuple[float, float, float] | None) -> None:
     seen = None if place_mm is None else Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place_mm)
-    monkeypatch.setattr(assisted_insertion, "_see_frames", lambda _context, *names: [seen for _ in names])
+    monkeypatch.setattr(assisted_insertion, "_see_standing", lambda *_args: seen)
+
+
+def the_tracker_sees_both(monkeypatch: pytest.MonkeyPatch, see: Callable[[], list[Transform]]) -> None:
+    monkeypatch.setattr(assisted_insertion, "read_localized", lambda _context: [])
+    monkeypatch.setattr(assisted_insertion, "see_both_arms", lambda *_args: see())
 
 
 @pytest.mark.hazard(61)
@@ -118,6 +125,9 @@ def test_a_cart_that_is_pushed_while_the_holder_is_loaded_is_noticed_before_the_
 
 @pytest.mark.hazard(61)
 def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hidden() -> list[Transform]:
+        raise FrameHidden("assistant_frame")
+
     found: list[str] = []
     records = SimpleNamespace(tracker_frame=SimpleNamespace(tool="robot_frame"))
     fields = {
@@ -127,7 +137,7 @@ def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pyte
         "setting": SimpleNamespace(memory=CaseMemory()),
     }
     context = cast("StepContext", SimpleNamespace(**fields))
-    the_tracker_sees(monkeypatch, None)
+    the_tracker_sees_both(monkeypatch, hidden)
     with pytest.raises(GateFailed, match="nothing shows that its cart has stood still"):
         _require_seen_coaxial(context, an_assistant(), AXIS, cast("Any", None), stood=False)
     _require_seen_coaxial(context, an_assistant(), AXIS, cast("Any", None), stood=True)
@@ -172,7 +182,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
     assistant = SimpleNamespace(holder=holder, **arm)
     places = ((0.0, 0.0, 0.0), (0.0, 1.1, 0.0))
     seen = [Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place) for place in places]
-    monkeypatch.setattr(assisted_insertion, "_see_frames", lambda _context, *_names: seen)
+    the_tracker_sees_both(monkeypatch, lambda: seen)
     with pytest.raises(GateFailed, match="elsewhere than its joints have it"):
         _require_seen_coaxial(
             cast("StepContext", SimpleNamespace(**fields)),
