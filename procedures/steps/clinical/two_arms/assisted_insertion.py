@@ -8,15 +8,13 @@ unasked.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
-from procedures.guards.assistant_frame import SHIFTED_MM, AssistantFrame
-from procedures.guards.errors import InsertionDisturbed
+from procedures.guards.assistant_frame import AssistantFrame
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
@@ -34,9 +32,9 @@ from procedures.steps.clinical.two_arms.insertion_axis import (
     surround_at_guide,
 )
 from procedures.steps.clinical.two_arms.seen_on_axis import (
-    BY_HAND,
     SEEN_APART_RAD,
     compare_frames,
+    has_stayed,
     look_before_retreat,
 )
 from procedures.steps.clinical.work_progress import DepthStop
@@ -45,7 +43,6 @@ from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
 from procedures.workcell.tracker_look import FrameHidden, mean_pose, see_both_arms
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
-from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
@@ -143,20 +140,8 @@ def _look_before_retreat(context: StepContext) -> str:
     """
     watched = context.setting.memory.find(AssistantFrame)
     if watched is not None and watched.is_referenced:
-        watched.begin_watch()
         localized = context.result(GlobalLocalization).robot_from_tracker.transform
-        with suppress(RonnaError):  # else the comparison with the joints says what is lacking
-            for frame in read_localized(context):
-                watched.add_frame(frame, localized)
-        if watched.shifted_mm > SHIFTED_MM:
-            raise InsertionDisturbed(
-                f"the tracker sees the assistant beside where it was over the guide at {context.trajectory}: "
-                "a cart was displaced, or a frame or the tracker",
-                limit=f"{SHIFTED_MM:g} mm",
-                got=f"{format_against_limit(watched.shifted_mm, SHIFTED_MM, 2)} mm",
-                action=BY_HAND,
-            )
-        if watched.has_seen:
+        if has_stayed(watched, lambda: read_localized(context), localized, context.trajectory):
             return ""
     known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
     return look_before_retreat(context.workcell, known, lambda: read_localized(context))

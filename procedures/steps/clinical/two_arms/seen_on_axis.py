@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.guards.assistant_frame import SHIFTED_MM
+from procedures.guards.assistant_frame import SHIFTED_MM, AssistantFrame
 from procedures.guards.errors import InsertionDisturbed
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.strategies.strategy import Sides
@@ -56,6 +57,31 @@ def look_before_retreat(
     except NotCompared as unknown:
         return f"{unknown}: {LOOK_AT_CART}"
     return ""
+
+
+def has_stayed(
+    watched: AssistantFrame,
+    read: Callable[[], list[TrackerFrame]],
+    robot_from_tracker: Transform,
+    trajectory: str | None,
+) -> bool:
+    """Return whether the tracker sees the assistant where it was over the guide, False if too little.
+
+    `read` returns frames in the tracker frame of the localization. Raises PRO-054 if it sees it beside.
+    """
+    watched.begin_watch()
+    with suppress(RonnaError):  # else the comparison with the joints says what is lacking
+        for frame in read():
+            watched.add_frame(frame, robot_from_tracker)
+    if watched.shifted_mm > SHIFTED_MM:
+        raise InsertionDisturbed(
+            f"the tracker sees the assistant beside where it was over the guide at {trajectory}: "
+            "a cart was displaced, or a frame or the tracker",
+            limit=f"{SHIFTED_MM:g} mm",
+            got=f"{format_against_limit(watched.shifted_mm, SHIFTED_MM, 2)} mm",
+            action=BY_HAND,
+        )
+    return watched.has_seen
 
 
 def require_seen_on_axis(
