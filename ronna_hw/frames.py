@@ -28,6 +28,7 @@ class Frame(StrEnum):
 
     CT = "ct"  # patient coordinates of the series, LPS
     ROBOT = "robot"  # $ROBROOT of the arm, z up, x forward
+    ASSISTANT = "assistant"  # $ROBROOT of the assistant; to its driver, as to that of any arm, it is ROBOT
     FLANGE = "flange"  # z out of the flange
     TOOL = "tool"  # tool centre point; z along the tool axis, towards the patient
     CAMERA_LEFT = "camera_left"  # z along the optical axis, x along image columns, y down

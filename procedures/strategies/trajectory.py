@@ -143,12 +143,9 @@ def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
     """Return the pose moved back along its own tool z axis, away from the patient."""
-    require_frames(pose, Frame.ROBOT, Frame.TOOL)
-    return Transform(
-        Frame.ROBOT,
-        Frame.TOOL,
-        build_rigid(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
-    )
+    require_frames(pose, pose.target, Frame.TOOL)
+    back_mm = pose.apply([0.0, 0.0, -distance_mm])
+    return Transform(pose.target, Frame.TOOL, build_rigid(back_mm, pose.rigid.rotation))
 
 
 def require_frames(transform: Transform, target: Frame, source: Frame) -> None:

@@ -1,7 +1,7 @@
 """The assistant: the second arm, which holds a ball for the stereo head, and the instrument for the guide.
 
-Its poses and joints are in its own base, as those of any arm; `base` leads from there to the robot frame. It
-moves only with the master, see `ArmPair`.
+Its poses are in its own base, ASSISTANT, and `base` leads from there to the robot frame; its driver, as that
+of any arm, has them as ROBOT. It moves only with the master, see `ArmPair`.
 """
 
 from __future__ import annotations
@@ -63,6 +63,15 @@ def holder_bodies(holder: HolderCalibration) -> tuple[Part, ...]:
     return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
 
 
+def _in(frame: Frame, pose: Transform) -> Transform:
+    return Transform(frame, pose.source, pose.rigid)
+
+
+def _as_any_arm(pose: Transform) -> Transform:
+    """Return a pose in the assistant's base as its driver and record have it. Raises FRM-001 for another."""
+    return _in(Frame.ROBOT, Transform.of(Frame.ASSISTANT, Frame.ASSISTANT) @ pose)
+
+
 class Assistant(SupervisedArm):
     """The assistant of a workcell."""
 
@@ -101,7 +110,7 @@ class Assistant(SupervisedArm):
 
     @property
     def base(self) -> Transform:
-        """Pose ROBOT <- base of the assistant, by the journal. Raises DUAL-003 before it is known."""
+        """Pose ROBOT <- ASSISTANT, by the journal. Raises DUAL-003 before it is known."""
         if self.history.base is None:
             raise OtherArmUnknown(
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
@@ -122,9 +131,13 @@ class Assistant(SupervisedArm):
             flange = self.flange_pose(self.joints_rad(), on.arriving)
             on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
 
+    def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Return the flange, ASSISTANT <- FLANGE, by its calibration if there is one; see `Sides`."""
+        return _in(Frame.ASSISTANT, super().flange_pose(joints_rad, arrived))
+
     def flange_joints(self, flange: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Return the joints for a flange pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self.calibrated.compensate(flange, near, arriving).joints_rad
+        """Return the joints for ASSISTANT <- FLANGE, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        return self.calibrated.compensate(_as_any_arm(flange), near, arriving).joints_rad
 
     def surroundings(
         self, around: Surroundings, near_rad: JointVector | None = None, tip_mm: float | None = None
@@ -290,8 +303,10 @@ class Assistant(SupervisedArm):
         axis = motion.axis
         if axis is None or leg is motion.legs[-1] or not isinstance(leg, LineMove):
             return False
-        clamp = self._arm.kinematics.flange_pose(self.joints_rad()) @ self.flange_from_clamp
-        beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(leg.target)
+        flange = _in(Frame.ASSISTANT, self._arm.kinematics.flange_pose(self.joints_rad()))
+        clamp = flange @ self.flange_from_clamp
+        end = _in(Frame.ASSISTANT, leg.target)
+        beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(end)
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 
     def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Insertion | None:
@@ -313,7 +328,7 @@ class Assistant(SupervisedArm):
         self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
     ) -> LineMove:
         """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
-        clamp, flange_from_clamp = axis.pose_at(travel_mm), self.flange_from_clamp
+        clamp, flange_from_clamp = _as_any_arm(axis.pose_at(travel_mm)), self.flange_from_clamp
         carried = CarriedTool(self.calibrated, flange_from_clamp)
         commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)

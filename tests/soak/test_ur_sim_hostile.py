@@ -20,7 +20,7 @@ pytestmark = pytest.mark.soak
 ROUNDS = 60
 RIDE_CYCLES = 250
 LARGEST_STEP_RAD = 3.5 * 0.002  # at full speed, in a cycle, and a little
-WORDS = {"INT": ("1", "3", "50"), "NUMBER": ("5", "30", "100")}
+WORDS = {"INT": ("1", "3", "50"), "NUMBER": ("5", "30", "100"), "SIGNED": ("-20", "5", "30")}
 CONNECTIONS = 1000
 READY_CYCLES = 150  # after which the orders are repeated
 

@@ -13,7 +13,7 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
 
 STANDS = Transform.of(Frame.ROBOT, Frame.TRACKER)
-DOWN = Transform.of(Frame.ROBOT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
+DOWN = Transform.of(Frame.ASSISTANT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
 
 
 class LedAssistant:
@@ -23,7 +23,7 @@ class LedAssistant:
         self.at_mm = (0.0, 0.0, 0.0)
         self.place = SimpleNamespace(axis=SimpleNamespace(held=DOWN))
         self.holder = SimpleNamespace(frame="assistant_frame")
-        self.base = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(1000.0, 0.0, 0.0))
+        self.base = Transform.of(Frame.ROBOT, Frame.ASSISTANT, translation_mm=(1000.0, 0.0, 0.0))
         reading = SimpleNamespace(joints_rad=(0.0,) * 6)
         self.arm = SimpleNamespace(observe=lambda: SimpleNamespace(reading=reading))
         self.calibrated = SimpleNamespace(forward=lambda _joints: Pose(self.at_mm))

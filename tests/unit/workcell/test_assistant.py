@@ -26,7 +26,7 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Frame, FrameMismatch, Transform
 from sim.world.scene.assistant import KR6_HOME_DEG
 
 CLOCK = HostClock()
@@ -61,9 +61,9 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
         lambda _by: False,
         lambda: "T1",
     )
-    assistant.place_base(Transform.of(Frame.ROBOT, Frame.ROBOT))
+    assistant.place_base(Transform.of(Frame.ROBOT, Frame.ASSISTANT))
     held = assistant.clamp_pose(assistant.joints_rad())
-    axis = InsertionAxis("T1", held, TRAVEL_MM)
+    axis = assistant.axis_in_base(InsertionAxis("T1", held, TRAVEL_MM))
     log.note(
         Entry.PLACED,
         joints_rad=list(assistant.joints_rad()),
@@ -134,8 +134,15 @@ def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
         assistant.supervised.carry_out(assistant.withdraw_motion())
 
 
+def test_the_assistant_takes_no_pose_in_the_robot_frame_for_one_in_its_base(assistant: Assistant) -> None:
+    flange = assistant.flange_pose(assistant.joints_rad())
+    assert flange.target is Frame.ASSISTANT
+    with pytest.raises(FrameMismatch, match="FRM-001"):
+        assistant.flange_joints(assistant.base @ flange, assistant.joints_rad())
+
+
 def test_where_the_assistant_stands_outlasts_the_program(assistant: Assistant, cell: RecordingCell) -> None:
-    base = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(700.0, -500.0, 0.0))
+    base = Transform.of(Frame.ROBOT, Frame.ASSISTANT, translation_mm=(700.0, -500.0, 0.0))
     assistant.place_base(base)
     assistant.place_base(base)
     lines = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.BASE]
@@ -208,7 +215,8 @@ def test_an_insertion_goes_on_from_where_it_was_stopped_and_never_back(
     assert axis is not None
     motion = assistant.insert_motion(axis, guided=GUIDED)
     assert [assistant.has_passed(leg, motion) for leg in motion.legs] == [True, True, False]
-    arm.controller.joints_rad = assistant.clamp_joints(axis.pose_at(40.0), assistant.joints_rad())
+    there = assistant.base @ axis.pose_at(40.0)
+    arm.controller.joints_rad = assistant.clamp_joints(there, assistant.joints_rad())
     assert [assistant.has_passed(leg, motion) for leg in motion.legs] == [True, False, False]
     out = assistant.withdraw_motion(GUIDED)
     assert [assistant.has_passed(leg, out) for leg in out.legs] == [True, False]

@@ -16,7 +16,7 @@ from ronna_hw.frames import Frame, Transform
 HEAD = Obstacle("head", Capsule((500.0, 0.0, 0.0), (500.0, 0.0, 0.0), 90.0), True)
 ON_CART = Obstacle("cabinet", Capsule((0.0, 0.0, -300.0), (0.0, 0.0, -400.0), 200.0))
 AROUND = Surroundings(obstacles=(HEAD, ON_CART))
-BASE = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(-1300.0, 0.0, 0.0))
+BASE = Transform.of(Frame.ROBOT, Frame.ASSISTANT, translation_mm=(-1300.0, 0.0, 0.0))
 MOVED = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(0.0, 40.0, 0.0))
 
 

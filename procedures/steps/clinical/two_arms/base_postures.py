@@ -138,5 +138,5 @@ def order_by_travel(start_rad: JointVector, postures: Sequence[JointVector]) -> 
 
 
 def flange_of(pose: Transform) -> Transform:
-    """Return a planned pose as one of a flange."""
-    return Transform(Frame.ROBOT, Frame.FLANGE, pose.rigid)
+    """Return a planned pose as one of the assistant's flange."""
+    return Transform(Frame.ASSISTANT, Frame.FLANGE, pose.rigid)

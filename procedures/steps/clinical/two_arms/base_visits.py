@@ -81,7 +81,7 @@ class ArmVisits:
 
     @property
     def tracker_in_base(self) -> Transform:
-        """Pose base of the assistant <- tracker."""
+        """Pose ASSISTANT <- TRACKER."""
         tracker = self.context.result(GlobalLocalization).robot_from_tracker.transform
         return self.assistant.base.inverse() @ tracker
 
@@ -184,5 +184,6 @@ def stated_arms(context: StepContext) -> tuple[StatedArm, StatedArm]:
 
 
 def between_bases(matrix: Array) -> Transform:
-    """Return ROBOT <- base of the assistant; both are bases of arms, so both have that frame."""
-    return Transform(Frame.ROBOT, Frame.ROBOT, RigidTransform.from_matrix(np.asarray(matrix, dtype=float)))
+    """Return ROBOT <- ASSISTANT."""
+    rigid = RigidTransform.from_matrix(np.asarray(matrix, dtype=float))
+    return Transform(Frame.ROBOT, Frame.ASSISTANT, rigid)

@@ -21,7 +21,7 @@ from procedures.workcell.tracker_move import UNPUSHED
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Frame, Transform
 
-DOWN = Transform.of(Frame.ROBOT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
+DOWN = Transform.of(Frame.ASSISTANT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
 ON_MASTER, ON_ASSISTANT = "robot_frame", "assistant_frame"
 Place = tuple[float, float, float]
 LINES: tuple[Line, ...] = ()
@@ -43,7 +43,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
         holder=SimpleNamespace(frame=ON_ASSISTANT),
         history=SimpleNamespace(base=object()),
         require_on_axis=lambda: None,
-        **arm,
+        **arm | {"flange_pose": lambda _joints, _arrived: Transform.of(Frame.ASSISTANT, Frame.FLANGE)},
     )
     workcell = SimpleNamespace(
         assistant=assistant,
@@ -58,7 +58,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
         flange_from_frame=flange,
         flange_from_master_frame=flange,
         robot_from_tracker=posed(Transform.of(Frame.ROBOT, Frame.TRACKER)),
-        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ROBOT)),
+        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ASSISTANT)),
     )
     results = {KnownBases: bases, GlobalLocalization: None}
     places = {ON_MASTER: (0.0, 0.0, 0.0), ON_ASSISTANT: seen_mm}

@@ -159,7 +159,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         flange_from_frame=on_flange,
         flange_from_master_frame=on_flange,
         robot_from_tracker=robot_from_tracker,
-        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ROBOT)),
+        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ASSISTANT)),
     )
     ways_mm: list[list[float]] = []
     arm = {
@@ -179,6 +179,7 @@ def test_an_assistant_seen_elsewhere_than_its_joints_have_it_has_everything_loca
         "void": lambda model, _reason: void.append(model),
     }
     holder = SimpleNamespace(frame="assistant_frame")
+    arm["flange_pose"] = lambda _joints, _arrived: Transform.of(Frame.ASSISTANT, Frame.FLANGE)
     assistant = SimpleNamespace(holder=holder, **arm)
     places = ((0.0, 0.0, 0.0), (0.0, 1.1, 0.0))
     seen = [Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place) for place in places]
@@ -233,10 +234,10 @@ def test_a_cart_pushed_since_the_look_over_the_guide_keeps_the_instrument_where_
     reading = SimpleNamespace(joints_rad=(0.0,) * 6)
     assistant = SimpleNamespace(
         arm=SimpleNamespace(observe=lambda: SimpleNamespace(reading=reading)),
-        base=Transform.of(Frame.ROBOT, Frame.ROBOT),
+        base=Transform.of(Frame.ROBOT, Frame.ASSISTANT),
         calibrated=SimpleNamespace(forward=lambda _joints: Pose((0.0, 0.0, 0.0))),
         holder=SimpleNamespace(frame="assistant_frame"),
-        place=SimpleNamespace(axis=SimpleNamespace(held=Transform.of(Frame.ROBOT, Frame.TOOL))),
+        place=SimpleNamespace(axis=SimpleNamespace(held=Transform.of(Frame.ASSISTANT, Frame.TOOL))),
     )
     watched = AssistantFrame(cast("Any", assistant))
     watched.begin_at((0.0, 0.0, 0.0), localized)
