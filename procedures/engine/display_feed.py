@@ -61,7 +61,7 @@ def publish_order(engine: Engine) -> None:
                     step=str(key),
                     title=spec.title,
                     phase=str(spec.phase),
-                    moves=spec.moves,
+                    moves=spec.moves_an_arm,
                     record=engine.case.record_of(key),
                 )
                 for key, spec in specs

@@ -121,7 +121,7 @@ class Engine:
         self._show_state()
         self.running = key
         try:
-            self._write(Entry.INTENT, step=str(key), moves=spec.moves)
+            self._write(Entry.INTENT, step=str(key), moves=spec.moves_an_arm)
             self.events.publish(StepState(step=str(key), title=spec.title, state="begun"))
             _log.info("step begins", step=self._redact(str(key)))
             self.setting.room.announce(str(key))

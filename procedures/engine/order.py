@@ -54,9 +54,10 @@ class StepSpec(Generic[R_co]):
     voids no result of that trajectory, and nothing more is done for it. `rechecks` says that it checks the
     mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
     may have had that tool in their hands, so the step is run again before the tool is used. `relates_arms`
-    says that it measures two arms against each other: a fault of either puts it in doubt. `preconditions`
-    are checked besides, and say in plain words what is unmet. `asks` are the questions of its course, in
-    order; those of its branches are in their table: see `list_questions`.
+    says that it measures two arms against each other: a fault of either puts it in doubt. `moves` says that
+    it moves the arm from where it is, `assistant_moves` that the assistant moves while the arm stays.
+    `preconditions` are checked besides, and say in plain words what is unmet. `asks` are the questions of its
+    course, in order; those of its branches are in their table: see `list_questions`.
     """
 
     result: type[R_co]
@@ -66,6 +67,7 @@ class StepSpec(Generic[R_co]):
     scope: Scope = Scope.CASE
     reads: tuple[type[StepResult], ...] = ()
     moves: bool = False
+    assistant_moves: bool = False
     continues: bool = False
     finishes: bool = False
     rechecks: bool = False
@@ -77,6 +79,11 @@ class StepSpec(Generic[R_co]):
     def name(self) -> str:
         """Step name in the state chart, the journal and commands; equals the kind of its result."""
         return self.result.kind
+
+    @property
+    def moves_an_arm(self) -> bool:
+        """Whether anything moves in the step."""
+        return self.moves or self.assistant_moves
 
     @property
     def needs(self) -> tuple[str, ...]:

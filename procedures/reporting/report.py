@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from procedures.calibration.base_to_base import LARGEST_ERROR_MM
+from procedures.calibration.base_validity import MOVED_MM
 from procedures.engine.run_folder import targets_in_doubt
+from procedures.guards.assistant_frame import SHIFTED_MM
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
@@ -76,6 +78,8 @@ from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD, SEEN_APART_MM
 from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.steps.clinical.two_arms.seen_on_axis import SEEN_APART_RAD
+from procedures.workcell.arm_history import MotionKind
+from ronna_hw.config import ASSISTANT
 from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
@@ -142,6 +146,9 @@ def write_report(
         "set_up": reading.find(CheckedSetUp),
         "tools": reading.standing(MountedGuide),
         "bases": reading.find(KnownBases),
+        "begun_insertions": _begun_insertions(reading),
+        "platforms_mm": MOVED_MM,
+        "shifted_mm": SHIFTED_MM,
         "bases_limit_mm": LARGEST_ERROR_MM,
         "coaxial_mm": COAXIAL_MM,
         "coaxial_rad": COAXIAL_RAD,
@@ -191,6 +198,13 @@ def write_report(
     path = out / REPORT_FILE
     write_atomically(path, _template().render(page).encode())
     return path
+
+
+def _begun_insertions(reading: RunReading) -> list[str]:
+    """List the trajectories at which the assistant began to lead an instrument in, in order."""
+    motions = reading.run.lines(Entry.MOTION)
+    begun = [one for one in motions if one.get("arm") == ASSISTANT and one.get("what") == MotionKind.INSERT]
+    return list(dict.fromkeys(str(one.get("trajectory")) for one in begun))
 
 
 def _is_held_by_us(run: Path) -> bool:

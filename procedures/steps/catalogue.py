@@ -69,12 +69,14 @@ AFTER_STOP = "the arm has not moved since it was connected or stopped"
 def clinical_steps(*, measure_targets: bool = False, dual: bool = False) -> Steps:
     """Return the steps of a case, with those of two arms and the measurement of targets if requested."""
     more: dict[object, StepSpec[StepResult]] = {path_check.STEP: base_to_base.STEP} if dual else {}
+    instead: dict[object, StepSpec[StepResult]] = {at_target.STEP: at_target.WITH_ASSISTANT} if dual else {}
     before: dict[object, StepSpec[StepResult]] = (
         {tool_change.STEP: target_measurement.STEP} if measure_targets else {}
     )
     steps: list[StepSpec[StepResult]] = []
     for step in CLINICAL_STEPS:
-        steps += [one for one in (before.get(step), step, more.get(step)) if one is not None]
+        course = before.get(step), instead.get(step, step), more.get(step)
+        steps += [one for one in course if one is not None]
     return tuple(steps)
 
 
@@ -99,7 +101,7 @@ class PlannedQuestion:
 def list_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
     """Return a step's own questions: those of its normal course in order, then those of its branches."""
     course = [PlannedQuestion(topic) for topic in spec.asks]
-    if spec.moves:
+    if spec.moves_an_arm:
         course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))
     branches = [
         PlannedQuestion(branch.topic, branch.event)

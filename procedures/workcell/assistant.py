@@ -310,8 +310,8 @@ class Assistant(SupervisedArm):
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 
     def force_limited(self, leg: Motion, motion: PlannedMotion, limit_N: float) -> Insertion | None:
-        """Return a leg as an insertion that its force limit stops; None for others, or if none is sensed."""
-        inserts = motion.what is MotionKind.INSERT and self.senses_force
+        """Return a leg of an insertion as one that its force limit stops; None for other legs."""
+        inserts = motion.what is MotionKind.INSERT
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
         assert motion.axis is not None, "an insertion leads along an axis"

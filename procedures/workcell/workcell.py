@@ -355,16 +355,22 @@ class Workcell(SupervisedArm):
             raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
         return self.assistant
 
+    @property
+    def insertion_limit_N(self) -> float | None:
+        """Force on the instrument that stops its insertion by the assistant; None if that senses none."""
+        senses = self.assistant is not None and self.assistant.senses_force
+        return self._theatre.file.procedure.insertion_force_N if senses else None
+
     def _drive_one(self, role: str, leg: Motion, motion: PlannedMotion) -> ArmReading:
         if self._pair is None:
             raise OtherArmUnknown(
                 "where the assistant stands is not known", action="Run base_to_base first: nothing has moved."
             )
         if role == ASSISTANT and motion.axis is not None:
-            assistant, limit_N = self._require_assistant(), self._theatre.file.procedure.insertion_force_N
+            assistant, limit_N = self._require_assistant(), self.insertion_limit_N
             if assistant.has_passed(leg, motion):
                 return self._theatre.arms[ASSISTANT].read_state()
-            if (insertion := assistant.force_limited(leg, motion, limit_N)) is not None:
+            if limit_N is not None and (insertion := assistant.force_limited(leg, motion, limit_N)):
                 inserted = self._pair.insert(role, insertion)
                 assistant.note_inserted(inserted)
                 return inserted.reading

@@ -157,7 +157,7 @@ def _dry_run(engine: Engine, key: StepKey, say: Say) -> None:
     from procedures.steps.dry_run import describe_planned_motions
 
     _explain(engine, key, say)
-    if not engine.order.spec(key).moves:
+    if not engine.order.spec(key).moves_an_arm:
         say("this step moves nothing")
         return
     motions = describe_planned_motions(engine.case, key, engine.setting)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
@@ -262,4 +263,16 @@ STEP = StepSpec(
     continues=True,
     finishes=True,
     preconditions=needs_insertion,
+)
+WITH_ASSISTANT = replace(
+    STEP,
+    assistant_moves=True,
+    asks=(
+        Topic.DEPTH_STOP,
+        *(stage.topic for stage in STAGES[:-1]),
+        Topic.INSTRUMENT_OUT,  # before the assistant moves, and after it has led the instrument out
+        Topic.APPROACH,
+        STAGES[-1].topic,
+        Topic.RETREAT,
+    ),
 )

@@ -79,22 +79,22 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for before in context.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
+    dual = context.workcell.assistant is not None
+    carts, are = ("the carts of master and assistant", "are") if dual else ("the arm's cart", "is")
     proposed = _read_proposal(context)
     proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
-        context.perform_task(Task(CART_PLACE, "wheel the arm's cart into position"))
-        context.perform_task(Task(CART_LOCK, "lock the brakes of the cart"))
-        _confirm(
-            context, "the cart is locked", "the brakes of all wheels are locked and nobody is pushing it"
-        )
+        context.perform_task(Task(CART_PLACE, f"wheel {carts} into position"))
+        context.perform_task(Task(CART_LOCK, f"lock the brakes of {carts}"))
+        _confirm(context, f"{carts} {are} locked", "the brakes of all wheels are set and nobody is pushing")
         robot_from_tracker, first = _take_first_look(context)
         drift = (
             None if proposal is None else _offset_from_proposal(context, proposal, robot_from_tracker, first)
         )
         if proposal is None or drift is None or _accept_position(context, proposal, drift, placing):
             break
-    context.perform_task(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
-    _confirm(context, "someone leaned on the cart", "from each side, and everyone stands clear")
+    context.perform_task(Task(CART_PUSH, f"lean on {carts} from each side, then stand clear"))
+    _confirm(context, f"someone leaned on {carts}", "from each side, and everyone stands clear")
     frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:

@@ -225,6 +225,9 @@ class AssistedInsertion(Values):
     peak_force_N: NonNegativeFloat | None = Field(
         description="Largest change of the force on the way in; none if the arm senses none."
     )
+    force_limit_N: NonNegativeFloat | None = Field(
+        default=None, description="Change of the force that stops the way in; none if the arm senses none."
+    )
     gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
 
 

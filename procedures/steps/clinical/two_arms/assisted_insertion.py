@@ -84,17 +84,25 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     _present_holder(context, assistant, stop.read_mm)
     presented = _see_standing(context, assistant)
     workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
-    load = f"set the depth stop at the clamp of the assistant's holder, for {trajectory}"
+    load = (
+        f"put the instrument for {trajectory} into the assistant's holder, its depth stop against the clamp, "
+        "and close the clamp"
+    )
     context.perform_task(Task(HOLDER, load, trajectory))
     axis, start_rad, via_rad = find_axis(context, assistant, stop, known)
     workcell.start()
+    depth_mm = stop.read_mm - stop.standoff_mm - workcell.tools.guide.bore.length_mm
+    limit_N = workcell.insertion_limit_N
+    stopped_by = "this arm senses no force" if limit_N is None else f"{limit_N:g} N against it stop it"
     assistant.supervised.confirm(
         Topic.APPROACH,
         f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
-        f"{axis.travel_mm:.0f} mm along the bore, in it at up to {BORE_SPEED_MM_S:g} mm/s, from "
-        f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s, until its stop rests there",
+        f"{axis.travel_mm:.0f} mm along the bore until its stop rests on the guide, its tip "
+        f"{depth_mm:.0f} mm behind the entry; in the bore at up to {BORE_SPEED_MM_S:g} mm/s, from "
+        f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s; {stopped_by}",
         [*map(assistant.go_motion, via_rad), assistant.settle_motion(start_rad, axis.arriving)],
         trajectory,
+        covers=f"{axis.travel_mm:.0f} mm along the bore, which the distances below leave out",
     )
     stood = _stands_as_presented(context, assistant, known, presented) and stood
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
@@ -129,6 +137,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         seen_apart_mm=seen_apart_mm,
         seen_apart_rad=seen_apart_rad,
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
+        force_limit_N=workcell.insertion_limit_N,
         gap_mm=max(0.0, gap_mm),
     )
 
