@@ -284,6 +284,11 @@ class Calibrations(Strict):
         return TipInHead.of(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
 
     @property
+    def of_master(self) -> Calibrations:
+        """Records that a case with the master alone uses."""
+        return self.model_copy(update={"assistant_arm": None, "assistant_holder": None})
+
+    @property
     def records(self) -> dict[str, DatedRecord]:
         """Records in the theatre file, by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}

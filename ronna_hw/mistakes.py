@@ -92,11 +92,15 @@ def _find_model(annotation: Any) -> Any:
     )
 
 
+def suggest_alike(key: str, known: Sequence[str]) -> str:
+    """Suggest the most similar known key as a question, if one is similar."""
+    alike = get_close_matches(key[:LONGEST_KEY], known, n=1)
+    return f" (did you mean '{alike[0]}'?)" if alike else ""
+
+
 def suggest_keys(key: str, known: Sequence[str]) -> str:
     """Suggest the most similar known key as a question, or else list all known keys."""
-    if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
-        return f" (did you mean '{alike[0]}'?)"
-    return f" (known: {', '.join(known)})" if known else ""
+    return suggest_alike(key, known) or (f" (known: {', '.join(known)})" if known else "")
 
 
 def describe_mistake(item: ErrorDetails) -> str:

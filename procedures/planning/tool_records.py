@@ -12,6 +12,7 @@ from procedures.planning.errors import ForeignTool, NoToolRecord, PatientFrameUn
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool
+from ronna_hw.mistakes import suggest_alike
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -91,7 +92,8 @@ class ToolRecords:
         for table, frame in named.items():
             if frame not in tracked:
                 raise UnknownTool(
-                    f"[{table}] names {frame}, which is not among the tracker's tools",
+                    f"[{table}] names {frame}, which is not among the tracker's tools"
+                    f"{suggest_alike(frame, tracked)}",
                     expected=" or ".join(tracked) or "none",
                 )
 

@@ -104,7 +104,8 @@ def prepare_case(
         arm = "" if choice.arm == DEFAULT_ARM else f" --arm {choice.arm}"
         simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}{arm}"
         options = simulated if request.config is None else options_of(request.config)
-        require_valid(theatre.calibrations, now, options)
+        used = theatre.calibrations if case.dual else theatre.calibrations.of_master
+        require_valid(used, now, options)
         ToolRecords.of(theatre.file).check(theatre.calibrations, now)
     file = case_folder(case, folder) / "plan.toml"
     if case.plan is not None and (resumption is None or resumption.interrupted.untouched):

@@ -126,7 +126,7 @@ def _another_arm(
     """Return the refusal of a record, with advice that leaves the record of the other role as it is."""
     what, action = f"calibration {record.identifier} belongs to another arm than the {role}", None
     if exchanged:
-        what += ", and the record of the other role to this one: the two records are exchanged"
+        what += ", and the record of the other role to this one: the two records are swapped"
         action = (
             "Exchange [calibration.arm] and [calibration.assistant_arm], or else the endpoints of "
             "[robot.master] and [robot.assistant]."

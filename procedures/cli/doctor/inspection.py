@@ -258,6 +258,8 @@ def _check_records(
             require_this_arm(arm, serial, role, other)
 
         seen = f"{kinematics.name} {serial}".rstrip()
+        if arm is None:
+            seen = f"none: {seen} is taken as nominal"
         arm_check = replace(
             run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
         )

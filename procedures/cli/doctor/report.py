@@ -51,6 +51,7 @@ from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
 from ronna_hw.text import format_count
 
+ASSISTANT_RECORDS = ("calibration assistant_arm", "calibration assistant_holder")
 CASE, TWO_ARM_CASE = "case", "case with two arms"
 TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
@@ -175,7 +176,9 @@ def examine(
             *history_diagnostics(config),
         )
         case = (*use_diagnostics(config), *case_diagnostics(file, config, out))
-        two_arms = tuple(assistant_diagnostics(file))
+        of_assistant = tuple(one for one in calibrations if one.subject in ASSISTANT_RECORDS)
+        calibrations = tuple(one for one in calibrations if one not in of_assistant)
+        two_arms = (*of_assistant, *assistant_diagnostics(file))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
         if all(one.subject != RUN for one in case):

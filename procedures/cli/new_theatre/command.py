@@ -172,7 +172,7 @@ def _report_devices(out: Path, found: Sequence[DeviceTable], *, check: bool, as_
     with terminal.progress_bar("checking the file") as progress:
         report = examine(out, progress=progress)
     show_findings(report, as_json=as_json)
-    terminal.tell(f"{out} was written; it lists what is missing")
+    terminal.tell(f"{out} was written{'' if complete else '; it lists what is missing'}")
     return complete and all(one.well for one in report.devices)
 
 

@@ -145,7 +145,7 @@ def _touch_if_mirrored(
         Task(
             TOUCH,
             f"the spheres fit a mirrored CT as well: touch the {landmark.name} with the pointer and read its "
-            "position in the frame of the arm's base ($ROBROOT)",
+            "position in the base of the master ($ROBROOT of a KUKA, Base of a Universal Robots arm)",
             numbers=landmark.direction,
             reads=("x in mm", "y in mm", "z in mm"),
             plausible_mm=(-FARTHEST_MM, FARTHEST_MM),

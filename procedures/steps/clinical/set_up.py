@@ -86,6 +86,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     the position of an arm left by an earlier run is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
+    if workcell.assistant is None:
+        calibrations = calibrations.of_master
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
     workcell.tools.check_frames(calibrations, workcell.tracker.tools)

@@ -130,7 +130,7 @@ def describe_work(stages: WorkedStages, trajectory: str) -> str:
     """Describe the work done at a target, whether more may have been done, and what interrupted it."""
     known, interruption = stages.tasks_at(trajectory), stages.interruption_at(trajectory)
     done = [
-        stage.done_statement if known[stage.task] else f"begun and not confirmed: {stage.instruction}"
+        stage.done_statement if known[stage.task] else f"not yet confirmed: {stage.done_statement}"
         for stage in STAGES
         if stage.task in known
     ]

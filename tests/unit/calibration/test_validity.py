@@ -40,5 +40,12 @@ def test_an_expired_record_is_renewed_by_its_command_or_by_hand(
     assert refused.value.advice.endswith("; no motion until then.")
 
 
+def test_a_case_of_the_master_alone_needs_no_record_of_the_assistant() -> None:
+    fields = dict.fromkeys(Calibrations.model_fields, EXPIRED)
+    assert {*Calibrations.model_construct(**fields).of_master.records} == {
+        name for name in fields if "assistant" not in name
+    }
+
+
 def test_there_is_a_way_to_renew_each_record() -> None:
     assert {*MADE_BY_COMMAND, *MADE_BY_HAND} == set(Calibrations.model_fields)

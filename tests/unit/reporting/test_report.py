@@ -11,6 +11,8 @@ from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ from procedures.reporting import tables
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
-from procedures.reporting.report import write_report
+from procedures.reporting.report import _begun_insertions, write_report
 from procedures.reporting.run_reading import find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
@@ -293,6 +295,16 @@ def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Pa
     assert predicted in (text := write_report(registered).read_text())
     assert measured not in text
     assert measured in write_report(registered, truth=TRUTH).read_text()
+
+
+def test_insertions_that_an_assistant_began_are_listed_by_trajectory() -> None:
+    lines = [
+        {"arm": "master", "what": "insert", "trajectory": "T3"},
+        {"arm": "assistant", "what": "settle", "trajectory": None},
+        *[{"arm": "assistant", "what": "insert", "trajectory": one} for one in ("T1", "T2", "T2")],
+    ]
+    reading = SimpleNamespace(run=SimpleNamespace(lines=lambda _entry: lines))
+    assert _begun_insertions(cast("Any", reading)) == ["T1", "T2"]
 
 
 def test_a_simulated_report_says_how_the_arms_error_sizes_were_chosen(registered: Path) -> None:

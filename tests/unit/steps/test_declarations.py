@@ -30,6 +30,7 @@ from procedures.engine.order import Steps, StepSpec
 from procedures.engine.run_folder import parse_record
 from procedures.guards.stability import SeenUnchanged
 from procedures.journal.results import FramedPose, StepResult
+from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall, VisitedBaseline
@@ -44,7 +45,7 @@ from procedures.steps.calibration.recipe import (
 )
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
-from procedures.steps.catalogue import clinical_steps
+from procedures.steps.catalogue import clinical_steps, list_questions
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import ConfirmedTarget
@@ -88,6 +89,17 @@ def test_no_two_steps_produce_the_same_kind_of_result() -> None:
 
 
 @pytest.mark.hazard(37)
+def test_with_an_assistant_the_work_at_a_target_is_declared_to_move_an_arm_but_not_the_master() -> None:
+    alone, assisted = (
+        next(step for step in clinical_steps(dual=dual) if step.name == "at_target") for dual in (False, True)
+    )
+    assert not alone.moves_an_arm
+    assert assisted.moves_an_arm
+    assert not assisted.moves  # after a restart, the guide in front of the head stays there
+    asked = {question.topic for question in list_questions(assisted)}
+    assert {Topic.APPROACH, Topic.RETREAT, Topic.FIRST_MOTION} <= asked
+
+
 @pytest.mark.parametrize("step", [step for step in STEPS.values() if step.moves], ids=lambda step: step.name)
 def test_a_moving_step_does_not_begin_with_an_unknown_tool(
     cell: ClinicalCell, step: StepSpec[StepResult]

@@ -65,7 +65,7 @@ def test_the_advice_on_a_record_of_the_assistant_leaves_that_of_the_master_alone
     with pytest.raises(AnotherArm) as refused:
         require_this_arm(of_assistant, "2", ASSISTANT, of_master)
     assert advice in refused.value.advice
-    assert ("exchanged" in refused.value.what) is (other == "2")
+    assert ("swapped" in refused.value.what) is (other == "2")
 
 
 def test_one_arm_does_not_play_both_roles() -> None:

@@ -123,7 +123,8 @@ class BaseFrameLooks:
                 continue
             flanges.append(arm.flange().as_matrix())
             seen.append(pose.as_matrix())
-            self.visits.context.progress(len(seen) / FRAME_LOOKS / 4.0, f"turning the frame {frame}")
+            doing = f"the {arm.role} turns its frame towards the tracker"
+            self.visits.context.progress(len(seen) / FRAME_LOOKS / 4.0, doing)
             if len(seen) == FRAME_LOOKS:
                 break
         if len(seen) < LEAST_FRAME_LOOKS:

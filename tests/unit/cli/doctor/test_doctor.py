@@ -14,11 +14,11 @@ import pytest
 
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
-from procedures.cli.doctor.report import Report, Verdict, examine, show, verdicts
+from procedures.cli.doctor.report import ASSISTANT_RECORDS, Report, Verdict, examine, show, verdicts
 from procedures.cli.doctor.theatre_checks import assistant_diagnostics
 from procedures.runs.request_checks import require_two_arms
 from ronna_hw.calibration import DatedRecord
-from ronna_hw.config import DeviceConfig, TheatreFile, parse_theatre
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, parse_theatre
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
@@ -226,6 +226,16 @@ def test_an_assistant_that_is_not_ready_leaves_only_a_case_with_one_arm() -> Non
     assert (both.of, both.ready, both.because) == (
         "case with two arms", False, ("device robot.assistant: silent",)
     )  # fmt: skip
+
+
+def test_records_of_the_assistant_are_a_problem_of_a_case_with_two_arms_only() -> None:
+    assert {f"calibration {name}" for name in Calibrations.model_fields if "assistant" in name} == {
+        *ASSISTANT_RECORDS
+    }
+    expired = Diagnostic(ASSISTANT_RECORDS[0], False, "expired")
+    *_, alone, both = verdicts((), {"robot.master": (WELL,), "robot.assistant": (WELL,)}, (expired,))
+    assert alone.ready
+    assert not both.ready
 
 
 def test_missing_calibrations_are_a_problem_only_where_a_case_could_run(theatre: Path) -> None:

@@ -192,7 +192,7 @@ def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
     assert asked.answers[0] == "from dura"
-    assert "the skin is open, the skull is drilled, begun and not confirmed: open the dura" in asked.subject
+    assert "the skin is open, the skull is drilled, not yet confirmed: the dura is open" in asked.subject
     assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
 
 

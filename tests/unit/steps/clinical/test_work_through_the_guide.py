@@ -202,7 +202,7 @@ def test_begun_work_is_shown_and_the_operator_chooses_the_stage_to_continue_from
     assert begun.deliberate
     assert begun.answers == ("from drill", "from skin", "hold")
     for question in (begun.subject, drill.value):
-        assert "the skin is open, begun and not confirmed: drill the skull" in question
+        assert "the skin is open, not yet confirmed: the skull is drilled" in question
     before = cell.case.get(ReachedTarget, FIRST).result.done_before
     assert before == (() if answer == "from skin" else ("skin",))
 
