@@ -51,12 +51,16 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 
 
 @app.command("steps")
-def steps_command(as_json: JsonOption = False) -> None:
+def steps_command(
+    dual: Annotated[bool, typer.Option("--dual", help="Of a case with two arms.")] = False,
+    as_json: JsonOption = False,
+) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.order import Scope
-    from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
+    from procedures.steps.catalogue import clinical_steps, list_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 
+    steps = clinical_steps(dual=dual)
     if as_json:
         rows = [
             {
@@ -64,29 +68,29 @@ def steps_command(as_json: JsonOption = False) -> None:
                 "title": step.title,
                 "needs": list(step.needs),
                 "per_trajectory": step.scope is not Scope.CASE,
-                "moves": step.moves,
+                "moves": step.moves_an_arm,
                 "asks": [
                     {"topic": one.topic, "answers": list(one.answers), "if": one.condition}
                     for one in list_questions(step)
                 ],
             }
-            for step in CLINICAL_STEPS
+            for step in steps
         ]
         print_json({"steps": rows})
         return
     print_table(
         "Steps of the procedure",
-        ("step", "what it does", "for each trajectory", "moves the arm", "needs", "asks"),
+        ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks"),
         [
             (
                 step.name,
                 step.title,
                 "" if step.scope is Scope.CASE else "yes",
-                "yes" if step.moves else "",
+                "yes" if step.moves_an_arm else "",
                 ", ".join(step.needs),
                 ", ".join(dict.fromkeys(one.topic for one in list_questions(step))),
             )
-            for step in CLINICAL_STEPS
+            for step in steps
         ],
     )
 
