@@ -45,7 +45,8 @@ LONGEST_COMPARED = 200  # characters of a line compared with phrases
 MOST_TRIED = 4  # similar lines, each of which is parsed
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
+_TRIGGER = r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:"  # a step may name its trajectory
+_BEGINNING = re.compile(rf"({_TRIGGER})?\s*(assistant\b\s*)?")
 
 FAULT_KINDS: tuple[FaultKind, ...] = (
     *TRACKER_FAULTS,
@@ -56,7 +57,8 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
 )
 NOW, SINCE = "now", "since"
 OF_ASSISTANT = "of_assistant"  # rule of the grammar
-CYCLES_OF = ("robot", "ur")  # devices whose cycles a script can name
+MAKES = {"robot": "KUKA", "ur": "UR"}
+CYCLES_OF = tuple(MAKES)  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with KUKA arms
 
@@ -203,21 +205,34 @@ def check_faults(
         found = list(_list_mistakes(fault, scene, devices))
         if not found and loaded is not None:
             found = list(check_tool_is_there(fault, scene, loaded))
-        shown = fault.kind if fault.kind.device in devices else _most_alike(fault.kind, devices)
-        example = shown.example
-        if fault.of_assistant and scene.assistant is not None and shown.device in CYCLES_OF:
-            example = example.replace(": ", ": assistant ", 1)
-        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
+        if found:
+            shown = _most_alike(fault, _meant_devices(fault, scene, devices))
+            whose = fault.of_assistant and scene.assistant is not None and shown.device in CYCLES_OF
+            example = _example_of(shown, of_assistant=whose)
+            mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
     _refuse(mistakes)
 
 
-def _most_alike(kind: FaultKind, devices: Sequence[str]) -> FaultKind:
-    """Return the kind of fault of these devices that comes nearest: of an arm for one of an arm."""
+def _meant_devices(fault: Fault, scene: Scene, devices: Sequence[str]) -> Sequence[str]:
+    """Return the devices of which one is meant: that of the arm in the fault's role for a fault of an arm."""
+    if fault.kind.device not in CYCLES_OF:
+        return devices
+    role = ArmRole.ASSISTANT if fault.of_assistant and scene.assistant is not None else ArmRole.MASTER
+    its_device = _controller_of(scene.arm_of(role))
+    return (its_device,) if its_device in devices else devices
 
-    def likeness(other: FaultKind) -> tuple[bool, bool]:
-        return (other.device in CYCLES_OF) == (kind.device in CYCLES_OF), other.phrase == kind.phrase
 
-    return max((one for one in FAULT_KINDS if one.device in devices), key=likeness)
+def _most_alike(fault: Fault, devices: Sequence[str]) -> FaultKind:
+    """Return the kind of fault of these devices that comes nearest by spelling."""
+    if fault.kind.device in devices:
+        return fault.kind
+    by_phrase = {kind.phrase: kind for kind in FAULT_KINDS if kind.device in devices}
+    return by_phrase[get_close_matches(fault.kind.phrase, by_phrase, 1, cutoff=0.0)[0]]
+
+
+def _example_of(kind: FaultKind, *, of_assistant: bool) -> str:
+    """Return an example of a kind of fault, of the arm in the role that was written."""
+    return kind.example.replace(": ", f": {ArmRole.ASSISTANT} ", 1) if of_assistant else kind.example
 
 
 def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
@@ -233,7 +248,9 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
     elif fault.kind.device in CYCLES_OF and scene.assistant is not None:
         role = ArmRole.ASSISTANT if fault.of_assistant else ArmRole.MASTER
         if (device := _controller_of(scene.arm_of(role))) != fault.kind.device:
-            yield f"expected a fault of the {device}, got {fault.phrase!r}: another arm is the {role}"
+            own = f"assistant {device}" if fault.of_assistant else device
+            make = f"the {role} here is a {MAKES[device]}, its faults begin with {own!r}"
+            yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
@@ -278,9 +295,13 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
     if not ended and word_began < column - 1:
         words = [repr(line[word_began : column - 1])]
     words = words or ["the end of the line"]
-    if len(words) > MOST_LISTED:
-        words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
     typed = line.removeprefix(BEGINS_NOW)
+    fault = _strip_beginning(typed)
+    device = next((kind.device for kind in FAULT_KINDS if fault.split()[:1] == [kind.device]), None)
+    if len(words) > MOST_LISTED:  # only after a device
+        words = [f"a fault of the {device}"]
+        if not ended:
+            got = f"{fault.split(maxsplit=1)[1].partition(' for ')[0]!r}: it has no such fault"
     place = f"line {number}, column {column - len(line) + len(typed)}"
     if not has_beginning(line) and _is_valid_line(f"{BEGINS_NOW}{line}"):
         what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
@@ -289,9 +310,8 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
     if not advises:
         return Mistake(what)
     wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
-    intended = None if wrong_argument else _find_intended_line(typed)
-    nearest = None if intended else _find_nearest_kind(typed)
-    return Mistake(what, nearest.example if nearest else EXAMPLE, intended)
+    intended = None if wrong_argument else _find_intended_line(typed, device)
+    return Mistake(what, _find_nearest_example(typed, device), intended)
 
 
 def _is_valid_line(line: str) -> bool:
@@ -340,18 +360,25 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
     return fault, bool(ending)
 
 
-def _find_nearest_kind(line: str) -> FaultKind | None:
-    """Return the kind of fault whose phrase best matches the line, or None if none matches."""
-    by_usage = {kind.usage: kind for kind in FAULT_KINDS}
-    return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
+def _find_nearest_example(line: str, device: str | None) -> str:
+    """Return an example of the kind of fault whose phrase best matches the line, of its device if known."""
+    fault = _strip_beginning(line)
+    by_usage = {kind.usage: kind for kind in FAULT_KINDS if device in (kind.device, None)}
+    nearest = _find_nearest(fault, [*by_usage], 1, least_alike=0.0 if device else LEAST_ALIKE)
+    of_assistant = line[: len(line) - len(fault)].rstrip().endswith(ArmRole.ASSISTANT)
+    return _example_of(by_usage[nearest[0]], of_assistant=of_assistant) if nearest else EXAMPLE
 
 
-def _find_intended_line(line: str) -> str | None:
-    """Return the closest valid line that keeps the numbers and names, or None if none is close."""
+def _find_intended_line(line: str, device: str | None) -> str | None:
+    """Return the closest valid line that keeps the numbers and names, or None if none is close.
+
+    Which make an arm is was no slip of the pen: a line of one keeps its device.
+    """
     fault = _strip_beginning(line)
     beginning = line[: len(line) - len(fault)]
     phrase, lasts, duration = fault.partition(" for ")
-    filled = [one for kind in FAULT_KINDS for one in _fill_phrase(kind, phrase.split())]
+    kinds = [kind for kind in FAULT_KINDS if device not in CYCLES_OF or kind.device == device]
+    filled = [one for kind in kinds for one in _fill_phrase(kind, phrase.split())]
     for nearest in _find_nearest(phrase, filled, MOST_TRIED):
         whole = f"{beginning}{nearest}{lasts}{duration}".strip()
         if _is_valid_line(whole if has_beginning(whole) else f"{BEGINS_NOW}{whole}"):
@@ -360,9 +387,9 @@ def _find_intended_line(line: str) -> str | None:
 
 
 def _strip_beginning(line: str) -> str:
-    """Strip the start time or trigger of a line, if any."""
-    found = _TRIGGER.match(line)
-    return line[found.end() :].lstrip() if found else line
+    """Strip the start time or trigger of a line and whose fault it is, if any."""
+    found = _BEGINNING.match(line)
+    return line[found.end() :] if found else line
 
 
 def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
@@ -378,5 +405,7 @@ def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
                 yield " ".join(filled)
 
 
-def _find_nearest(text: str, known: Sequence[str], count: int) -> list[str]:
-    return get_close_matches(text[:LONGEST_COMPARED], known, count, LEAST_ALIKE)
+def _find_nearest(
+    text: str, known: Sequence[str], count: int, *, least_alike: float = LEAST_ALIKE
+) -> list[str]:
+    return get_close_matches(text[:LONGEST_COMPARED], known, count, least_alike)

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from sim.world.faults import (
     read_faults,
 )
 from sim.world.faults.plain_lines import read_plain_line
-from sim.world.options import ArmRole
+from sim.world.options import ArmChoice, ArmRole
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
@@ -59,7 +60,8 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ),
         (
             "at 3 s: robot dorp 5 %",
-            "line 2, column 15: expected 'drop', .*, got 'dorp'. Did you mean: at 3 s: robot drop 5 %",
+            "line 2, column 15: expected a fault of the robot, got 'dorp 5 %': it has no such fault. "
+            "Did you mean: at 3 s: robot drop 5 %",
         ),
         (
             "at 3 s: room shift head 1 2 3",
@@ -73,6 +75,14 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
             "since step == relocalization: robot dorp 5 % for 1 s",
             "line 2, .* Did you mean: since step == relocalization: robot drop 5 % for 1 s",
         ),
+        ("at 3 s: robot", "line 2, column 14: expected a fault of the robot, got the end of the line. "),
+        (
+            "at 3 s: assistant robot local mode for 1 s",
+            "line 2, column 25: expected a fault of the robot, got 'local mode': it has no such fault. "
+            "Write for example: at 12.5 s: assistant robot ",
+        ),
+        ("at 3 s: assistant ur cable puled", "line 2, .* mean: at 3 s: assistant ur cable pulled"),
+        ("at 3 s: camera bump", "line 2, .* Did you mean: at 3 s: tracker bump"),
         ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
         (
@@ -256,6 +266,38 @@ def test_a_fault_of_the_assistant_acts_on_no_other_arm() -> None:
 def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=said):
         check_faults(parse_faults(line), draw_scene("mini"))
+
+
+@pytest.mark.parametrize(
+    ("arm", "assistant_arm", "line", "said", "role"),
+    [
+        (
+            ArmChoice.UR5E,
+            ArmChoice.KR6,
+            "now: assistant ur local mode",
+            "expected a fault of the robot, got 'assistant ur local mode': "
+            "the assistant here is a KUKA, its faults begin with 'assistant robot'. ",
+            "assistant ",
+        ),
+        (
+            ArmChoice.UR5E,
+            ArmChoice.KR6,
+            "now: robot emergency stop",
+            "expected a fault of the ur, got 'robot emergency stop': "
+            "the master here is a UR, its faults begin with 'ur'. ",
+            "",
+        ),
+    ],
+)
+def test_a_fault_of_the_other_make_is_answered_with_a_fault_that_this_arm_can_have(
+    arm: ArmChoice, assistant_arm: ArmChoice, line: str, said: str, role: str
+) -> None:
+    scene = add_assistant(draw_scene("mini", arm=arm), assistant_arm)
+    with pytest.raises(BadFaultScript, match=re.escape(said)) as caught:
+        check_faults(parse_faults(line), scene)
+    example = str(caught.value).partition("Write for example: ")[2].partition(". `")[0]
+    assert example.startswith(f"at 12.5 s: {role}")
+    check_faults(parse_faults(example), scene)
 
 
 @pytest.mark.parametrize(
