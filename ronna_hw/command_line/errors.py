@@ -173,8 +173,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     if not message:
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
-        repeated = [candidate.opts[0] for candidate in parameters if getattr(candidate, "multiple", False)]
-        repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
+        repeat = _advise_several_values(parameters)
         from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
         there = [word for word in found[1].split() if os.path.exists(word)]
@@ -196,6 +195,15 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _advise_several_values(parameters: Sequence[Any]) -> str:
+    """Say which options of the command itself take several values, and how."""
+    own = [one for one in parameters if one.param_type_name == "option" and one.expose_value]
+    together = [f"{one.opts[0]} {one.metavar or ''}".rstrip() for one in own if one.nargs > 1]
+    repeated = [one.opts[0] for one in own if one.multiple]
+    ways = f"Several values follow their option: {', '.join(together)}. " if together else ""
+    return ways + (f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else "")
 
 
 def _advise_rights(path: str) -> str:

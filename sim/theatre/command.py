@@ -129,6 +129,8 @@ def theatre(
     from sim.world.saved_world import lock_folder, read_saved_world
     from sim.world.truth import SCENE_FILE
 
+    if not dual and _is_typed(context, "assistant_arm"):
+        raise UsageMistake("--assistant-arm requires --dual")
     require_folder(out)
     _require_plain_name(out)
     if detach and not IN_BACKGROUND:
@@ -217,15 +219,19 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
         "arm": arm_named(saved.arm.variant),
     }
     for option, own in owns.items():
-        source = context.get_parameter_source(option)
         given_value = context.params[option]
-        if source is not None and source.name == "COMMANDLINE" and given_value != own:
+        if _is_typed(context, option) and given_value != own:
             raise UsageMistake(
                 f"--continue: the {option} of the world left in {folder / SCENE_FILE} cannot be changed",
                 expected=f"{own}",
                 got=f"{given_value}",
                 action=f"Omit --{option} to continue it, or omit --continue for a new world.",
             )
+
+
+def _is_typed(context: typer.Context, option: str) -> bool:
+    source = context.get_parameter_source(option)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _serve(running: Theatre, ended: threading.Event, run: str) -> list[str]:

@@ -12,12 +12,13 @@ from sim.world.options import ArmChoice, ArmRole, UrArm
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
 MASTER = ArmRole.MASTER
+DEFAULT_ADDRESS = "127.0.0.9"
 
 
 def ur(
     address: Annotated[
         str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
-    ] = "127.0.0.9",
+    ] = DEFAULT_ADDRESS,
     model: Annotated[
         UrArm,
         typer.Option(case_sensitive=False, help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz)."),
@@ -106,6 +107,8 @@ def require_loopback(address: str) -> str:
     """Return an address of this computer alone; raises URC-002 for any other."""
     from ipaddress import IPv4Address
 
+    from ronna_hw.wire.universal_robots import RTDE_PORT
+    from sim.universal_robots.connections import find_free
     from sim.universal_robots.errors import BadAddress
 
     try:
@@ -113,4 +116,8 @@ def require_loopback(address: str) -> str:
             return address
     except ValueError:
         pass
-    raise BadAddress(f"a controller cannot be simulated at {address!r}", expected="an address in 127.0.0.0/8")
+    raise BadAddress(
+        f"a controller cannot be simulated at {address!r}",
+        expected="an address in 127.0.0.0/8",
+        action=f"Give an address of its own for each arm: --address {find_free(DEFAULT_ADDRESS, RTDE_PORT)}.",
+    )

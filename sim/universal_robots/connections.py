@@ -8,6 +8,7 @@ import select
 import socket
 import time
 from collections.abc import Callable
+from ipaddress import IPv4Address
 from typing import Protocol
 
 from ronna_hw.command_line.terminal import tell
@@ -18,7 +19,7 @@ READ_BYTES = 65536
 MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # a client waits, and cannot be accepted
 ACCEPT_PAUSE_S = 1.0  # host time until it is tried again: a waiting client is readable all the time
-ANOTHER_ADDRESS = "Stop that program, or give an address of its own: --address 127.0.0.9."
+MOST_ADDRESSES = 32  # looked at for a free one: each arm of a room has one
 
 
 class Poll:
@@ -258,6 +259,25 @@ def _listen(address: str, port: int) -> socket.socket:
         listener.close()
         holder = find_tcp_listener(address, port)
         raise EndpointTaken.from_system(
-            error, f"tcp://{address}:{port}", holder=holder, action=ANOTHER_ADDRESS
+            error,
+            f"tcp://{address}:{port}",
+            holder=holder,
+            action=f"Stop that program, or give an address of its own: --address {find_free(address, port)}.",
         ) from error
     return listener
+
+
+def find_free(first: str, port: int) -> str:
+    """Return the first address of this computer from `first` on whose port nobody uses."""
+    addresses = [str(IPv4Address(first) + number) for number in range(MOST_ADDRESSES)]
+    return next((one for one in addresses if _is_free(one, port)), addresses[-1])
+
+
+def _is_free(address: str, port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as one:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            one.bind((address, port))
+        except OSError:
+            return False
+        return True

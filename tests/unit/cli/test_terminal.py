@@ -152,6 +152,23 @@ def test_a_pattern_that_stood_for_several_folders_is_named_as_the_cause(
     assert "'second'. To go on with this run: ronna-procedure resume second" in capsys.readouterr().err
 
 
+def test_values_beside_an_option_name_it_and_none_that_every_command_has(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def move(
+        _by: Annotated[tuple[float, float, float], typer.Option("--by", metavar="X Y Z")] = (0.0, 0.0, 0.0),
+    ) -> None:
+        raise AssertionError
+
+    assert terminal.exit_code_of(app, ["3", "0", "0"]) == 2
+    said = capsys.readouterr().err
+    assert "command line: '3 0 0'. Several values follow their option: --by X Y Z. See" in said
+    assert "--log-level" not in said
+
+
 def test_a_file_without_read_rights_names_whose_it_is_and_who_may_not_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

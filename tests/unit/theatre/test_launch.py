@@ -35,6 +35,14 @@ def left(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_a_model_of_an_assistant_that_is_not_asked_for_is_refused(tmp_path: Path) -> None:
+    given = ("--out", tmp_path, "--assistant-arm", "ur5e", *REFUSED_LATER)
+    done = in_this_process(ronna_sim, "theatre", *given)
+    assert done.returncode == EXIT_USAGE
+    assert "CLI-001: --assistant-arm requires --dual" in done.stderr
+    assert "requires" not in in_this_process(ronna_sim, "theatre", *given, "--dual").stderr
+
+
 def _refusal(folder: Path, *options: str) -> str:
     done = in_this_process(ronna_sim, "theatre", *options, "--out", folder, "--continue", *REFUSED_LATER)
     assert done.returncode == EXIT_USAGE
