@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from math import hypot
 from typing import TYPE_CHECKING, NamedTuple, NewType, Protocol
 
+from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -19,6 +21,21 @@ if TYPE_CHECKING:
     from ronna_hw.frames import Transform
 
 Segment = tuple[Vector3, Vector3]
+NEAR_BASE_MM = 10.0  # no arm reaches in there; a reach in metres would be less
+METRES_ADVICE = "Positions are in mm; were these metres?"
+
+
+def require_off_base(target: Pose) -> None:
+    """Raise ARM-001 for a target at the centre of the base, where one in metres seems to be."""
+    distance_mm = hypot(*target.position_mm)
+    if distance_mm < NEAR_BASE_MM:
+        x, y, z = target.position_mm
+        raise Unreachable(
+            f"the target at x {x:g} mm, y {y:g} mm, z {z:g} mm is inside the base",
+            limit=f"{NEAR_BASE_MM:g} mm from its centre",
+            got=f"{distance_mm:.2g} mm",
+            action=METRES_ADVICE,
+        )
 
 
 class ArmPart(StrEnum):

@@ -222,9 +222,9 @@ def open_connection(host: str, port: int, timeout_s: float, not_found: type[Conn
     try:
         connection = socket.create_connection((host, port), timeout_s)
     except OSError as error:
-        raise not_found(
-            f"nothing answers at tcp://{host}:{port} ({describe(error)})", limit=f"{timeout_s:g} s"
-        ) from error
+        waited = f"{round(timeout_s, 1):g} s" if isinstance(error, TimeoutError) else ""
+        what = f"nothing answers at tcp://{host}:{port} ({describe(error)})"
+        raise not_found(what, limit=waited) from error
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 

@@ -76,10 +76,9 @@ class StreamFaults:
     def silence_error(self, state: LinkState, note: str = "") -> RonnaError:
         """Build the error for a controller that has fallen silent."""
         return self.errors.silent(
-            f"{self.name}: after {state.cycles} cycles {self.errors.message_name}s stopped{note}",
+            f"{self.name}: after {state.cycles} cycles no {self.errors.message_name} came for "
+            f"{self.options.silence_limit_s:g} s{note}",
             expected=f"a {self.errors.message_name} in every cycle",
-            limit=f"{self.options.silence_limit_s:g} s",
-            got=f"{self.errors.clock_name} {state.device_clock}",
         )
 
     def refusal_error(self, state: LinkState) -> RefusedError | StateError:

@@ -19,6 +19,7 @@ from ronna_hw.arm.kinematics import (
     Segment,
     SingularMeasure,
     Solution,
+    require_off_base,
 )
 from ronna_hw.arm.kr6_r900 import inverse
 from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, ArmVariant, Dimensions
@@ -144,6 +145,7 @@ class Kr6R900:
         return result
 
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
+        require_off_base(pose)
         return inverse.solutions(self.dimensions, pose)
 
     def branch_of(self, joints_rad: JointVector) -> Branch:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from math import acos, cbrt, ceil, degrees, pi, radians, sin, sqrt, tau
 from typing import Protocol
 
-from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
-from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
+from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
+from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics, require_off_base
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
@@ -25,6 +25,8 @@ LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is t
 PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
 DEGREES_ADVICE = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
+
+AROUND_ADVICE = "Go there by a joint move, or by lines via a pose from which all of the way is within reach."
 
 
 class Path(Protocol):
@@ -158,12 +160,16 @@ def plan_line(
     a twentieth of the requested line speed.
     """
     require_in_range(kinematics, start_rad)
+    require_off_base(target)
     ranges = limits.ranges(kinematics, start_rad)
     line = LinePath(kinematics, start_rad, target, tool_in_flange_mm)
     count = max(LEAST_SAMPLES, ceil(line.length_mm / SAMPLE_MM), ceil(line.angle_rad / SAMPLE_RAD))
     points = [start_rad]
     for k in range(1, count + 1):
-        joints = line.joints(k / count, points[-1])
+        try:
+            joints = line.joints(k / count, points[-1])
+        except Unreachable as error:
+            raise (error if k == count else _on_the_way(kinematics, target, k / count, error)) from None
         _require_within(kinematics, ranges, joints, limits.range_margin_rad)
         for axis, (before, after) in enumerate(zip(points[-1], joints, strict=True)):
             if abs(after - before) > pi:
@@ -181,6 +187,22 @@ def plan_line(
             got=f"{allowed.velocity / wanted_limits.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
+
+
+def _on_the_way(kinematics: Kinematics, target: Pose, share: float, error: Unreachable) -> Unreachable:
+    """Return the refusal of a line that leaves the reach at a point on its way, or that of its target."""
+    try:
+        kinematics.solutions(target)
+    except Unreachable as of_target:
+        return of_target
+    except (Singular, OutOfJointRange):
+        pass  # within reach
+    return Unreachable(
+        f"the target is within reach, but not the line to it: at {share:.0%} {error.what}",
+        limit=error.limit,
+        got=error.got,
+        action=AROUND_ADVICE,
+    )
 
 
 def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:

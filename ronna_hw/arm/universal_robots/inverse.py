@@ -17,6 +17,7 @@ from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots.geometry import Dimensions
+from ronna_hw.text import format_distinct
 from ronna_hw.vectors import JointVector
 
 AXIS_NAMES = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -63,8 +64,9 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False
     if abs(square) < SINGULAR_AHEAD_MM * SINGULAR_AHEAD_MM:
         raise Singular("the wrist is beside the base axis", limit=f"{SINGULAR_AHEAD_MM} mm ahead of it")
     if square < 0.0:
+        got, limit = format_distinct(hypot(x, y), d4, 1)
         raise Unreachable(
-            "the wrist is too close to the base axis", limit=f"{d4} mm", got=f"{hypot(x, y):.1f} mm"
+            "the wrist is too close to the base axis", limit=f"at least {limit} mm", got=f"{got} mm"
         )
     ahead = -sqrt(square) if branch & BEHIND else sqrt(square)
     q1 = atan2(ahead * y + d4 * x, ahead * x - d4 * y)
@@ -94,10 +96,12 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False
     if guess and -STRETCH_COSINE < excess < STRETCH_SLACK:
         c3, excess = copysign(1.0 - NEARLY_COSINE, c3), -NEARLY_COSINE
     if excess > STRETCH_COSINE:
+        shortest_mm, longest_mm, wrist_mm = abs(a2 - a3), abs(a2 + a3), hypot(wrist_u, wrist_up)
+        got, limit = format_distinct(wrist_mm, longest_mm if c3 > 0.0 else shortest_mm, 1)
         raise Unreachable(
-            "wrist 1 is out of reach of the shoulder",
-            limit=f"{abs(a2 - a3):.1f} to {abs(a2 + a3):.1f} mm",
-            got=f"{hypot(wrist_u, wrist_up):.1f} mm",
+            "wrist 1 is too far from the shoulder" if c3 > 0.0 else "wrist 1 is too close to the shoulder",
+            limit=f"{'at most' if c3 > 0.0 else 'at least'} {limit} mm",
+            got=f"{got} mm",
         )
     if excess > -STRETCH_COSINE:
         raise Singular("the elbow is stretched or folded flat", limit="a bend of 1e-6 rad")

@@ -17,6 +17,7 @@ from ronna_hw.arm.kinematics import (
     Segment,
     SingularMeasure,
     Solution,
+    require_off_base,
 )
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.arm.universal_robots import inverse
@@ -111,6 +112,7 @@ class UniversalRobot:
         return inverse.closed_form(self.dimensions, pose, branch)
 
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
+        require_off_base(pose)
         found: list[Solution] = []
         unreachable: Unreachable | None = None
         singular: Singular | None = None

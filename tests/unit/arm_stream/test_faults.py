@@ -35,6 +35,13 @@ def test_each_fault_has_the_code_of_its_driver(fault: Fault) -> None:
     assert tuple(error.code for error in errors if error is not None) == CODES[fault]
 
 
+def test_a_silence_is_told_in_seconds() -> None:
+    said = str(UR.error(_with(Fault.SILENCE)._replace(cycles=17, device_clock=20926000), "automatic"))
+    limit_s = UR.options.silence_limit_s
+    assert f"after 17 cycles no package came for {limit_s:g} s; expected a package in every cycle." in said
+    assert "20926000" not in said
+
+
 @pytest.mark.parametrize("faults", [KUKA, UR], ids=["kuka", "ur"])
 def test_every_fault_and_every_refusal_has_a_message(faults: StreamFaults) -> None:
     assert [fault for fault in Fault if faults.error(_with(fault), "automatic") is None] == [Fault.NONE]

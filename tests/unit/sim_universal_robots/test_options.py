@@ -10,8 +10,8 @@ import pytest
 from ur_clients import own_address
 
 from sim.errors import EndpointTaken
-from sim.universal_robots.connections import Listener, Poll
 from sim.universal_robots.command import require_loopback
+from sim.universal_robots.connections import Listener, Poll
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.errors import BadAddress, UnknownParameter
 
@@ -26,9 +26,12 @@ def test_a_controller_is_simulated_on_loopback_only(address: str) -> None:
 def test_an_address_in_use_is_answered_with_the_next_free_one() -> None:
     first, port = own_address(), 30004
     one, second, third = (str(IPv4Address(first) + number) for number in range(3))
-    with socket.create_server((one, port)), socket.create_server((second, port)):
-        with pytest.raises(EndpointTaken, match=re.escape(f"of its own: --address {third}.")):
-            Listener(one, port, Poll(), lambda _connection: None)
+    with (
+        socket.create_server((one, port)),
+        socket.create_server((second, port)),
+        pytest.raises(EndpointTaken, match=re.escape(f"of its own: --address {third}.")),
+    ):
+        Listener(one, port, Poll(), lambda _connection: None)
 
 
 @pytest.mark.parametrize("assignment", ["power_onn_s=1", "power_on_s=-1", "after_unlock=falls"])

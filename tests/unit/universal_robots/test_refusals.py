@@ -15,10 +15,12 @@ from drivers.universal_robots.errors import (
     BadOptions,
     ControllerExchanged,
     ControllerLost,
+    ControllerNotFound,
     NoAnswer,
     NotPowered,
 )
 from drivers.universal_robots.rtde import RtdeSetup
+from ronna_hw.arm_stream.control_channel import open_connection
 from ronna_hw.clock import HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig
 from ronna_hw.devices import Lifecycle, StopKind
@@ -155,9 +157,22 @@ def test_all_missing_endpoints_are_named_at_once_and_a_misspelt_one_is_recognize
 
 def test_an_address_where_nothing_answers_is_refused(controller: HandmadeController) -> None:
     controller.endpoints["rtde"] = "tcp://127.0.0.1:1"
-    assert refused(controller).code == "URD-002"
+    error = refused(controller)
+    assert (error.code, error.limit) == ("URD-002", "")
+    assert "(connection refused)" in error.what
     controller.endpoints["dashboard"] = controller.endpoints["primary"]
     assert refused(controller).code == "URD-002"
+
+
+def test_an_address_that_is_silent_is_refused_with_the_time_that_was_waited(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def time_out(*_given: object) -> None:
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr("socket.create_connection", time_out)
+    with pytest.raises(ControllerNotFound, match=r"\(timed out\); limit 3 s\."):
+        open_connection("192.0.2.1", 29999, 2.99842, ControllerNotFound)
 
 
 @pytest.mark.parametrize("other", ["serial", "calibration"])

@@ -7,12 +7,15 @@ from typing import Any
 import pytest
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.pose import Pose, degrees6, radians6
+from ronna_hw.arm.universal_robots import UrModel, universal_robot
 
 MODEL = kr6_r900(ArmVariant.SIXX)
+UR5E = universal_robot(UrModel.UR5E)
 LIMITS = working_limits(MODEL)
 START = radians6(0, -90, 90, 0, 60, 0)
 
@@ -95,6 +98,27 @@ def test_half_the_speed_fraction_gives_half_the_speed() -> None:
 def test_a_line_out_of_reach_is_refused() -> None:
     with pytest.raises(Unreachable):
         plan_line(MODEL, START, _shifted(MODEL.forward(START), 900, 0, 0), LIMITS)
+
+
+@pytest.mark.parametrize("arm", [MODEL, UR5E], ids=["kuka", "ur"])
+def test_a_target_in_metres_is_suspected(arm: Kinematics) -> None:
+    target = Pose((0.4, -0.2, 0.3), arm.forward(arm.home_rad).rotation)
+    suspected = r"target at x 0\.4 mm, y -0\.2 mm, z 0\.3 mm is inside the base.*were these metres\?"
+    with pytest.raises(Unreachable, match=suspected):
+        plan_line(arm, arm.home_rad, target, working_limits(arm))
+    with pytest.raises(Unreachable, match=suspected):
+        arm.solutions(target)
+
+
+def test_a_line_whose_target_alone_is_within_reach_says_where_it_leaves_it() -> None:
+    begin = UR5E.forward(UR5E.home_rad)
+    x, y, z = begin.position_mm
+    beyond_the_base = Pose((-x, -y, z), begin.rotation)
+    said = r"within reach, but not the line to it: at \d+% the wrist is too close to the base axis; "
+    with pytest.raises(Unreachable, match=said + r"limit at least 133\.\d mm, got 13\d\.\d mm"):
+        plan_line(UR5E, UR5E.home_rad, beyond_the_base, working_limits(UR5E))
+    with pytest.raises(Unreachable, match=r"ARM-001: wrist 1 is too far from the shoulder; limit at most"):
+        plan_line(UR5E, UR5E.home_rad, _shifted(begin, 900, 0, 0), working_limits(UR5E))
 
 
 @pytest.mark.hazard(22)
