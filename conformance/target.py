@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,11 +16,12 @@ from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
 from conformance.protocol import ProtocolCases, compose_suite, load_driver_protocol
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
-from ronna_hw.devices.probing import ONLY, Search
+from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.devices.probing import ONLY, Option, Search
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.mistakes import suggest_keys
-from ronna_hw.registry import load_driver, load_finders
+from ronna_hw.registry import list_driver_names, load_driver, load_finders
 
 SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
 PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
@@ -90,6 +92,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
     suite = load_suite(kind)
     name, clock, config = kind, "host:", None
     driver = choice.driver or suite.driver
+    _require_driver(driver)
     if choice.config is not None:
         theatre = read_theatre_file(choice.config)
         name, config = _find_in_file(theatre, kind, choice.device)
@@ -97,7 +100,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
         config = config.model_copy(update={"driver": driver})
     elif choice.endpoints:
         addresses = _parse_endpoints(choice.endpoints)
-        _require_roles(driver, addresses, assumed=choice.driver is None)
+        _require_roles(kind, driver, addresses, assumed=choice.driver is None)
         config = config_for_suite(driver, addresses)
     protocol = load_driver_protocol(driver)
     if choice.sim and protocol.simulator is None:
@@ -137,25 +140,70 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
     return dict(named)
 
 
-def _require_roles(driver: str, addresses: Mapping[str | None, str], *, assumed: bool) -> None:
+def _require_driver(name: str) -> None:
+    """Raise DEV-002 for an unknown driver, naming that of which it is a model."""
+    known = list_driver_names()
+    if name in known:
+        return
+    action = "Correct --driver, or install the package that provides it."
+    for driver, finder in load_finders().items():
+        for option in finder.example(Search()).options:
+            if name in _list_choices(option):
+                action = f"{name} is a {option.key} of {driver}: --driver {driver}"
+                if name != option.value:
+                    action += f', and --config with a theatre file whose options say {option.key} = "{name}"'
+                action += "."
+    raise UnknownDriver(
+        f"no driver {name!r} is installed", expected="one of " + ", ".join(known), action=action
+    )
+
+
+def _list_choices(option: Option) -> list[str]:
+    kind = None if option.model is None else option.model.model_fields[option.key].annotation
+    return [one.value for one in kind] if isinstance(kind, type) and issubclass(kind, Enum) else []
+
+
+def _require_roles(kind: str, driver: str, addresses: Mapping[str | None, str], *, assumed: bool) -> None:
     """Raise CNF-001, with an example, unless the endpoint names match the driver's, given or `assumed`."""
     finder = load_finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):
         return
-    given = " ".join(
-        f"--endpoint {name}={address}" if name else f"--endpoint {address}"
-        for name, address in wanted.items()
-    )
     missing = [name for name in wanted if (name or None) not in addresses]
     unknown = [name for name in addresses if name is not None and name not in wanted]
+    example = f"Example: {_format_given(wanted)}."
     raise NoDeviceChosen(
         f"the endpoints do not match {driver}"
         + (", which is assumed without --driver" if assumed else "")
         + "".join(f"; endpoint {name} is unknown{suggest_keys(name, missing)}" for name in unknown),
         expected=", ".join(name or "one without a name" for name in wanted),
         got=", ".join(name or "one without a name" for name in addresses),
-        action=f"Example: {given}." + (" For another make, name its --driver." if assumed else ""),
+        action=_advise_other_driver(kind, driver, addresses)
+        or example + (" For another make, name its --driver." if assumed else ""),
+    )
+
+
+def _advise_other_driver(kind: str, driver: str, addresses: Mapping[str | None, str]) -> str:
+    """Name another driver that has endpoints of these names, or one of these ports, if there is one."""
+    given = [parse_endpoint(address) for address in addresses.values()]
+    names = {name or ONLY for name in addresses}
+    for other, finder in load_finders().items():
+        examples = {role: parse_endpoint(one) for role, one in finder.example(Search()).endpoints.items()}
+        services = {(one.scheme, one.port) for one in examples.values() if one.port}
+        alike = any((one.scheme, one.port) in services for one in given) or names == set(examples)
+        if other == driver or finder.table != kind or not alike:
+            continue
+        if len({one.host for one in examples.values()}) == 1:  # of one machine, which has been named
+            examples = {role: replace(one, host=given[0].host) for role, one in examples.items()}
+        write = _format_given({role: str(one) for role, one in examples.items()})
+        return f"They look like those of {other}: --driver {other} {write}."
+    return ""
+
+
+def _format_given(endpoints: Mapping[str, str]) -> str:
+    return " ".join(
+        f"--endpoint {name}={address}" if name else f"--endpoint {address}"
+        for name, address in endpoints.items()
     )
 
 

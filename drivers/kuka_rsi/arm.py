@@ -13,8 +13,9 @@ from drivers.kuka_rsi.errors import STREAM_ERRORS, Unverified
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import MicroMove
-from drivers.kuka_rsi.options import load_usable_context, read_options
+from drivers.kuka_rsi.options import ROLES, load_usable_context, read_options
 from drivers.kuka_rsi.readiness import controller_facts, readiness_facts
+from drivers.theatre_options import naming_endpoints_too
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.arm import CLOSING_STOP_S, StreamedArm
 from ronna_hw.clock import Clock
@@ -45,7 +46,8 @@ class KukaRsiArm(StreamedArm[ControllerState]):
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check the configuration without connecting; raises CFG-001, CFG-002, RSI-013 or RSI-017."""
-        options = read_options(name, config.options)
+        with naming_endpoints_too(name, config, ROLES):
+            options = read_options(name, config.options)
         context = load_usable_context(name, options)
         arm, guard = kr6_r900(options.variant), LifecycleGuard(name)
         faults = RsiFaults(name, arm, STREAM_ERRORS, options)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from drivers.theatre_options import naming_endpoints_too
 from drivers.universal_robots.connections import Connections
 from drivers.universal_robots.errors import STREAM_ERRORS
 from drivers.universal_robots.faults import UrFaults
-from drivers.universal_robots.options import read_options
+from drivers.universal_robots.options import ROLES, read_options
 from drivers.universal_robots.primary.client import ControllerState
 from drivers.universal_robots.readiness import controller_facts, read_tool_number, readiness_facts
 from drivers.universal_robots.watch import UrWatch
@@ -39,7 +40,8 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check the configuration without connecting; raises CFG-001, CFG-002 or URD-001."""
-        options = read_options(name, config.options)
+        with naming_endpoints_too(name, config, ROLES):
+            options = read_options(name, config.options)
         arm, guard = universal_robot(options.model), LifecycleGuard(name)
         connections = Connections(UrFaults(name, arm, STREAM_ERRORS, options), config, clock)
         limits = options.limits(arm, options.cycle_s)

@@ -25,7 +25,9 @@ LINK_FAULTS = (
     ),
     share("lose", "lose NUMBER %", "That share of the RTDE data packages of clients has no effect."),
     declare_lasting(
-        "cable", "cable pulled", "Nothing passes in either direction; what was sent arrives at the end."
+        "cable",
+        "cable pulled",
+        "Nothing passes in either direction; what was sent arrives at the end. New connections open, unserved.",
     ),
     declare_lasting("frozen", "frozen", "No control cycle runs and nobody is answered; connections stay."),
     declare_lasting(

@@ -13,6 +13,7 @@ from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
 from conformance.protocol import ProtocolCases
 from conformance.target import Choice, device_under_test, resolve_target
+from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.host.child_process import ChildNotReady
 
 THEATRE = """
@@ -97,6 +98,37 @@ def test_endpoints_with_other_names_are_refused_with_all_names_and_an_example() 
         resolve_target("robot", Choice(endpoints=given, driver="universal_robots"))
     assert "did you mean 'dashboard'" in caught.value.what
     assert caught.value.expected == "rtde, dashboard, primary"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("tcp://127.0.0.9:30004",),
+        ("rtde=tcp://127.0.0.9:1", "dashboard=tcp://127.0.0.9:2", "primary=tcp://127.0.0.9:3"),
+    ],
+)
+def test_endpoints_of_another_make_name_its_driver_with_all_its_endpoints(given: tuple[str, ...]) -> None:
+    with pytest.raises(NoDeviceChosen) as caught:
+        resolve_target("robot", Choice(endpoints=given))
+    assert caught.value.advice == (
+        "They look like those of universal_robots: --driver universal_robots "
+        "--endpoint rtde=tcp://127.0.0.9:30004 --endpoint dashboard=tcp://127.0.0.9:29999 "
+        "--endpoint primary=tcp://127.0.0.9:30001."
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("ur5e", "ur5e is a model of universal_robots: --driver universal_robots."),
+        ("ur5", 'a model of universal_robots: --driver universal_robots, and --config .* model = "ur5"'),
+        ("kr6_r900_sixx", "kr6_r900_sixx is a variant of kuka_rsi: --driver kuka_rsi"),
+        ("tea", "Correct --driver"),
+    ],
+)
+def test_a_model_given_as_a_driver_names_its_driver(name: str, said: str) -> None:
+    with pytest.raises(UnknownDriver, match=f"DEV-002: no driver '{name}' is installed; .*{said}"):
+        resolve_target("robot", Choice(endpoints=("tcp://127.0.0.9:30004",), driver=name))
 
 
 def test_an_equals_sign_in_an_address_does_not_make_a_name() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from handmade_ur import UR5E_A, HandmadeController
 
+from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.universal_robots import power as ur_power
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.dashboard import DashboardClient
@@ -153,6 +154,25 @@ def test_all_missing_endpoints_are_named_at_once_and_a_misspelt_one_is_recognize
     assert raised.value.expected == (
         'dashboard = "tcp://192.168.56.101:29999", primary = "tcp://192.168.56.101:30001"'
     )
+
+
+@pytest.mark.parametrize(
+    ("made", "options", "endpoints", "code"),
+    [
+        (KukaRsiArm, {"model": "ur5e"}, ("rtde", "dashboard", "primary"), "RSI-013"),
+        (UniversalRobotsArm, {"variant": "kr6_r900_sixx"}, ("rsi", "eki_project"), "URD-001"),
+    ],
+)
+def test_a_driver_of_another_make_names_wrong_options_and_endpoints_at_once(
+    made: Any, options: dict[str, Any], endpoints: tuple[str, ...], code: str
+) -> None:
+    here = dict.fromkeys(endpoints, "tcp://127.0.0.1:1")
+    config = DeviceConfig(driver="another", endpoints=here, options=options)
+    option = next(iter(options))
+    with pytest.raises(RonnaError, match=f"{code}: .*{option}: unknown key.* or the driver") as raised:
+        made("robot.master", config, HostClock())
+    assert f"endpoint {endpoints[0]} is unknown" in raised.value.what
+    assert raised.value.got == ", ".join(endpoints)
 
 
 def test_an_address_where_nothing_answers_is_refused(controller: HandmadeController) -> None:
