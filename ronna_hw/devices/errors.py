@@ -27,7 +27,7 @@ class MotionInterrupted(StateError):
 
 
 class UnknownDriver(ConfigurationError):
-    """No installed package provides the driver named in the theatre file."""
+    """No installed package provides a driver of this name."""
 
     code = "DEV-002"
     action = "Check the driver name in the theatre file, or install the package that provides it."

@@ -27,7 +27,7 @@ LINK_FAULTS = (
     declare_lasting(
         "cable",
         "cable pulled",
-        "Nothing passes in either direction; what was sent arrives at the end. New connections open, unserved.",
+        "Nothing passes in either direction, on new connections neither; what was sent arrives at the end.",
     ),
     declare_lasting("frozen", "frozen", "No control cycle runs and nobody is answered; connections stay."),
     declare_lasting(
