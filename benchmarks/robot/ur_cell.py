@@ -61,7 +61,7 @@ FULL_SPEED = 1.0
 BEGIN_S = 100.0  # time stamp of the first package
 LONGEST = 65536
 SCENE_SEED = 3
-SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
+PRIMARY_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30001, 30003, 29999
 TYPE_PLACE = 2  # in a package
 SO_TIMESTAMPNS = 35  # socket(7); stamps are a struct timespec of CLOCK_REALTIME
 TIMESPEC = struct.Struct("qq")
@@ -192,9 +192,8 @@ class Relay:
         self.address = address
         self._controller = controller
         self.turnarounds_s: list[float] = []
-        self._servers = [
-            socket.create_server((address, port)) for port in (RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT)
-        ]
+        ports = (RTDE_PORT, PRIMARY_PORT, SCRIPT_PORT, DASHBOARD_PORT)
+        self._servers = [socket.create_server((address, port)) for port in ports]
         for server in self._servers:
             threading.Thread(target=self._accept, args=(server,), daemon=True).start()
 
@@ -279,7 +278,8 @@ class UrCell:
         endpoints = {role: ready[role] for role in ROLES}
         if self.relay is not None:
             self._ending.callback(self.relay.close)
-            endpoints["rtde"] = f"tcp://{self.relay.address}:{parse_endpoint(ready['rtde']).port}"
+            ports = {role: parse_endpoint(endpoint).port for role, endpoint in endpoints.items()}
+            endpoints = {role: f"tcp://{self.relay.address}:{port}" for role, port in ports.items()}
         options = {"silence_limit_s": SILENCE_LIMIT_S, "real_time_priority": real_time_priority}
         config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options=options)
         self.arm = UniversalRobotsArm("robot.master", config, open_clock(self.world.clock_endpoint))
