@@ -49,6 +49,7 @@ OLDEST_S = 0.1  # what is known of an arm while another moves
 OLDEST_IN_LOCK_STEP_S = 2.4
 WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at 250 mm/s, of the 30 mm kept
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
+HALTED = "both arms are stopped"  # event of the log
 STOP_LIMIT_S = 5.0  # host time
 LEAVING_MM = 1.0  # by which arms that are closer than they should be may come closer on their way apart
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
@@ -198,7 +199,9 @@ class ArmPair:
         """Bring both arms to rest and hold them there; never raises."""
         if self.halted is None:
             self.halted = Halt(arm, reason, self._instrument_inside(), kind)
-            logger(device=f"robot.{arm}").warning("both arms are stopped", cause=reason)
+            with suppress(ValueError):  # the clock is closed: the program ends
+                now_s = round(self._clock.now_s(), 3)
+                logger(device=f"robot.{arm}").warning(HALTED, cause=reason, theatre_time_s=now_s)
         stops = [
             threading.Thread(target=self._stop_one, args=(one, kind))
             for one in self._arms.values()

@@ -63,13 +63,13 @@ def holder_bodies(holder: HolderCalibration) -> tuple[Part, ...]:
     return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
 
 
-def _in(frame: Frame, pose: Transform) -> Transform:
+def _named_in(frame: Frame, pose: Transform) -> Transform:
     return Transform(frame, pose.source, pose.rigid)
 
 
 def _as_any_arm(pose: Transform) -> Transform:
     """Return a pose in the assistant's base as its driver and record have it. Raises FRM-001 for another."""
-    return _in(Frame.ROBOT, Transform.of(Frame.ASSISTANT, Frame.ASSISTANT) @ pose)
+    return _named_in(Frame.ROBOT, Transform.of(Frame.ASSISTANT, Frame.ASSISTANT) @ pose)
 
 
 class Assistant(SupervisedArm):
@@ -133,7 +133,7 @@ class Assistant(SupervisedArm):
 
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange, ASSISTANT <- FLANGE, by its calibration if there is one; see `Sides`."""
-        return _in(Frame.ASSISTANT, super().flange_pose(joints_rad, arrived))
+        return _named_in(Frame.ASSISTANT, super().flange_pose(joints_rad, arrived))
 
     def flange_joints(self, flange: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for ASSISTANT <- FLANGE, in the branch of `near`. Raises ARM-001 to ARM-003."""
@@ -303,9 +303,9 @@ class Assistant(SupervisedArm):
         axis = motion.axis
         if axis is None or leg is motion.legs[-1] or not isinstance(leg, LineMove):
             return False
-        flange = _in(Frame.ASSISTANT, self._arm.kinematics.flange_pose(self.joints_rad()))
+        flange = _named_in(Frame.ASSISTANT, self._arm.kinematics.flange_pose(self.joints_rad()))
         clamp = flange @ self.flange_from_clamp
-        end = _in(Frame.ASSISTANT, leg.target)
+        end = _named_in(Frame.ASSISTANT, leg.target)
         beyond_mm = axis.travel_from_start_mm(clamp) - axis.travel_from_start_mm(end)
         return beyond_mm > 0.0 if motion.what is MotionKind.INSERT else beyond_mm < 0.0
 

@@ -1,7 +1,7 @@
 """Work at the target, stage by stage, through a guide held outside the skin.
 
-Nothing moves from before the first stage until the instrument is confirmed to be out. The instrument's tip is
-at the target when its depth stop rests on the guide.
+The arm with the guide rests from before the first stage until the instrument is confirmed to be out; an
+assistant may lead it in and out meanwhile. Its tip is at the target when its depth stop rests on the guide.
 """
 
 from __future__ import annotations

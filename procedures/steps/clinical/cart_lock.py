@@ -104,6 +104,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         raise
     if proposed is not None:
         context.note_inputs(context.clinical.place)
+    whose = "the master's" if dual else "it"
     return Outcome(
         LockedCart(
             placings=placing,
@@ -114,7 +115,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             proposal=None if proposed is None else Proposal(sha256=proposed.sha256, place=proposed.place),
         ),
         summary=(
-            f"the cart is locked; it moved {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
+            f"{carts} {are} locked; {whose} moved {np.linalg.norm(moved_mm):.2f} mm against the head "
+            "when leaned on"
         )
         + ("" if drift is None else f"; {_format_offset(drift)} from its proposed position"),
     )

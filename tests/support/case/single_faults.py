@@ -134,18 +134,15 @@ TWO_KUKA, UR_ASSISTS = ("--dual",), ("--dual", "--assistant-arm", "ur5e")
 UR_STOPS, UR_LINK, KUKA_STOPS = "URD-035 URD-036", "URD-014 URD-021 URD-022", "EKI-002 EKI-010"
 ARM_STOPS = (
     *(f"assistant ur {fault}" for fault in ("protective stop", "emergency stop pressed", "safeguard open")),
-    *(f"assistant ur {fault}" for fault in ("violation", "fault")),
+    *(f"assistant ur {fault}" for fault in ("violation", "fault", "power off", "program stop")),
     *(f"assistant ur {fault}" for fault in ("program pause", "local mode", "cut rtde", "cut connections")),
     *(f"assistant robot {fault}" for fault in ("emergency stop", "collision", "eki cut")),
 )
-# Both arms are halted at once, but the case is told when the driver knows why: power that goes off stops the
-# program first. It awaits that for half a second of the host, in which theatre time runs free.
-EXPLAINED_LATER = ("assistant ur power off", "assistant ur program stop")
 SILENT_ARMS = ("assistant ur cable pulled", "assistant ur frozen", "assistant robot network cut")
 BASES = "base_to_base"
 # Theatre time from the beginning of a step to an amid motion of the assistant, in the mini scene.
 LOOKED_AT_S, OVER_HEAD_S, IN_BORE_S = 22.0, 6.0, 25.0
-AT_ONCE_S = 20  # of the theatre, from a stop by the controller until both arms are at rest
+AT_ONCE_S = 3  # of the theatre, from a stop by the controller until both arms are at rest
 UNMATCHED = Topic.UNMATCHED_SPHERE
 
 
@@ -496,7 +493,7 @@ ROWS = (
             after_s=after_s,
             arms=arms_with(fault),
         )
-        for faults, theatre_s in ((ARM_STOPS, AT_ONCE_S), (EXPLAINED_LATER, 120), (SILENT_ARMS, 300))
+        for faults, theatre_s in ((ARM_STOPS, AT_ONCE_S), (SILENT_ARMS, 300))
         for fault in faults
         for step, after_s in ((BASES, LOOKED_AT_S), ("at_target", OVER_HEAD_S), ("at_target", IN_BORE_S))
     ),
