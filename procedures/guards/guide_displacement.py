@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,13 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import RoomWatch
-from procedures.journal.errors import GateFailed
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -36,8 +34,6 @@ PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.1
 # whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
 END_SEEN_MM = 0.3
 END = 1  # row of the guide's end among the points
-# For arms of parameter set S with calibrated frames, at most 0.25 deg; the arm's own share is not visible.
-TURNED_RAD = math.radians(0.5)
 FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
 # Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of
@@ -112,7 +108,7 @@ class GuideAtRest:
 
     def _measure(self, workcell: Workcell, frames: list[TrackerFrame], room: RoomWatch | None) -> None:
         """Compare the guide in these frames, and the arm's joints, with the rest position."""
-        _, seen_mm = _measure_frame(workcell, frames, room, self.end_in_frame_mm, self.on_guide)
+        seen_mm = _measure_frame(workcell, frames, room, self.end_in_frame_mm, self.on_guide)
         self._compare(seen_mm, workcell.tool_pose().translation_mm)
         self.unseen = seen_mm is None
 
@@ -157,38 +153,24 @@ def measure_guide_at_rest(
     workcell: Workcell,
     clock: Clock,
     trajectory: str,
-    room: RoomWatch | None = None,
+    frames: Sequence[TrackerFrame] | None = None,
     find: Callable[[str], None] = lambda _text: None,
 ) -> GuideAtRest:
-    """Measure the guide's rest position. Raises PRO-007 if the guide is already pushed, and tracker errors.
+    """Measure the guide's rest position. Raises the tracker's errors.
 
-    `room` is the watch of the case, which relates the tracker to the arm; `find` records a finding.
+    Whether the guide is already pushed is for the look at the room to say. `frames` are those of that look,
+    as from where the tracker was localized; without them, it is read anew. `find` records a finding.
     """
     tool = workcell.tool_pose()
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
     by_arm = robot_from_marker(workcell, workcell.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
-    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=FRAMES)
-    is_on_mount, seen_mm = _measure_frame(workcell, frames, room, end_in_frame_mm, on_guide)
-    if is_on_mount is not None and room is not None:
-        _require_unturned(by_arm, room.robot_from_tracker @ is_on_mount)
+    if frames is None:
+        frames, _ = read_frames_at_rest(workcell.tracker, clock, count=FRAMES)
+    seen_mm = _measure_frame(workcell, list(frames), None, end_in_frame_mm, on_guide)
     return GuideAtRest(
         trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s(), find=find
     )
-
-
-def _require_unturned(by_arm: Transform, seen: Transform) -> None:
-    """Raise PRO-007 if the frame on the mount appears rotated relative to the arm's pose."""
-    turned_rad = float((by_arm.rigid.rotation.inv() * seen.rigid.rotation).magnitude())
-    if turned_rad > TURNED_RAD:
-        turned_deg, limit_deg = math.degrees(turned_rad), math.degrees(TURNED_RAD)
-        raise GateFailed(
-            "the tracker sees the frame on the arm turned against where the arm has it",
-            limit=f"{limit_deg:g} deg",
-            got=f"{format_against_limit(turned_deg, limit_deg, 2)} deg",
-            action="Let go of guide and arm, check that mount and frame are tight, send the arm home, then "
-            "repeat the step.",
-        )
 
 
 def _measure_frame(
@@ -197,18 +179,16 @@ def _measure_frame(
     room: RoomWatch | None,
     end_in_frame_mm: Array,
     on_guide: str | None,
-) -> tuple[Transform | None, Array | None]:
-    """Return the mean pose of the frame on the mount, and `seen_mm`, or (None, None) if rarely seen."""
+) -> Array | None:
+    """Return `seen_mm`, or None if the frame on the mount is rarely seen."""
     if room is not None:
         frames = [room.as_localized(frame) for frame in frames]
     least = max(1, len(frames) // 2)
     is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, least)
     if is_on_mount is None:
-        return None, None
+        return None
     guide = None if on_guide is None else mean_pose(frames, on_guide, least)
-    return is_on_mount, _points_mm(
-        is_on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm
-    )
+    return _points_mm(is_on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
 
 
 def _mean_of_seen_mm(readings_mm: Array) -> Array:

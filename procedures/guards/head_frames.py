@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 # Readings averaged. The depth of a sphere then has a noise of 0.07 mm, and the rms of three exceeds 0.3 mm
 # once in 10^9; a shift of 0.5 mm exceeds it in the fifth or sixth reading.
 AVERAGED = 8
+# Rms of the spheres while the arm moves: between the noise of so many readings and the 0.5 mm that must be
+# noticed on the way. At rest, the looks together are judged (`procedures.room`).
+PATIENT_LIMIT_MM = 0.3
 SPAN = 2 * AVERAGED  # frames back to which a sphere's readings count
 # Mean displacement of all spheres in one reading from which the very next frame is read; a shift of 0.5 mm
 # stays below it once in a thousand.

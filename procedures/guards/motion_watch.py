@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.assistant_frame import SHIFTED_MM, AssistantFrame
-from procedures.guards.base_shift import GROSS_LIMIT_MM
 from procedures.guards.errors import (
     BaseShifted,
     FrameSlipped,
@@ -27,8 +26,8 @@ from procedures.guards.errors import (
     RoomUndecided,
 )
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
-from procedures.guards.head_frames import HeadFrames, PatientFrames
-from procedures.guards.room_reading import PATIENT_LIMIT_MM
+from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames, PatientFrames
+from procedures.guards.room_motion import GROSS_LIMIT_MM
 from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
@@ -96,7 +95,7 @@ class MotionWatch:
         if self._room is not room or self._head.spheres.spheres_mm is not room.spheres_mm:
             self._room, self._tracker, self._unseen_s = room, None, 0.0
         if self._tracker is not room.tracker:  # else the readings from before the move would count
-            clamp = None if room.on_clamp is None else HeadFrames(room.on_clamp.places_mm)
+            clamp = None if room.clamp_mm is None else HeadFrames(room.clamp_mm)
             self._tracker = room.tracker
             self._head = PatientFrames(HeadFrames(room.spheres_mm), clamp)
         thread = _WatchThread(
@@ -340,8 +339,10 @@ class _WatchThread:
                 self._ending.wait(SKIPPED_S)
 
     def _on_clamp_mm(self, frame: TrackerFrame) -> Sequence[Sequence[float]]:
-        name, clamp = self.workcell.patient_frame, self.room.on_clamp
-        return () if name is None or clamp is None else posed_markers(frame, name, clamp.markers_mm)
+        name, markers_mm = self.workcell.patient_frame, self.room.clamp_markers_mm
+        if name is None or markers_mm is None or self.room.clamp_mm is None:
+            return ()
+        return posed_markers(frame, name, markers_mm)
 
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()

@@ -9,90 +9,162 @@ marker and on the other sensor's line to another.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from procedures.planning.tracker_sight import SENSORS_MM
+from procedures.registration.movement import NEAR_MM, identify_points
+from procedures.room.sighting import SeenFrame, SeenSpheres, Sighting, Tracked, average_frame, mean_covariance
 from procedures.workcell import Workcell
-from procedures.workcell.patient_frame import as_patient
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
+from procedures.workcell.tracker_look import (
+    find_frame_name,
+    list_poses,
+    mean_pose,
+    read_frames_at_rest,
+    robot_from_marker,
+)
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
-from ronna_hw.devices.strays import LEAST_SHARE, average_strays
-from ronna_hw.frames import Transform
+from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
-# Rms of the spheres on the head in a reading of `FRAMES`: between the noise, 0.10 mm at most in 600 readings,
-# and the 0.5 mm that must be noticed.
-PATIENT_LIMIT_MM = 0.3
-FRAMES = 12  # 0.2 s: noise of 0.02 mm for the frame on the arm, 0.05 mm for a sphere
+FRAMES = 12  # 0.2 s of the usual 60 Hz
+CAREFUL_FRAMES = 60
 LINE_MM = 1.0  # from a line: the tracker's bias differs between places by some tenths
 OTHER_LINE_MM = 4.0  # to a marker on the arm, perhaps located by the arm alone: its mount is off by 3.5 mm
+# Of spheres that are reported as one frame: how they sit differs from its definition, so the frame moves when
+# one of them is hidden; per axis (U).
+FITTED_MM = 0.05
 SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
 
 
 @dataclass(frozen=True)
 class RoomReading:
-    """Mean of `frames` tracker frames with the arm at rest.
+    """Mean of tracker frames with the arm at rest.
 
-    `robot_from_flange` is the arm's pose, by its calibration if there is one. `frame_mm` (3,) is the frame on
-    the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
-    frame, `spheres_mm` (m, 3) are strays, `markers_mm` (k, 3) the markers of the frame and of other tools in
-    view. `settled` says that the arm is at home, every joint having arrived from its usual side.
-    `robot_from_tracker` is by this reading of the frame alone. `arm_frame_mm` (3,) and `on_clamp`
-    (TRACKER <- PATIENT) are the frame on the arm and the patient's frame as the tracker sees them, None if
-    not seen or not there.
+    `robot_from_flange` is the arm's pose, by its calibration if there is one, at `joints_rad`; `sides` are
+    those of its backlash on which the joints rest, None if unknown. In the tracker's frame, `groups` are the
+    strays and `markers_mm` (k, 3) the markers of all tools in view; `frames` are the tracked frames.
+    `frame_mm` (3,) is the frame on the arm by the tracker minus that by the arm, robot frame; None while it
+    is not seen. `settled_home` says that the arm is home, each joint from its usual side; `on_axis` that a
+    guide is at the head; `fitted` that the tracker has the spheres by fitting the frame that they are on.
     """
 
     robot_from_flange: Transform
+    joints_rad: JointVector
+    sides: tuple[int, ...] | None
     frame_mm: Array | None
-    spheres_mm: Array
-    markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
-    frames: int = 1
-    settled: bool = False
-    robot_from_tracker: Transform | None = None
-    arm_frame_mm: Array | None = None
-    on_clamp: Transform | None = None
+    groups: tuple[StrayGroup, ...]
+    markers_mm: Array
+    frames: Mapping[Tracked, SeenFrame]
+    count: int
+    settled_home: bool = False
+    on_axis: bool = False
+    fitted: bool = False
+    tracker_frames: Sequence[TrackerFrame] = field(default=(), repr=False)
+
+    @property
+    def spheres_mm(self) -> Array:
+        """Strays (m, 3), tracker frame."""
+        return np.array([group.mean_mm for group in self.groups]).reshape(-1, 3)
+
+    @property
+    def on_clamp(self) -> Transform | None:
+        """Pose TRACKER <- PATIENT of the frame on the head clamp, None if not seen."""
+        return _pose(self.frames.get(Tracked.CLAMP), Frame.PATIENT)
+
+    @property
+    def on_arm(self) -> Transform | None:
+        """Pose TRACKER <- MARKER of the frame on the arm, None if not seen."""
+        return _pose(self.frames.get(Tracked.ARM), Frame.MARKER)
+
+    @property
+    def is_careful(self) -> bool:
+        """Whether at least `CAREFUL_FRAMES` frames were averaged, as before or after a target."""
+        return self.count >= CAREFUL_FRAMES
 
     def moved_by(self, move: Transform, robot_from_tracker: Transform) -> RoomReading:
         """Return the reading with everything in view moved by TRACKER <- TRACKER.
 
         `robot_from_tracker` is the pose by which `frame_mm` was computed.
         """
-        frame_mm, arm_frame_mm = self.frame_mm, self.arm_frame_mm
-        if frame_mm is not None and arm_frame_mm is not None:
-            way_mm = move.apply(arm_frame_mm) - arm_frame_mm
+        turn = move.rotation_matrix
+        frames = {name: _moved(seen, move) for name, seen in self.frames.items()}
+        frame_mm = self.frame_mm
+        if frame_mm is not None:
+            way_mm = frames[Tracked.ARM].place_mm - self.frames[Tracked.ARM].place_mm
             frame_mm = frame_mm + robot_from_tracker.rotation_matrix @ way_mm
-            arm_frame_mm = arm_frame_mm + way_mm
-        by_frame = self.robot_from_tracker
-        return replace(
-            self,
-            frame_mm=frame_mm,
-            arm_frame_mm=arm_frame_mm,
-            spheres_mm=move.apply(self.spheres_mm) if len(self.spheres_mm) else self.spheres_mm,
-            markers_mm=move.apply(self.markers_mm) if len(self.markers_mm) else self.markers_mm,
-            robot_from_tracker=None if by_frame is None else by_frame @ move.inverse(),
-            on_clamp=None if self.on_clamp is None else move @ self.on_clamp,
+        groups = tuple(
+            replace(one, mean_mm=move.apply(one.mean_mm), covariance_mm2=turn @ one.covariance_mm2 @ turn.T)
+            for one in self.groups
         )
+        markers = move.apply(self.markers_mm) if len(self.markers_mm) else self.markers_mm
+        return replace(self, frame_mm=frame_mm, groups=groups, markers_mm=markers, frames=frames)
 
-    @property
-    def is_careful(self) -> bool:
-        """Whether at least `CAREFUL_FRAMES` frames were averaged, as before or after a target."""
-        return self.frames >= CAREFUL_FRAMES
+    def sighting(
+        self, spheres_mm: Array, sensors_mm: ArrayLike = SENSORS_MM, *, tracker: int = 0, head: int = 0
+    ) -> Sighting:
+        """Return the sighting that this is, with the spheres (n, 3) of the head identified.
 
-    @property
-    def is_comparable(self) -> bool:
-        """Whether the frame on the arm differs only by noise from other such readings of the same pose."""
-        return self.is_careful and self.settled
+        `sensors_mm` (2, 3) are the tracker's own, in its frame. `tracker` and `head` count the pushes and
+        moves that were followed before.
+        """
+        pairs = self._identify(spheres_mm, sensors_mm)
+        seen = SeenSpheres(
+            tuple(number for number, _ in pairs),
+            np.array([group.mean_mm for _, group in pairs]).reshape(-1, 3),
+            np.array(
+                [mean_covariance(one.covariance_mm2, one.count - one.outliers) for _, one in pairs]
+            ).reshape(-1, 3, 3)
+            + self.fitted * FITTED_MM**2 * np.eye(3),
+        )
+        return Sighting(self.joints_rad, self.sides, seen, self.frames, tracker, head)
 
-    @property
-    def head_limit_mm(self) -> float:
-        """Smallest rms displacement of the spheres that counts as a moved head."""
-        return HEAD_NOTICEABLE_MM if self.is_careful else PATIENT_LIMIT_MM
+    def _identify(self, spheres_mm: Array, sensors_mm: ArrayLike) -> list[tuple[int, StrayGroup]]:
+        """Pair known spheres with strays: by their layout, or each with the one at its place.
+
+        A ghost beside the place of a hidden sphere is not that sphere.
+        """
+        seen_mm = self.spheres_mm
+        pairs = identify_points(spheres_mm, seen_mm)
+        if pairs is None:
+            apart = np.linalg.norm(spheres_mm[:, None] - seen_mm[None], axis=2)
+            pairs = [
+                (row, int(apart[row].argmin()))
+                for row in range(len(spheres_mm))
+                if len(seen_mm) and apart[row].min() < NEAR_MM
+            ]
+        ghosts = find_ghosts(spheres_mm, self.markers_mm, seen_mm, sensors_mm) if len(seen_mm) else ()
+        return [
+            (row, self.groups[column])
+            for row, column in pairs
+            if not ghosts[column] or math.dist(seen_mm[column], spheres_mm[row]) < LINE_MM
+        ]
+
+
+def _pose(seen: SeenFrame | None, source: Frame) -> Transform | None:
+    if seen is None:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = seen.rotation, seen.place_mm
+    return Transform.from_matrix(Frame.TRACKER, source, matrix)
+
+
+def _moved(seen: SeenFrame, move: Transform) -> SeenFrame:
+    turn = np.kron(np.eye(2), move.rotation_matrix)
+    return SeenFrame(
+        move.apply(seen.place_mm),
+        move.rotation_matrix @ seen.rotation,
+        turn @ seen.covariance @ turn.T,
+        move.apply(seen.markers_mm),
+    )
 
 
 def read_room(
@@ -104,35 +176,47 @@ def read_room(
 
 
 def room_reading(
-    workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
+    workcell: Workcell,
+    frames: list[TrackerFrame],
+    robot_from_tracker: Transform,
+    sides: Sequence[int] | None = None,
 ) -> RoomReading:
-    """Average tracker frames taken at the arm's current pose into one reading."""
-    groups = average_strays(frames).groups
-    spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
+    """Average tracker frames taken at the arm's current pose into one reading.
+
+    `sides` are those from which the joints have arrived, by default as the workcell knows.
+    """
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
-    seen = mean_pose(frames, on_arm, least)
-    joints = workcell.joints_rad()
-    by_arm = robot_from_marker(workcell, joints)
+    tracked = {Tracked.ARM: on_arm, Tracked.CLAMP: workcell.patient_frame}
+    seen: dict[Tracked, SeenFrame] = {}
+    for body, name in tracked.items():
+        poses = [] if name is None else list_poses(frames, name)
+        if name is not None and len(poses) >= max(1, least):
+            seen[body] = average_frame(poses, workcell.tracker.markers_mm[name])
+    joints, rests = workcell.joints_rad(), workcell.rest_sides if sides is None else tuple(sides)
+    by_arm = robot_from_marker(workcell, joints, rests)
     frame_mm = None
-    if seen is not None:
-        frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
-    frame = robot_from_tracker.inverse() @ by_arm if seen is None else seen
-    markers = [frame.apply(workcell.tracker.markers_mm[on_arm])]
+    if (arm := seen.get(Tracked.ARM)) is not None:
+        frame_mm = robot_from_tracker.apply(arm.place_mm) - by_arm.translation_mm
+        markers = [arm.markers_mm]
+    else:
+        markers = [(robot_from_tracker.inverse() @ by_arm).apply(workcell.tracker.markers_mm[on_arm])]
     for name, places_mm in workcell.tracker.markers_mm.items():  # the guide's make ghosts as well
-        other = None if name == on_arm else mean_pose(frames, name, least)
+        other = None if name == on_arm else mean_pose(frames, name, max(1, least))
         if other is not None:
             markers.append(other.apply(places_mm))
-    clamp = None if workcell.patient_frame is None else mean_pose(frames, workcell.patient_frame, least)
     return RoomReading(
-        workcell.flange_pose(joints),
+        workcell.flange_pose(joints, rests),
+        joints,
+        rests,
         frame_mm,
-        spheres,
+        average_strays(frames).groups,
         np.vstack(markers),
+        seen,
         len(frames),
         workcell.settled_home,
-        None if seen is None else by_arm @ seen.inverse(),
-        None if seen is None else seen.translation_mm,
-        None if clamp is None else as_patient(clamp),
+        workcell.place.is_on_axis,
+        find_frame_name(workcell.tracker.markers_mm) is not None,
+        frames,
     )
 
 

@@ -1,45 +1,45 @@
-"""Watch over the room since the localization: frame on the arm, spheres and frame on the head clamp.
-
-What is seen is compared with the places at the localization, and the frame on the arm with every earlier
-reading.
-"""
+"""Watch over the room since the localization: every look is held against all looks before it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.base_shift import (
+from procedures.guards.errors import PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.room_motion import (
     GROSS_LIMIT_MM,
-    BaseShift,
-    base_shift,
-    base_turn_rad,
-    gross_shift,
-    nearest_shift,
+    Expected,
+    HeadSeen,
+    find_unseen,
+    name_motion,
+    push_of_tracker,
 )
-from procedures.guards.clamp_frame import FrameOnClamp
-from procedures.guards.errors import BaseShifted, PatientUnseen, RoomMoved, RoomUndecided
-from procedures.guards.room_motion import RoomMotion, describe_way
-from procedures.guards.room_reading import FRAMES, RoomReading, room_reading
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES, RoomReading, room_reading
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
-from procedures.registration.movement import PointShift
+from procedures.room.estimate import RoomEstimate
+from procedures.room.model import Body, Places, RoomModel, Rows
+from procedures.room.motion import Motion, Moved, find_motion
+from procedures.room.sighting import SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]
+FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]
 
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
@@ -47,30 +47,31 @@ MOST_UNSEEN_S = 10.0
 
 @dataclass(frozen=True)
 class RoomLook:
-    """Result of a room check: displacements of head and base, None where not seen.
+    """Result of a look at the room: distances of head and frame on the arm from where they are expected.
 
-    `moved` is the error that names what has moved, or what hides it; `findings` stop nothing. `by_frame` says
-    that the head is compared by the frame on its clamp, as the spheres are hidden.
+    `head_mm` is the rms over its points, `base_mm` that of the frame's origin; None where not seen. `moved`
+    is the error that names what has moved, or what hides it; `findings` stop nothing. `by_frame` says that
+    the frame on the clamp stands for the head, as the spheres are hidden.
     """
 
     reading: RoomReading
     head_mm: float | None
-    base: BaseShift | None
+    base_mm: float | None
     findings: tuple[str, ...] = ()
     moved: RoomMoved | RoomUndecided | PatientUnseen | None = None
     by_frame: bool = False
 
     @property
     def in_place(self) -> bool:
-        """Whether head and base were seen and unmoved. The tracker may have moved slightly."""
-        return self.moved is None and self.head_mm is not None and self.base is not None
+        """Whether head and base were seen and unmoved. The tracker may have moved."""
+        return self.moved is None and self.head_mm is not None and self.base_mm is not None
 
     def require(self) -> tuple[str, ...]:
         """Return the findings. Raises `moved` if set.
 
-        Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
-        head is at no known position, PRO-051 if the patient's frame has slipped on the clamp, PRO-052 if the
-        arm's pose does not tell whether head or tracker was moved.
+        Raises PRO-019 if the cart was moved, PRO-020 if the head has, PRO-022 if a sphere near the head is at
+        no known position, PRO-051 if the patient's frame has slipped on the clamp, PRO-052 if the arm's pose
+        does not tell what was moved.
         """
         if self.moved is not None:
             raise self.moved
@@ -91,27 +92,43 @@ class Approach:
 
 @dataclass
 class RoomWatch:
-    """Watch over the spheres and frames of one global localization, with all later readings.
+    """Watch over the spheres and frames of one global localization.
 
     There is one tracker frame, that of the localization: all places are in it, and every tracker frame read
-    later is expressed in it first (`as_localized`). With the patient's frame (`on_clamp`) a pushed tracker is
-    followed; `tracker_moved` is told.
+    later is expressed in it first (`as_localized`). A tracker that has moved is followed where head and arm
+    agree on it, and `tracker_moved` is told; `keep` is told every look that counts. `points_mm` are the
+    targets (3,), robot frame.
     """
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
-    spheres_mm: Array  # (n, 3) on the head, tracker frame
-    references: list[RoomReading] = field(default_factory=list)
-    seen_s: float = 0.0  # theatre time at which the head was last seen in its place
-    approach: Approach | None = None
-    on_clamp: FrameOnClamp | None = None
+    estimate: RoomEstimate
+    flange_pose: FlangePose
+    home_rad: JointVector  # where the localization was made
+    epochs: list[Places]  # where the head is expected: as localized, and after each move that was followed
+    points_mm: Mapping[str, Array] = field(default_factory=dict)
+    clamp_markers_mm: Array | None = None  # (m, 3) of the frame on the clamp, patient frame
     tracker: TrackerMove = UNPUSHED  # since the localization
     tracker_moved: Callable[[TrackerMove], None] = lambda _move: None
+    keep: Callable[[Sighting], None] = lambda _look: None
+    seen_s: float = 0.0  # theatre time at which the head was last seen in its place
+    approach: Approach | None = None
+    epoch: int = 0  # of the head, the present one
+    settled_home: int = 0  # number of the last look with the arm settled home
+    _by_frame_only: bool = False  # as told last
 
-    def __post_init__(self) -> None:
-        self._localized = self.spheres_mm, self.on_clamp
-        self._by_frame_only = False  # as told last
-        self._before_push = 0  # references from before the last followed push
+    @property
+    def spheres_mm(self) -> Array:
+        """Expected spheres (n, 3), tracker frame."""
+        return self.epochs[self.epoch].spheres_mm
+
+    @property
+    def clamp_mm(self) -> Array | None:
+        """Expected markers (m, 3) of the frame on the clamp, tracker frame; None if it stands for nothing."""
+        pose = self.epochs[self.epoch].clamp
+        if pose is None or self.clamp_markers_mm is None:
+            return None
+        return np.asarray(self.clamp_markers_mm @ pose[:3, :3].T + pose[:3, 3])
 
     def follow(self, spheres_mm: Array | None, on_clamp: Transform | None = None) -> None:
         """Set the expected sphere positions (n, 3), or restore the localized ones with None.
@@ -119,38 +136,61 @@ class RoomWatch:
         With the spheres, the pose of the patient's frame is set: without one, as while it was hidden when
         they were measured, nothing stands in for them.
         """
-        expected_mm, clamp = self._localized
-        if spheres_mm is not None:
-            expected_mm = spheres_mm
-            clamp = None if clamp is None or on_clamp is None else FrameOnClamp(on_clamp, clamp.markers_mm)
-        if not np.array_equal(expected_mm, self.spheres_mm):  # the same array is the same watch
-            self.spheres_mm, self.on_clamp = expected_mm, clamp
+        if spheres_mm is None:
+            self.epoch = 0
+            return
+        for number, known in enumerate(self.epochs[1:], start=1):
+            if np.array_equal(known.spheres_mm, spheres_mm):
+                self.epoch = number
+                return
+        clamp = None if on_clamp is None or self.epochs[0].clamp is None else on_clamp.as_matrix()
+        self.epochs.append(Places(spheres_mm, clamp))
+        self.epoch = len(self.epochs) - 1
+        self._begin_epoch()
+
+    def _begin_epoch(self) -> None:
+        """Count the reading by which a move of the head was measured as the first look since."""
+        places, frames = self.epochs[self.epoch], {}
+        if places.clamp is not None and self.clamp_markers_mm is not None:
+            pose = places.clamp
+            frames[Tracked.CLAMP] = expect_frame(
+                pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES
+            )
+        seen = expect_spheres(places.spheres_mm, CAREFUL_FRAMES)
+        look = Sighting(self.home_rad, None, seen, frames, self.tracker.pushes, self.epoch)
+        self.estimate = self.with_look(look)
+        self.keep(look)
+
+    def restore(
+        self, looks: Sequence[Sighting], spheres_mm: Array | None, on_clamp: Transform | None
+    ) -> None:
+        """Take up the looks of an earlier program; the head is where its last move was followed to."""
+        moves = max((look.head for look in looks), default=0)
+        self.epochs += [self.epochs[0]] * moves
+        if moves and spheres_mm is not None:
+            clamp = None if on_clamp is None else on_clamp.as_matrix()
+            self.epochs[moves] = Places(spheres_mm, clamp)
+        for look in looks:
+            self.estimate = self.estimate.add(self._rows(look, self.epochs[look.head]))
 
     def as_localized(self, frame: TrackerFrame) -> TrackerFrame:
         """Return a tracker frame as the tracker would have seen it from where it was at the localization."""
         return frame if self.tracker.move is STILL else seen_after(self.tracker.move.inverse(), frame)
 
-    def read(self, workcell: Workcell, frames: list[TrackerFrame]) -> RoomReading:
+    def read(
+        self, workcell: Workcell, frames: list[TrackerFrame], sides: Sequence[int] | None = None
+    ) -> RoomReading:
         """Average tracker frames taken at the arm's current pose into a reading for `compare`."""
         localized = [self.as_localized(frame) for frame in frames]
-        return room_reading(workcell, localized, self.robot_from_tracker)
+        return room_reading(workcell, localized, self.robot_from_tracker, sides)
 
     @property
     def sights(self) -> tuple[TrackerSight, ...]:
         """Sight of the tracker, from where it is now, on the spheres and on the frame on the clamp."""
         move = self.tracker.move
         here = self.robot_from_tracker @ move.inverse()
-        places = (self.spheres_mm, *(() if self.on_clamp is None else (self.on_clamp.places_mm,)))
+        places = (self.spheres_mm, *(() if self.clamp_mm is None else (self.clamp_mm,)))
         return tuple(TrackerSight(here, move.apply(one)) for one in places)
-
-    def add_reference(self, frame_mm: Array | None) -> None:
-        """Add the frame position (3,) seen before a restart, with the arm home and all joints settled."""
-        home = self.references[0].robot_from_flange
-        if frame_mm is not None:
-            nothing = np.empty((0, 3))
-            self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
-        if self.tracker.move is not STILL:
-            self._before_push = len(self.references)
 
     def unseen_s(self, now_s: float) -> float:
         """Return the theatre time since the head was seen or the operator continued without sight."""
@@ -182,69 +222,133 @@ class RoomWatch:
         return self.approach is not None and self.approach.arm_hides_head()
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
-        """Compare a reading with earlier ones, and store it as a reference if nothing has moved."""
-        reading, findings = self.follow_tracker(reading)
-        motion = self._motion(reading)
-        head, base, moved = motion.head, motion.base, motion.moved
-        if isinstance(moved, BaseShifted) and moved.cart:
-            moved.room_moved = motion.room_moved
-        by_frame = motion.by_spheres is None and head is not None
+        """Hold a reading against all looks before, and count it among them if nothing has moved."""
+        before = self.tracker
+        rows, motion = self._judge(reading)
+        reading, findings = self._follow_if_pushed(reading, motion)
+        if self.tracker is not before:
+            rows, motion = self._judge(reading)
+        head = HeadSeen.of(self._expected(reading, rows), reading)
+        base_mm = float(np.linalg.norm(self._arm_way_mm(rows))) if Body.BASE in rows.blocks else None
+        by_frame = head is not None and head.by_frame
+        moved: RoomMoved | RoomUndecided | PatientUnseen | None = None
+        if motion is not None:
+            at_head = self.is_approached or reading.on_axis
+            moved = name_motion(motion, self._expected(reading, rows), reading, approached=at_head)
         if moved is None:
-            if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
-                findings += (f"the tracker was moved by {describe_way(base.way_mm)}; arm and head agree",)
-                crept = Transform.of(Frame.TRACKER, Frame.TRACKER, translation_mm=head.mean_mm)
-                self.tracker = self.tracker.then(crept)
-                self.references, self._before_push = [], 0  # both are compared from here on
-                reading = reading.moved_by(crept.inverse(), self.robot_from_tracker)
+            moved = find_unseen(self._expected(reading, rows), reading)
+        if moved is None:
             findings += self._tell_by_frame(hidden=by_frame)
-            if reading.frame_mm is not None:
-                self.references.append(reading)
+            if reading.settled_home:
+                self.settled_home = len(self.estimate.looks)
+            self.estimate = self.estimate.add(rows)
+            self.keep(self._look(reading))
             if head is not None:
                 self.seen_s = now_s
-        return RoomLook(reading, None if head is None else head.rms_mm, base, findings, moved, by_frame)
+        return RoomLook(reading, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
 
-    def _motion(self, reading: RoomReading) -> RoomMotion:
-        return RoomMotion(
-            reading,
-            self.robot_from_tracker,
+    def find_motion(self, reading: RoomReading) -> Motion | None:
+        """Return the motion that a reading shows, or None; it is not counted."""
+        return self._judge(reading)[1]
+
+    def _judge(self, reading: RoomReading) -> tuple[Rows, Motion | None]:
+        rows = self._rows_of(reading)
+        if not len(rows.residual):
+            return rows, None
+        found = find_motion(self.estimate, rows, self.points_mm, partial(self._unpushed, reading))
+        return rows, found or self._find_gross(rows)
+
+    def _find_gross(self, rows: Rows) -> Motion | None:
+        """Return a motion of the base that is plain although the arm was never seen in this pose."""
+        if Body.BASE not in rows.blocks:
+            return None
+        way_mm = self._arm_way_mm(rows)
+        if (moved_mm := float(np.linalg.norm(way_mm))) < GROSS_LIMIT_MM:
+            return None
+        return Motion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
+
+    def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
+        """Return the estimate, by default the present one, with a look that is only imagined."""
+        return (estimate or self.estimate).add(self._rows(look, self.epochs[look.head]))
+
+    def expected(self, reading: RoomReading) -> Expected:
+        """Return where everything is expected in a reading."""
+        return self._expected(reading, self._rows_of(reading))
+
+    def _expected(self, reading: RoomReading, rows: Rows) -> Expected:
+        mount = self.estimate.model.flange_from_marker
+        return Expected(
             self.spheres_mm,
-            self.on_clamp,
-            self.tracker.move.inverse().apply(SENSORS_MM),
-            self.base_shift(reading) or gross_shift(self.references, reading),
-            nearest_shift(self.references, reading),
-            base_turn_rad(self.references, reading),
+            self.clamp_mm,
+            self.robot_from_tracker,
+            reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
+            self._arm_way_mm(rows) if Body.BASE in rows.blocks else None,
+            self._sensors_mm,
         )
 
-    def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
-        """If only the tracker was moved, follow it.
+    def _arm_way_mm(self, rows: Rows) -> Array:
+        return self.estimate.innovation(rows)[0][rows.blocks[Body.BASE]][:3]
 
-        Only a careful reading in the very pose of an earlier one decides. Return the reading as seen from
-        where the tracker was, and the finding.
+    def changes_at(self, point: str) -> dict[str, tuple[float, float]]:
+        """Return by body how far it may have displaced a target since the last look but one: estimate, limit.
+
+        The limit is what the last look would have noticed half of the time, in any direction.
         """
-        motion = self._motion(reading)
-        base, head = motion.base, motion.head_move
-        if head is None or base is None or not (base.exact and reading.is_careful):
+        since = len(self.estimate.looks) - 1
+        found = {}
+        for body in ("head", "base"):
+            displacement = self.estimate.displacement(self.points_mm[point], since, (body,))
+            way_mm = float(np.linalg.norm(displacement.way_mm))
+            found[body] = way_mm, displacement.noticed_from_mm
+        return found
+
+    def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
+        """If only the tracker was moved, follow it; only a careful reading decides.
+
+        Return the reading as seen from where the tracker was, and the finding.
+        """
+        return self._follow_if_pushed(reading, self.find_motion(reading))
+
+    def _follow_if_pushed(
+        self, reading: RoomReading, motion: Motion | None
+    ) -> tuple[RoomReading, tuple[str, ...]]:
+        if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
             return reading, ()
-        arm = motion.arm_frame(base)
-        push = None if arm is None else head.as_push(arm)
-        if arm is None or push is None:
-            return reading, ()
-        unnoticed_mm = head.unnoticed_mm + base.backlash_mm
-        self.tracker = self.tracker.then(push, unnoticed_mm / math.sqrt(3.0))
+        push = push_of_tracker(self.expected(reading), reading)
+        self.tracker = self.tracker.then(STILL if push is None else push)
         self.tracker_moved(self.tracker)
-        self._before_push = len(self.references)
-        at_head_mm = PointShift.of(push.apply(self.spheres_mm) - self.spheres_mm).rms_mm
+        if push is None:
+            return reading, ("the tracker was moved by little; arm and head agree",)
+        at_head_mm = math.sqrt(
+            float(((push.apply(self.spheres_mm) - self.spheres_mm) ** 2).sum(axis=1).mean())
+        )
         turned_deg = math.degrees(float(push.rigid.rotation.magnitude()))
         return reading.moved_by(push.inverse(), self.robot_from_tracker), (
             f"the tracker was moved: by {at_head_mm:.1f} mm as seen at the head, turned by {turned_deg:.2f} "
-            f"deg; the frames on head clamp and arm agree within {arm.off_mm(head.move):.2f} mm, and the "
-            f"case goes on; the head may have moved by up to {unnoticed_mm:.2f} mm meanwhile",
+            "deg; head and arm agree on it, and the case goes on",
         )
 
-    def is_clamp_away(self, reading: RoomReading) -> bool:
-        """Return whether the patient's frame is seen out of its place."""
-        shift = self._motion(reading).by_frame
-        return shift is not None and shift.rms_mm >= reading.head_limit_mm
+    def _unpushed(self, reading: RoomReading) -> Rows | None:
+        push = push_of_tracker(self.expected(reading), reading)
+        if push is None:
+            return None
+        return self._rows_of(reading.moved_by(push.inverse(), self.robot_from_tracker))
+
+    def _look(self, reading: RoomReading) -> Sighting:
+        pushes, epoch = self.tracker.pushes, self.epoch
+        return reading.sighting(self.spheres_mm, self._sensors_mm, tracker=pushes, head=epoch)
+
+    @property
+    def _sensors_mm(self) -> Array:
+        """Sensors of the tracker (2, 3) where it is now, in its frame of the localization."""
+        return np.asarray(self.tracker.move.inverse().apply(SENSORS_MM))
+
+    def _rows_of(self, reading: RoomReading) -> Rows:
+        return self._rows(self._look(reading), self.epochs[self.epoch])
+
+    def _rows(self, look: Sighting, places: Places) -> Rows:
+        flange = self.flange_pose(look.joints_rad, look.sides)
+        return self.estimate.model.rows(look, flange.as_matrix(), places)
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
@@ -253,10 +357,6 @@ class RoomWatch:
         if not is_new:
             return ()
         return ("the spheres on the head are hidden: the frame on its clamp is watched in their place",)
-
-    def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """Return a shift over its limit, else the most tightly limited one, or None without a reference."""
-        return base_shift(self.references, reading, self._before_push)
 
     def frame_off_arm_mm(self, seen_mm: Vector3, begin_mm: Vector3, end_mm: Vector3) -> float | None:
         """Return the distance of the frame on a moving arm from the arm's way, or None within the limit.
@@ -273,12 +373,72 @@ class RoomWatch:
         return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
 
 
-def read_watched(room: RoomWatch, workcell: Workcell, clock: Clock, count: int = FRAMES) -> RoomReading:
-    """Read the room with the arm at rest; carefully, if the frame on the clamp is out of its place."""
-    reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0])
-    if reading.is_careful or not room.is_clamp_away(reading):
+@dataclass(frozen=True)
+class LocalizedRoom:
+    """What a global localization found: spheres (n, 3) mm and the frame on the clamp, tracker frame.
+
+    The arm was at `joints_rad`, with the frame on it of markers (m, 3) mm. By it, the localization has where
+    the tracker is.
+    """
+
+    robot_from_tracker: Transform
+    spheres_mm: Array
+    joints_rad: JointVector
+    arm_markers_mm: Array
+    frames: int
+    on_clamp: Transform | None = None
+    clamp_markers_mm: Array | None = None
+
+    @property
+    def places(self) -> Places:
+        """Where the head is expected."""
+        return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
+
+    def watch(
+        self,
+        localization: str,
+        arm: Kinematics,
+        sizes: ErrorSizes,
+        flange_from_marker: Transform,
+        flange_pose: FlangePose,
+    ) -> RoomWatch:
+        """Begin the watch, with the localization as its first look."""
+        to_robot = self.robot_from_tracker
+        centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
+        mount, tracker = flange_from_marker.as_matrix(), to_robot.as_matrix()
+        model = RoomModel(arm.chain, sizes, mount, tracker, centre_mm, len(self.spheres_mm))
+        flange = flange_pose(self.joints_rad, None).as_matrix()
+        frames = {Tracked.ARM: self._expect(np.linalg.inv(tracker) @ flange @ mount, self.arm_markers_mm)}
+        if self.places.clamp is not None and self.clamp_markers_mm is not None:
+            frames[Tracked.CLAMP] = self._expect(self.places.clamp, self.clamp_markers_mm)
+        look = Sighting(self.joints_rad, None, expect_spheres(self.spheres_mm, self.frames), frames)
+        estimate = RoomEstimate(model).add(model.rows(look, flange, self.places))
+        return RoomWatch(
+            localization,
+            to_robot,
+            estimate,
+            flange_pose,
+            self.joints_rad,
+            [self.places],
+            clamp_markers_mm=self.clamp_markers_mm,
+        )
+
+    def _expect(self, pose: Array, markers_mm: Array) -> SeenFrame:
+        return expect_frame(pose[:3, 3], pose[:3, :3], markers_mm, self.frames)
+
+
+def read_watched(
+    room: RoomWatch,
+    workcell: Workcell,
+    clock: Clock,
+    count: int = FRAMES,
+    sides: Sequence[int] | None = None,
+) -> RoomReading:
+    """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
+    reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0], sides)
+    if reading.is_careful or room.find_motion(reading) is None:
         return reading
-    return room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0])
+    return room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0], sides)
 
 
 def check_now(
@@ -288,9 +448,10 @@ def check_now(
     memory: CaseMemory,
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
+    sides: Sequence[int] | None = None,
 ) -> RoomLook:
     """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
-    look = room.compare(read_watched(room, workcell, clock, count), clock.now_s())
+    look = room.compare(read_watched(room, workcell, clock, count, sides), clock.now_s())
     if isinstance(look.moved, RoomMoved):
         void(look.moved)  # first: the watch goes on until this is written
     if isinstance(look.moved, RoomMoved | RoomUndecided):

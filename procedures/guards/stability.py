@@ -1,9 +1,9 @@
-"""Stability of the room during a case: how each part is observed, and the smallest detectable change.
+"""Stability of the room during a case: how each part is observed, and what a look after a target found.
 
 Before and after each target the arm is home, where the tracker sees everything and the arm is in the same
-pose: only there is a change noticed that is small enough to matter at a target. A move between two such looks
-is found by the second and casts doubt on every target worked at since the first. A change too small for
-either is a share of the predicted error.
+pose; at the target it is close to what counts. A move between two looks is found by the second and casts
+doubt on every target worked at since the first. A change too small for any look is a share of the predicted
+error (`procedures.room`).
 """
 
 from __future__ import annotations
@@ -18,15 +18,8 @@ from pydantic import Field
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.journal.results import Values
 
-CAREFUL_FRAMES = 60  # of the tracker, at home: a second of the usual 60 Hz
-# Rms of the spheres over that many frames: 0.085 mm at most in 400 simulated pairs of readings of three.
-HEAD_NOTICEABLE_MM = 0.15
-# The frame on the arm at home, between tracker and arm, each joint arriving from the same side: noise and
-# repeatability, 0.11 mm at most in 3,000 simulated pairs. From other sides, backlash adds up to 0.52 mm.
-BASE_NOTICEABLE_MM = 0.15
 GUIDE_NOTICEABLE_MM = 0.05  # on its gauge; beyond it, the guide is not as it was when its tip was calibrated
 CONFIRMATION = "confirmation"
-IN_PUSHES = "unnoticed change: head while the tracker was pushed"
 LOOKS_AT_ROOM = (
     *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
     CONFIRMATION,
@@ -48,8 +41,7 @@ class Subject(StrEnum):
 class WatchedSubject:
     """Watched subject: observation method, steps, smallest detectable change, and dependent results.
 
-    Without `looked_at` it is seen before every step and motion. `noticeable_mm` is None if a change does not
-    displace the guide against the head.
+    Without `looked_at` it is seen before every step and motion.
     """
 
     subject: Subject
@@ -57,30 +49,26 @@ class WatchedSubject:
     notices: str
     hangs: tuple[str, ...]
     looked_at: tuple[str, ...] = ()
-    noticeable_mm: float | None = None
 
-    @property
-    def unnoticed_rms_mm(self) -> float:
-        """Rms of an undetected displacement, uniformly distributed up to the detection limit."""
-        return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
+
+AT_TARGETS = "what the looks show at each target, by its lever"
+GUIDE_UNNOTICED_MM = GUIDE_NOTICEABLE_MM / math.sqrt(3.0)  # rms, uniformly distributed up to the limit
 
 
 WATCHED_SUBJECTS = (
     WatchedSubject(
         Subject.HEAD,
         "the spheres on it, by the tracker",
-        f"{HEAD_NOTICEABLE_MM:g} mm rms",
+        AT_TARGETS,
         ("global_localization", "registration"),
         LOOKS_AT_ROOM,
-        HEAD_NOTICEABLE_MM,
     ),
     WatchedSubject(
         Subject.BASE,
         "the frame on the arm, by tracker and arm",
-        f"{BASE_NOTICEABLE_MM:g} mm",
+        AT_TARGETS,
         ("cart_lock", "global_localization"),
         LOOKS_AT_ROOM,
-        BASE_NOTICEABLE_MM,
     ),
     WatchedSubject(
         Subject.GUIDE,
@@ -88,7 +76,6 @@ WATCHED_SUBJECTS = (
         f"{GUIDE_NOTICEABLE_MM:g} mm at its end",
         ("tool_check",),
         ("tool_check", CONFIRMATION),
-        GUIDE_NOTICEABLE_MM,
     ),
     WatchedSubject(
         Subject.CAMERAS,
@@ -124,19 +111,12 @@ class SeenUnchanged(Values):
     """Finding on one subject from the check after a target."""
 
     subject: Subject = Field(description="Head, cart and tracker, or guide.")
-    moved_mm: float | None = Field(description="How far it was from its place; none if it was not seen.")
-    noticeable_mm: float = Field(description="Smallest displacement that is taken for a change.")
+    moved_mm: float | None = Field(
+        description="Displacement of the guide at the target by its motion, of the guide that on its gauge; "
+        "none if it was not seen."
+    )
+    noticeable_mm: float = Field(description="Displacement from which on that would have been noticed.")
     differs: bool = Field(default=False, description="Whether it has changed otherwise, such as by a tilt.")
-
-    @classmethod
-    def head(cls, moved_mm: float | None) -> SeenUnchanged:
-        """Build the finding on the head from the rms displacement of its spheres."""
-        return cls(subject=Subject.HEAD, moved_mm=moved_mm, noticeable_mm=HEAD_NOTICEABLE_MM)
-
-    @classmethod
-    def base(cls, moved_mm: float | None, limit_mm: float = BASE_NOTICEABLE_MM) -> SeenUnchanged:
-        """Build the finding on cart and tracker from the frame on the arm."""
-        return cls(subject=Subject.BASE, moved_mm=moved_mm, noticeable_mm=limit_mm)
 
     @classmethod
     def guide(cls, off_mm: float | None, *, differs: bool = False) -> SeenUnchanged:
@@ -153,16 +133,3 @@ class SeenUnchanged(Values):
         if self.moved_mm is None:
             return f"{self.subject} not seen"
         return f"{self.subject} within {self.moved_mm:.2f} mm"
-
-
-def undetected_changes_mm(in_pushes_mm: float = 0.0) -> dict[str, float]:
-    """Return the rms error due to undetectable changes, by source, for target error prediction.
-
-    `in_pushes_mm` is the rms of moves of the head that followed pushes of the tracker may have hidden.
-    """
-    changes_mm = {
-        f"unnoticed change: {one.subject}": one.unnoticed_rms_mm
-        for one in WATCHED_SUBJECTS
-        if one.noticeable_mm
-    }
-    return {**changes_mm, **({IN_PUSHES: in_pushes_mm} if in_pushes_mm else {})}

@@ -82,22 +82,6 @@ class PointShift:
         return cls(displacements_mm.mean(axis=0), rms_mm, len(displacements_mm))
 
 
-def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Measure the shift of points found near their recorded positions; return None for fewer than two.
-
-    Unlike in `measure_shift`, `rms_mm` is of the displacements themselves.
-    """
-    recorded, seen = _rows(recorded_mm), _rows(seen_mm)
-    if not (len(recorded) and len(seen)):
-        return None
-    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
-    displacements = np.array([seen[one.argmin()] - place for place, one in zip(recorded, apart, strict=True)])
-    displacements = displacements[apart.min(axis=1) < NEAR_MM]
-    if len(displacements) < 2:
-        return None
-    return PointShift.of(displacements)
-
-
 def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """Measure the shift of points (n, 3) from unordered new readings (m, 3) that may include other points.
 

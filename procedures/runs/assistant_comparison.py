@@ -8,7 +8,7 @@ from typing import TypeVar
 from procedures.engine.engine import Engine
 from procedures.engine.run_folder import parse_record
 from procedures.guards.errors import InsertionDisturbed
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.results import StepResult
 from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun

@@ -24,8 +24,8 @@ from procedures.guards.errors import (
     PatientUnseen,
     RoomUndecided,
 )
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import read_watched
-from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
 from procedures.relocalization.triangulation import check_serial
@@ -40,7 +40,7 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import (
     find_followed_places,
     find_followed_registration,
-    find_frame_at_home,
+    targets_mm,
 )
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity, DriverSettings
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -349,11 +349,15 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         return True
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
-    watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
     context = engine.context(engine.order.sequence[0])
-    followed = context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
-    watch.follow(*find_followed_places(followed))
-    watch.add_reference(find_frame_at_home(context))
+    followed = find_followed_places(
+        context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
+    )
+    checked = engine.case.find(CheckedPlan, None)
+    points_mm = targets_mm(checked.result, matched.result) if checked and matched else {}
+    settings, name = engine.setting.settings, stored.record.identifier
+    watch = build_watch(workcell, settings, name, stored.result, pairs, points_mm, followed)
+    watch.follow(*followed)
     look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
     if look.head_mm is None:
         return False
@@ -383,11 +387,11 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         if look.by_frame
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )
-    if look.base is None:
+    if look.base_mm is None:
         comparison.note("robot base: not compared in this pose")
     else:
         comparison.note(
-            f"robot base: the frame on the arm within {look.base.moved_mm:.2f} mm of its recorded position"
+            f"robot base: the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
         )
     comparison.notes += findings
     return True

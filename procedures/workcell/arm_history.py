@@ -13,12 +13,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import reduce
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.journal.results import FramedPose, Values
+from procedures.room.sighting import Sighting
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.tracker_move import TrackerMove
@@ -223,6 +224,7 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
     interruptions: Mapping[str, str] = field(default_factory=dict)  # of a stage not done since, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
+    looks: tuple[str, tuple[Sighting, ...]] | None = None  # at the room, since that localization
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
     base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
     held: HeldInstrument | None = None  # by an assistant
@@ -259,8 +261,18 @@ class ArmHistory:
                 return self._with_stage(line)
             case Entry.TRACKER:
                 return replace(self, tracker=TrackerMove.from_plain(line))
+            case Entry.LOOK:
+                return self._with_sighting(line)
             case _:
                 return self
+
+    def _with_sighting(self, line: Line) -> ArmHistory:
+        localization, look = (
+            str(line["localization"]),
+            Sighting.from_plain(cast("Mapping[str, Any]", line["look"])),
+        )
+        known = self.looks[1] if self.looks is not None and self.looks[0] == localization else ()
+        return replace(self, looks=(localization, (*known, look)))
 
     def with_restart(self, *, torn: bool, lost: Sequence[Line] = ()) -> ArmHistory:
         """Apply the end of a program. `torn` means that its last journal lines may be lost.

@@ -60,6 +60,7 @@ class Centring:
     arriving: Sequence[int] | None
     area_px: tuple[int, int]
     approach_mm: float
+    on_centred: Callable[[int], None] = lambda _fiducial: None  # while the arm still rests there
 
     def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
@@ -96,6 +97,7 @@ class Centring:
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
                 workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
+        self.on_centred(fiducial)
         workcell.line_to(self._approach_pose(pose))
         rotation = pose.rotation_matrix
         return CentredSphere(

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from procedures.journal.errors import GateFailed
+from procedures.strategies.strategy import Sides
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
@@ -31,9 +32,9 @@ READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 
-def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
-    """Return the reference frame's pose ROBOT <- MARKER at these joints."""
-    return workcell.flange_pose(joints_rad) @ flange_from_marker(workcell)
+def robot_from_marker(workcell: Workcell, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+    """Return the reference frame's pose ROBOT <- MARKER at these joints; see `Sides`."""
+    return workcell.flange_pose(joints_rad, arrived) @ flange_from_marker(workcell)
 
 
 def flange_from_marker(workcell: Workcell) -> Transform:
@@ -91,7 +92,7 @@ def read_fresh_frames(
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Return a tool's mean pose TRACKER <- MARKER. Raises PRO-007 if too few frames show the tool."""
-    seen_poses = _list_poses(frames, tool)
+    seen_poses = list_poses(frames, tool)
     if len(seen_poses) < LEAST_FRAMES_WITH_TOOL:
         why, action = _explain_missing_frames(frames, tool)
         raise GateFailed(
@@ -104,7 +105,7 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
     """Return a tool's mean pose TRACKER <- MARKER, or None if seen in fewer than `least` frames."""
-    seen_poses = _list_poses(frames, tool)
+    seen_poses = list_poses(frames, tool)
     return _average_poses(seen_poses) if len(seen_poses) >= least else None
 
 
@@ -140,7 +141,7 @@ def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str,
     return "", "Clear the line of sight between tracker and tool"
 
 
-def _list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
+def list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
     """List a tool's rotations and positions from the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [

@@ -21,7 +21,8 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
-from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, Sides, approach_joints
+from procedures.room.sighting import Sighting
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
@@ -242,6 +243,22 @@ class Workcell(SupervisedArm):
     def record_tracker_move(self, localization: str, move: TrackerMove) -> None:
         """Journal a followed move of the tracker. Raises PRO-003."""
         self._log.write(Entry.TRACKER, **move.as_plain(localization))
+
+    def looks(self, localization: str) -> tuple[Sighting, ...]:
+        """Return the looks at the room since this localization."""
+        known = self._log.history.looks
+        return known[1] if known is not None and known[0] == localization else ()
+
+    def record_look(self, localization: str, look: Sighting) -> None:
+        """Journal a look at the room; it reaches the disk before the next motion. Raises PRO-003."""
+        self._log.note(Entry.LOOK, localization=localization, look=look.as_plain())
+
+    @property
+    def rest_sides(self) -> tuple[int, ...] | None:
+        """Sides of its backlash on which each joint rests at home or where a guide is held, if known."""
+        if self.settled_home:
+            return ONE_SIDE
+        return None if self.place.axis is None else self.place.axis.arriving
 
     def record_found_on_axis(self, axis: InsertionAxis) -> None:
         """Journal that the guide was found on an axis, in case the original line was lost."""

@@ -55,6 +55,7 @@ class Entry(StrEnum):
     HELD = "held"  # by the assistant: an instrument may be in its holder from then on, or is out of it again
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
     TRACKER = "tracker"  # moved since the localization, and followed
+    LOOK = "look"  # at the room by the tracker, with all bodies in view and their covariances
     WORK = "work"  # manual work, and its readings
     FAILED = "failed"
     INTERRUPTED = "interrupted"

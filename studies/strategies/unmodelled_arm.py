@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import identify, validate
 from procedures.calibration.arm_model import ArmModel, LookArrays
-from procedures.guards.stability import GUIDE_NOTICEABLE_MM, undetected_changes_mm
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM, GUIDE_UNNOTICED_MM
 from procedures.registration.rigid_fit import RigidFit, fit_rigid
 from procedures.registration.target_prediction import (
     IndependentErrors,
@@ -50,6 +50,8 @@ from studies.strategies.identified import (
 )
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
+# Rms at a target of what no look of a case would show, without a room to look at: as whole cases state it.
+UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_UNNOTICED_MM}
 Array = NDArray[np.float64]
 Sources = list[SharedErrors | IndependentErrors]
 
@@ -316,16 +318,14 @@ def _predict(
     nothing = np.zeros((count, AXES, AXES))
     unnoticed = [
         IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES)
-        for name, rms_mm in undetected_changes_mm().items()
+        for name, rms_mm in UNNOTICED_MM.items()
     ]
     return predict_target_error(spheres, target_mm, [*sources, *unnoticed], residual=residual)
 
 
 def _without_unnoticed(predicted: TargetPrediction) -> TargetPrediction:
     """Return the prediction without the shares for changes that nobody would notice."""
-    seen = {
-        name: part for name, part in predicted.by_source_mm2.items() if name not in undetected_changes_mm()
-    }
+    seen = {name: part for name, part in predicted.by_source_mm2.items() if name not in UNNOTICED_MM}
     return TargetPrediction(seen, predicted.at_spheres, predicted.widening)
 
 

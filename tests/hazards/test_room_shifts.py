@@ -19,13 +19,13 @@ from prepared_results import (
     mounted_guide,
     registered_robot,
 )
-from room_trials import STILL, TrackedCase
+from room_trials import FLANKS, STILL, TrackedCase
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_motion import NEAR_HEAD_MM
-from procedures.guards.room_reading import RoomReading, find_ghosts, read_room
+from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading, find_ghosts, read_room
 from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
 from procedures.steps.clinical import positioning, relocalization
@@ -33,6 +33,7 @@ from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import EYES_MM, phantoms
+from sim.world.rigid import matrix_from
 
 Array = NDArray[np.float64]
 
@@ -93,11 +94,15 @@ def test_a_moved_tracker_is_distinguished_from_a_moved_cart_and_a_moved_head() -
 
 
 @pytest.mark.hazard(13)
-def test_a_slightly_moved_tracker_is_a_finding_because_arm_and_head_agree() -> None:
+@pytest.mark.parametrize("pushed_mm", [0.6, 30.0])
+def test_a_moved_tracker_is_a_finding_of_a_careful_look_because_arm_and_head_agree(pushed_mm: float) -> None:
     case = TrackedCase(3)
-    watch, way = case.begin(), np.array([0.6, 0.0, 0.0])
-    (finding,) = watch.compare(case.reading(watch, case.home_rad, way, way)).require()
-    assert "arm and head agree" in finding
+    watch, pushed = case.begin(), matrix_from((pushed_mm, 0.0, 0.0), np.eye(3))
+    true = case.true_flange(case.home_rad)
+    reading = case.read(watch, case.home_rad, true, CAREFUL_FRAMES, head=pushed, cart=pushed, sides=FLANKS)
+    (finding,) = watch.compare(reading).require()
+    assert "the tracker was moved" in finding
+    assert "head and arm agree" in finding
 
 
 @pytest.mark.hazard(12)
@@ -105,8 +110,8 @@ def test_a_hidden_frame_and_too_few_spheres_are_not_compared_and_never_in_place(
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad)
-    looked = watch.compare(type(reading)(reading.robot_from_flange, None, reading.spheres_mm[:2]), now_s=1.0)
-    assert (looked.head_mm, looked.base, looked.moved) == (None, None, None)
+    looked = watch.compare(replace(reading, frame_mm=None, groups=reading.groups[:2], frames={}), now_s=1.0)
+    assert (looked.head_mm, looked.base_mm, looked.moved) == (None, None, None)
     assert not looked.in_place
     assert watch.seen_s == 0.0  # the head counts as unseen
 
@@ -118,9 +123,7 @@ def test_a_head_turned_about_the_middle_of_its_spheres_has_moved() -> None:
     reading = case.reading(watch, case.home_rad)
     middle = reading.spheres_mm.mean(axis=0)
     turn = Rotation.from_rotvec([0.0, 0.0, 1.0], degrees=True)
-    turned = type(reading)(
-        reading.robot_from_flange, reading.frame_mm, middle + turn.apply(reading.spheres_mm - middle)
-    )
+    turned = seeing(reading, middle + turn.apply(reading.spheres_mm - middle))
     with pytest.raises(PatientMoved, match="the head has moved"):
         watch.compare(turned).require()
 
@@ -130,9 +133,10 @@ def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad)
-    reading.spheres_mm[1] += (1.2, -0.9, 0.0)
+    one_mm = reading.spheres_mm
+    one_mm[1] += (1.2, -0.9, 0.0)
     with pytest.raises(PatientMoved, match=r"one sphere has moved by 1\.[45] mm.*the other 4 have not"):
-        watch.compare(reading).require()
+        watch.compare(seeing(reading, one_mm)).require()
 
 
 @pytest.mark.hazard(12)
@@ -140,8 +144,8 @@ def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
-    two = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:2])
-    with pytest.raises(PatientMoved, match="the mean of 2 spheres"):
+    two = replace(reading, groups=reading.groups[:2])
+    with pytest.raises(PatientMoved, match=r"the head has moved since it was localized, by [23]\.\d\d mm"):
         watch.compare(two).require()
 
 
@@ -150,9 +154,15 @@ def test_an_unknown_sphere_near_the_head_is_not_ignored_while_others_are_hidden(
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad, np.array([0.0, 9.0, 0.0]))
-    one = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:1])
+    one = replace(reading, groups=reading.groups[:1])
     with pytest.raises(PatientUnseen, match=r"PRO-022.*1 sphere near the head"):
         watch.compare(one).require()
+
+
+def seeing(reading: RoomReading, spheres_mm: Array) -> RoomReading:
+    """The reading with its strays at these places (m, 3)."""
+    groups = tuple(replace(reading.groups[0], mean_mm=place) for place in spheres_mm)
+    return replace(reading, groups=groups)
 
 
 def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
@@ -164,12 +174,8 @@ def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
     points, seen = np.vstack([spheres_mm[:1], marker]), np.array([[True, False], [False, True]])
     crossings = phantoms(EYES_MM, points, seen, line_separation_mm=0.5)
     assert len(crossings) == 1
-    return RoomReading(
-        reading.robot_from_flange,
-        reading.frame_mm,
-        np.vstack([reading.spheres_mm[1:3], crossings]),
-        marker[None],
-    )
+    seen = seeing(reading, np.vstack([reading.spheres_mm[1:3], crossings]))
+    return replace(seen, markers_mm=marker[None])
 
 
 @pytest.mark.hazard(12)
@@ -189,9 +195,7 @@ def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_s
     crossing = watch.spheres_mm.mean(axis=0)
     markers = [eye + 0.86 * (crossing - eye) for eye in EYES_MM]
     crossed = replace(
-        reading,
-        spheres_mm=np.vstack([reading.spheres_mm[:2], crossing]),
-        markers_mm=np.array(markers),
+        seeing(reading, np.vstack([reading.spheres_mm[:2], crossing])), markers_mm=np.array(markers)
     )
     looked = watch.compare(crossed)
     assert (looked.head_mm, looked.moved, looked.findings) == (None, None, ())

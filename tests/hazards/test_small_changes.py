@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from room_trials import TrackedCase
 from scipy.spatial.transform import Rotation
 
-from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM, undetected_changes_mm
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM, GUIDE_UNNOTICED_MM
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.strategies.strategy import ONE_SIDE
-from ronna_hw.frames import Frame, Transform
-from sim.polaris.measurement.tracking_rules import fit_rigid_body
-from sim.world.rigid import apply, matrix_from, matrix_of
+from ronna_hw.vectors import JointVector
+from sim.world.rigid import apply, matrix_from
 
 Array = NDArray[np.float64]
 
@@ -32,9 +31,9 @@ HONEST_MM = 0.19  # predicted rms without any change, default scene
 MOST_MM, MOST_DEG, MOST_BENT_MM = 3.0, 1.0, 1.5
 TARGETS = 3
 DIAL_MM = 0.024  # per axis and approach: the mean of three is then beyond the limit in 4 of 1,000
-# Theatre time from the tool change to the look before the gauge, to the look before a target, to the
-# instrument at depth, to the look after it.
-TO_GAUGE_S, TO_LOOK_S, TO_DEPTH_S, TO_AFTER_S = 2.0, 6.0, 7.0, 9.0
+# Theatre time from the tool change to the look before the gauge, to the look before a target, to that at the
+# target, to the instrument at depth, to the look after it.
+TO_GAUGE_S, TO_LOOK_S, TO_TARGET_S, TO_DEPTH_S, TO_AFTER_S = 2.0, 6.0, 4.0, 3.0, 9.0
 SILENT_SHARE = 0.05
 
 
@@ -57,7 +56,7 @@ class Change:
             return np.asarray(generator.uniform(0.0, most) * way / np.linalg.norm(way))
 
         what = str(generator.choice(["head", "cart", "tip"]))
-        last_s = TO_GAUGE_S + TARGETS * (TO_LOOK_S + TO_DEPTH_S + TO_AFTER_S)
+        last_s = TO_GAUGE_S + TARGETS * (TO_LOOK_S + TO_TARGET_S + TO_DEPTH_S + TO_AFTER_S)
         return cls(
             what,
             float(generator.uniform(0.0, last_s - TO_AFTER_S / 2)),
@@ -84,31 +83,36 @@ class Trial:
 
     def run(self) -> list[tuple[float, bool]]:
         """Error over the predicted limit at each target that was reached, and whether a finding names it."""
-        world = self.world
+        world, home_rad = self.world, self.world.home_rad
         watch = world.begin()
         reached: list[tuple[float, bool]] = []
-        if self._stops(self._look(watch, -math.inf)):  # before the first sphere is localized again
-            return reached
+        before = [home_rad, *(place for one in world.visits[:TARGETS] for place in one.over_spheres)]
+        for place in before:  # nothing changes before the spheres are localized again
+            assert not self._stops(self._look(watch, -math.inf, place))
         now_s = TO_GAUGE_S
-        if self._stops(self._look(watch, now_s)) or not self._guide_passes(now_s):
+        if self._stops(self._look(watch, now_s, home_rad)) or not self._guide_passes(now_s):
             return reached
-        for target in world.scene.head.targets[:TARGETS]:
+        for visit in world.visits[:TARGETS]:
             now_s += TO_LOOK_S
-            if self._stops(self._look(watch, now_s)):
+            if self._stops(self._look(watch, now_s, home_rad)):
                 return reached
+            now_s += TO_TARGET_S
+            look = self._look(watch, now_s, visit.at)
+            if look.moved is not None:
+                return reached
+            limit = limit_mm(watch, visit.target)
             now_s += TO_DEPTH_S
-            target_mm = matrix_of(world.scene.head.robot_from_ct)
-            off = self._error_mm(apply(target_mm, [target.target_ct_mm])[0], now_s)
+            off = self._error_mm(watch.points_mm[visit.target], now_s)
             now_s += TO_AFTER_S
-            doubted = not self._guide_passes(now_s) or self._stops(self._look(watch, now_s))
-            reached.append((off / limit_mm(), doubted))
+            doubted = not self._guide_passes(now_s) or self._stops(self._look(watch, now_s, home_rad))
+            reached.append((off / limit, doubted))
             if doubted:
                 return reached
         return reached
 
     @staticmethod
     def _stops(look: RoomLook) -> bool:
-        return look.moved is not None or look.head_mm is None or look.base is None
+        return look.moved is not None or look.head_mm is None or look.base_mm is None
 
     def _error_mm(self, place_mm: Array, now_s: float) -> float:
         """Of the instrument's end against the target, with what has changed by now."""
@@ -127,28 +131,24 @@ class Trial:
         means = (read_mm[:APPROACHES].mean(axis=0), read_mm.mean(axis=0))
         return any(float(np.linalg.norm(mean)) <= GUIDE_NOTICEABLE_MM for mean in means)
 
-    def _look(self, watch: RoomWatch, now_s: float) -> RoomLook:
+    def _look(self, watch: RoomWatch, now_s: float, joints_rad: JointVector) -> RoomLook:
         world, hidden = self.world, self.change.hidden and now_s >= self.change.at_s
-        middle = world.spheres_mm.mean(axis=0)
-        head = self.change.of("head", now_s, middle)
+        head = self.change.of("head", now_s, world.spheres_mm.mean(axis=0))
         cart = self.change.of("cart", now_s, np.zeros(3))
-        true = world.at_rest(world.home_rad, ONE_SIDE, int(self.generator.integers(1 << 30)))
-        markers = apply(world.tracker_from_robot @ cart @ true @ world.flange_from_marker, world.body_mm)
-        spheres = apply(world.tracker_from_robot, apply(head, world.spheres_mm))
-        points = world.averaged(np.vstack([markers, spheres]), CAREFUL_FRAMES, self.generator)
-        fit = fit_rigid_body(world.body_mm, points[: len(markers)])
-        pose = matrix_from(fit.translation_mm, fit.rotation)
-        frame = watch.robot_from_tracker @ Transform.from_matrix(Frame.TRACKER, Frame.MARKER, pose)
-        flange = world.kinematics.flange_pose(world.home_rad)
-        way_mm = frame.translation_mm - world.frame_by_arm(flange).translation_mm
-        seen = np.empty((0, 3)) if hidden else points[len(markers) :]
-        return watch.compare(RoomReading(flange, way_mm, seen, frames=CAREFUL_FRAMES, settled=True))
+        true = world.at_rest(joints_rad, ONE_SIDE, int(self.generator.integers(1 << 30)))
+        reading = world.read(
+            watch, joints_rad, true, CAREFUL_FRAMES, head=head, cart=cart, sides=ONE_SIDE, hidden=hidden
+        )
+        return watch.compare(reading)
 
 
-def limit_mm() -> float:
+def limit_mm(watch: RoomWatch, target: str) -> float:
     """Radius that holds the error at the stated confidence, with what no look would notice."""
-    rms_mm2 = HONEST_MM**2 + sum(share_mm**2 for share_mm in undetected_changes_mm().values())
-    return float(error_limit_mm(np.eye(3) * rms_mm2 / 3.0, DEFAULT_CONFIDENCE))
+    last, point_mm = len(watch.estimate.looks) - 1, watch.points_mm[target]
+    base = watch.estimate.displacement(point_mm, last, ("base",)).covariance_mm2
+    head = watch.estimate.displacement(point_mm, last - 1, ("head",)).covariance_mm2
+    rest = (HONEST_MM**2 + GUIDE_UNNOTICED_MM**2) / 3.0 * np.eye(3)
+    return float(error_limit_mm(rest + base + head, DEFAULT_CONFIDENCE))
 
 
 def trials(count: int, *, quiet: bool) -> list[list[tuple[float, bool]]]:

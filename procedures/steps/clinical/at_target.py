@@ -15,8 +15,9 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.errors import InsertionDisturbed
+from procedures.guards.errors import InsertionDisturbed, RoomUndecided
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, measure_guide_at_rest
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed, JournalNotWritable
 from procedures.journal.results import FramedPose, StepResult
@@ -222,7 +223,7 @@ def _check_room_again(context: StepContext) -> None:
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.was_worked_through):
-        check_room(context, f"at {context.trajectory}")
+        check_room(context, f"at {context.trajectory}", CAREFUL_FRAMES)
 
 
 @contextmanager
@@ -234,9 +235,8 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
-        room = memory.find(RoomWatch)
         rest = measure_guide_at_rest(
-            context.workcell, context.setting.clock, context.trajectory, room, context.find
+            context.workcell, context.setting.clock, context.trajectory, find=context.find
         )
         memory.keep(rest)
     if rest.seen_mm is None:
@@ -246,7 +246,8 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
         yield rest
     except (GuardUnmet, InsertionDisturbed):
         if rest.now_mm > PUSHED_MM:  # by a hand; or the cart has moved, and the arm with it
-            check_room(context, f"at {context.trajectory}")
+            with suppress(RoomUndecided):  # what ends the step says more
+                check_room(context, f"at {context.trajectory}")
         raise
     finally:
         rest.is_worked_through, rest.was_worked_through = False, True

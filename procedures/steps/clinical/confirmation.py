@@ -10,8 +10,9 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import RoomMoved
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch, read_watched
-from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
+from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -39,12 +40,9 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     link = link_health(context, context.workcell) if context.workcell.streaming else None
     other = assistant_link_health(context)
     context.workcell.rest()  # it may have been the last target
-    look = _check_room(context, targets_remain)
-    base = SeenUnchanged.base(None)
-    if look.base is not None:
-        base = SeenUnchanged.base(look.base.moved_mm, look.base.limit_mm)
-    # what the frame shows of the clamp is no sight of the head in it
-    seen = (SeenUnchanged.head(None if look.by_frame else look.head_mm), base, guide)
+    watch = room_watch(context)
+    look = _check_room(context, watch, targets_remain)
+    seen = (*_compare_at_target(watch, context.trajectory, look), guide)
     unchanged = look.in_place and not look.by_frame and guide.unchanged
     in_doubt = () if unchanged else list_unconfirmed_targets(context)
     return Outcome(
@@ -71,10 +69,9 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
     return SeenUnchanged.guide(found.off_mm, differs=found.differs)
 
 
-def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
+def _check_room(context: StepContext, watch: RoomWatch, targets_remain: bool) -> RoomLook:
     """Check head and base by the tracker. If targets remain, a move voids the results that depend on it."""
     setting, occasion = context.setting, f"after {context.trajectory}"
-    watch = room_watch(context)
     reading = read_watched(watch, setting.workcell, setting.clock, CAREFUL_FRAMES)
     look = watch.compare(reading, setting.clock.now_s())
     if isinstance(look.moved, RoomMoved) and targets_remain:
@@ -87,7 +84,7 @@ def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
     else:
         for finding in look.findings:
             context.find(f"{occasion}: {finding}")
-        unseen = {"head": look.head_mm is None, "frame on the arm": look.base is None}
+        unseen = {"head": look.head_mm is None, "frame on the arm": look.base_mm is None}
         for subject in (name for name, hidden in unseen.items() if hidden):
             doubt(context, f"{occasion} the tracker does not see the {subject}: it may have moved meanwhile")
         if look.by_frame:
@@ -97,6 +94,27 @@ def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
                 "may have slipped in the clamp",
             )
     return look
+
+
+def _compare_at_target(
+    watch: RoomWatch, trajectory: str, look: RoomLook
+) -> tuple[SeenUnchanged, SeenUnchanged]:
+    """Return how far head and base may have displaced the guide at the target since the look before.
+
+    What the frame shows of the clamp is no sight of the head in it. If something has moved: how far.
+    """
+    changes = watch.changes_at(trajectory)
+    seen_mm = {"head": None if look.by_frame else look.head_mm, "base": look.base_mm}
+    found = []
+    for body, subject in (("head", Subject.HEAD), ("base", Subject.BASE)):
+        (way_mm, noticed_mm), moved_mm = changes[body], seen_mm[body]
+        if look.moved is None and moved_mm is not None:
+            moved_mm = way_mm
+        differs = look.moved is not None
+        found.append(
+            SeenUnchanged(subject=subject, moved_mm=moved_mm, noticeable_mm=noticed_mm, differs=differs)
+        )
+    return found[0], found[1]
 
 
 def _needs_guide_at_home(context: StepContext) -> tuple[str, ...]:

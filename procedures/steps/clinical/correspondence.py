@@ -173,7 +173,8 @@ def _touch_if_mirrored(
 
 def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> None:
     """Raise PRO-019 if a point was touched elsewhere because the cart or the tracker was moved meanwhile."""
-    watch = build_watch(context.workcell, context.identifier(GlobalLocalization), room, None)
+    name = context.identifier(GlobalLocalization)
+    watch = build_watch(context.workcell, context.setting.settings, name, room, None)
     seen = read_watched(watch, context.workcell, context.setting.clock)
     moved = watch.compare(seen).moved
     if isinstance(moved, BaseShifted):

@@ -128,12 +128,16 @@ def arm_covariance_mm2(arm_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide held at a target (rotation robot <- tool, joints, tip (3,) mm) after `head_rotation` (3, 3)."""
+    """Guide held at a target (rotation robot <- tool, joints, tip (3,) mm) after `head_rotation` (3, 3).
+
+    The joints arrive from `sides` of their backlash.
+    """
 
     rotation: Array
     joints_rad: Numbers6
     tip_mm: Array
     head_rotation: Array
+    sides: tuple[int, ...] | None
 
     def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
         """Rotate a source's errors at the target back into the head's orientation at the localization."""
@@ -150,12 +154,13 @@ def predict_held_guide(
     path, tip_mm = context.result(CheckedPaths).targets[planned.id], robot_from_ct.apply(planned.target_mm)
     pose = path.tool_pose.transform
     if moved is None:
-        return HeldGuide(pose.rotation_matrix, path.joints_rad, tip_mm, np.eye(3))
+        return HeldGuide(pose.rotation_matrix, path.joints_rad, tip_mm, np.eye(3), path.approach_signs)
     workcell = context.workcell
     along = place_guide(context.result(CheckedPlan).plan, planned, workcell.tools.guide.bore)
     pose = refine_target_pose(pose, along, moved @ robot_from_ct)
     joints_rad = workcell.joints_at(pose, path.joints_rad, path.approach_signs)
-    return HeldGuide(pose.rotation_matrix, joints_rad, moved.apply(tip_mm), moved.rotation_matrix)
+    tip_mm = moved.apply(tip_mm)
+    return HeldGuide(pose.rotation_matrix, joints_rad, tip_mm, moved.rotation_matrix, path.approach_signs)
 
 
 def arm_errors(

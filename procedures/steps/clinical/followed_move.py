@@ -14,22 +14,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_motion import name_motion
 from procedures.guards.room_watch import RoomWatch
-from procedures.guards.stability import HEAD_NOTICEABLE_MM
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import FramedPose
 from procedures.registration.movement import RigidMove, fit_rigid_move, identify_points, measure_shift
+from procedures.room.motion import Moved
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.results import FollowedMove
-from procedures.steps.clinical.room import MOST_FOLLOWED_MM, find_frame_at_home
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM
 from procedures.workcell.tracker_look import FRAMES, read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import format_against_limit, format_distinct
+from ronna_hw.text import format_distinct
 
 Array = NDArray[np.float64]
 
@@ -80,15 +80,23 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
             action="Send the arm home, then run the step again.",
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
-    watch = build_watch(workcell, context.identifier(GlobalLocalization), localized, pairs)
-    watch.add_reference(find_frame_at_home(context))
+    settings, name = context.setting.settings, context.identifier(GlobalLocalization)
+    watch = build_watch(workcell, settings, name, localized, pairs)
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
     reading, pushed = watch.follow_tracker(watch.read(workcell, frames))
     for finding in pushed:
         context.find(finding)
     frames = [watch.as_localized(frame) for frame in frames]
-    base_mm = _base_mm(watch, reading)
+    motion = watch.find_motion(reading)
+    if motion is None:
+        return None
+    if reading.on_arm is None:
+        raise PatientUnseen(
+            "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
+        )
+    if motion.moved is Moved.BASE:
+        raise name_motion(motion, watch.expected(reading), reading)
     rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
         raise PatientUnseen("the tracker sees too few known spheres to measure the movement of the head")
@@ -106,11 +114,9 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     fit = fit_rigid_move(
         to_robot.apply(watch.spheres_mm[before]), to_robot.apply(reading.spheres_mm[after]), covariance
     )
-    if fit.rms_mm < HEAD_NOTICEABLE_MM:
-        return None
     now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
     now[before] = reading.spheres_mm[after]
-    clamp = None if watch.on_clamp is None else reading.on_clamp
+    clamp = None if watch.clamp_mm is None else reading.on_clamp
     move = FollowedMove(
         robot_from_robot=FramedPose.of(Transform(Frame.ROBOT, Frame.ROBOT, fit.fit.transform)),
         way_mm=fit.way_mm,
@@ -118,27 +124,12 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         pairs=fit.fit.pairs,
         residual_mm=float(fit.fit.fre_mm),
         limit_mm=fit.gate.limit_mm,
-        base_mm=base_mm,
+        base_mm=0.0 if (way_mm := watch.expected(reading).arm_way_mm) is None else math.hypot(*way_mm),
         spheres_tracker_mm=tuple(now.tolist()),
         tracker_from_patient=None if clamp is None else FramedPose.of(clamp),
     )
     _require_followable(fit, move)
     return MeasuredMove(fit, move)
-
-
-def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
-    base = watch.base_shift(reading)
-    if base is None:
-        raise PatientUnseen(
-            "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
-        )
-    if base.moved_mm >= base.limit_mm:
-        raise BaseShifted(
-            "the cart or the tracker was moved: the movement of the head cannot be measured",
-            limit=f"{base.limit_mm:g} mm",
-            got=f"{format_against_limit(base.moved_mm, base.limit_mm, 2)} mm",
-        )
-    return base.moved_mm
 
 
 def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
@@ -169,6 +160,6 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
     )
     if context.choose(question) != FOLLOW:
         raise PatientMoved.from_shift(
-            "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
+            "the head has moved, and the registration was not updated", move.fit.rms_mm, move.record.limit_mm
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -11,15 +10,12 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import measure_guide_at_rest
-from procedures.guards.room_watch import RoomWatch
-from procedures.guards.stability import IN_PUSHES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
-from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
@@ -35,6 +31,7 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
 from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
+from procedures.steps.clinical.unnoticed import look_at_target
 from procedures.steps.conditions import needs_tool
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refine_target_pose
@@ -94,7 +91,6 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         workcell.return_home()
     require_unmoved(context, f"before {trajectory}")
     require_platforms_unmoved(context)
-    _tell_pushes(context)
     workcell.start()
     with require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
@@ -103,10 +99,11 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.insert(insertion)
-        check_room(context, f"at {trajectory}")
-    memory = context.setting.memory
-    room = memory.find(RoomWatch)
-    memory.keep(measure_guide_at_rest(workcell, context.setting.clock, trajectory, room, context.find))
+        look = look_at_target(context)
+    rest = measure_guide_at_rest(
+        workcell, context.setting.clock, trajectory, look.reading.tracker_frames, context.find
+    )
+    context.setting.memory.keep(rest)
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
@@ -175,21 +172,6 @@ def _require_registration(context: StepContext) -> RegisteredRobot:
             )
         context.keep(RegisteredRobot)
     return registered
-
-
-def _tell_pushes(context: StepContext) -> None:
-    """Record by how much pushes of the tracker since the registration add to its predicted error."""
-    predicted = context.result(RegisteredRobot).prediction(context.trajectory)
-    pushed_mm = context.workcell.tracker_move(context.identifier(GlobalLocalization)).unnoticed_mm
-    counted_mm = next((one.rms_mm for one in predicted.budget if one.source == IN_PUSHES), 0.0)
-    if pushed_mm > counted_mm:
-        rms_mm = math.sqrt(predicted.rms_mm**2 + pushed_mm**2 - counted_mm**2)
-        context.find(
-            f"the tracker was pushed since the registration for {context.trajectory}: its predicted error "
-            f"grows from {predicted.rms_mm:.2f} to {rms_mm:.2f} mm rms, as the head may have moved; "
-            "localizing again restores it",
-            [context.trajectory],
-        )
 
 
 STEP = StepSpec(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.stability import undetected_changes_mm
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
 from procedures.operator.margin import MarginVerdict
@@ -60,6 +59,7 @@ from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
 )
+from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 from ronna_hw.frames import Frame
@@ -267,11 +267,6 @@ def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
     return () if found is None else (found.model_copy(update={"trajectory": trajectory}),)
 
 
-def _unnoticed_in_pushes_mm(context: StepContext) -> float:
-    """Return the rms of the moves of the head that followed pushes of the tracker may have hidden."""
-    return context.workcell.tracker_move(context.identifier(GlobalLocalization)).unnoticed_mm
-
-
 def predict_tip_error(
     context: StepContext,
     fit: Registration,
@@ -293,11 +288,11 @@ def predict_tip_error(
     at_target_mm = {
         "stereo head calibration": calibrations.stereo_head.stated_error_mm,
         "guide tip calibration": calibrations.tool_tip.stated_error_mm,
-        **undetected_changes_mm(_unnoticed_in_pushes_mm(context)),
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
     nothing = np.zeros_like(pairs.ct_mm2)
+    unnoticed = expect_unnoticed(context, tip_mm, held.joints_rad, held.sides)
     turn = held.rotation
     sources = (
         IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
@@ -309,6 +304,7 @@ def predict_tip_error(
             DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)
         ),
         *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
+        *(IndependentErrors(name, nothing, part) for name, part in unnoticed.by_source_mm2.items()),
     )
     residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
     worst = pairs.find_undetected(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
@@ -56,13 +56,12 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     workcell, settings = context.workcell, context.setting.settings
     workcell.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    occasion, frame_mm = "before the spheres are localized again", None
+    occasion = "before the spheres are localized again"
     if workcell.place.is_home or not context.stands(Relocalization):  # what moves from here on shows at home
         check_room(context, occasion)
         workcell.start(cameras=True)
         workcell.return_home()
-        frame_mm = check_room(context, occasion, CAREFUL_FRAMES).reading.frame_mm
-        if frame_mm is None:
+        if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
             raise GateFailed(
                 f"{occasion}, the tracker does not see the frame on the arm",
                 expected="the frame in view, with the arm home",
@@ -71,11 +70,17 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     else:
         check_room(context, occasion)
         workcell.start(cameras=True)
+    sides = arriving(context, paths)
+
+    def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
+        check_room(context, f"over sphere {fiducial + 1}", sides=sides)
+
     centring = Centring(
         workcell,
-        arriving=arriving(context, paths),
+        arriving=sides,
         area_px=settings.servo_area_px,
         approach_mm=settings.approach_mm,
+        on_centred=look,
     )
     offset_mm = np.zeros(3)
     offsets_mm: list[Array] = []
@@ -100,8 +105,6 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         offset_mm = sphere.point_mm - coarse.translation_mm
         offsets_mm.append(offset_mm)
         spheres.append(sphere)
-        if len(spheres) == 1:  # the reference for this orientation: at home, the arm stands in another
-            check_room(context, "over the first sphere")
         try:
             _check_last(offsets_mm, [one.fiducial for one in spheres], context)
         except GateFailed:
@@ -124,7 +127,6 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             joints_rad=tuple(sphere.joints_rad for sphere in spheres),
             coarse_offset_mm=np.mean(offsets_mm, axis=0).tolist(),
             left_out=tuple(left_out),
-            frame_at_home_mm=None if frame_mm is None else tuple(frame_mm.tolist()),
         ),
         summary=(
             f"{len(spheres)} spheres, largest final residual "

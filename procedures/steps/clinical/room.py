@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
-from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.localized_room import build_watch
-from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -37,17 +37,26 @@ from ronna_hw.vectors import JointVector
 Array = NDArray[np.float64]
 
 MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration may follow
-ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
+ROOM_READS = (
+    GlobalLocalization,
+    Correspondence,
+    CheckedPlan,
+)  # what every step that checks the room must declare
 
 
-def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> RoomLook:
-    """Compare a tracker reading, taken at rest, with the localization and later readings.
+def check_room(
+    context: StepContext, occasion: str, frames: int = FRAMES, sides: Sequence[int] | None = None
+) -> RoomLook:
+    """Hold a tracker reading, taken at rest, against all looks since the localization.
 
-    Raises PRO-019, PRO-020, PRO-022, PRO-051 and PRO-052; a move voids the localization, or the registrations
-    that may follow it, and everything computed from them.
+    `sides` are those of its backlash on which each joint rests, by default as the workcell knows. Raises
+    PRO-019, PRO-020, PRO-022, PRO-051 and PRO-052; a move voids the localization, or the registrations that
+    may follow it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
-    look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
+    look = check_now(
+        room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames, sides
+    )
     for finding in look.findings:
         context.find(f"{occasion}: {finding}")
     return look
@@ -64,7 +73,7 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
             f"{occasion}, the tracker does not see the head",
             expected="at least three known spheres in view",
         )
-    if look.base is None:
+    if look.base_mm is None:
         raise PatientUnseen(
             f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
             expected="the frame on the arm in view, with the arm home",
@@ -132,15 +141,26 @@ def room_watch(context: StepContext) -> RoomWatch:
 
     After a followed move of the head, the spheres are expected at their new places.
     """
-    localized = context.result(GlobalLocalization)
-    name = context.identifier(GlobalLocalization)
+    localized, matched = context.result(GlobalLocalization), context.result(Correspondence)
+    checked, name = context.result(CheckedPlan), context.identifier(GlobalLocalization)
     watch = context.setting.memory.find(RoomWatch)
+    followed = find_followed_places(
+        context.result_among(
+            RegisteredRobot, partial(find_followed_registration, trajectory=context.key.trajectory)
+        )
+    )
     if watch is None or watch.localization != name:
-        watch = build_watch(context.workcell, name, localized, context.result(Correspondence).pairs)
-        watch.add_reference(find_frame_at_home(context))
+        watch = build_watch(
+            context.workcell,
+            context.setting.settings,
+            name,
+            localized,
+            matched.pairs,
+            targets_mm(checked, matched),
+            followed,
+        )
         context.setting.memory.keep(watch)
-    followed = partial(find_followed_registration, trajectory=context.key.trajectory)
-    watch.follow(*find_followed_places(context.result_among(RegisteredRobot, followed)))
+    watch.follow(*followed)
     return watch
 
 
@@ -171,14 +191,10 @@ def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | 
     return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
 
 
-def find_frame_at_home(context: StepContext) -> Array | None:
-    """Return the arm frame's position (3,) mm at home before the relocalization, or None if not recorded."""
-
-    def first(made: Sequence[Relocalization]) -> Relocalization | None:
-        return next((one for one in made if one.frame_at_home_mm is not None), None)
-
-    found = context.result_among(Relocalization, first)
-    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)
+def targets_mm(checked: CheckedPlan, matched: Correspondence) -> dict[str, Array]:
+    """Return the plan's targets (3,) mm by name, robot frame, within the tracker's error."""
+    robot_from_ct = matched.robot_from_ct.transform
+    return {one.id: np.asarray(robot_from_ct.apply(one.target_mm)) for one in checked.plan.trajectories}
 
 
 def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:

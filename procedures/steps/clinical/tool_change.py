@@ -6,7 +6,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.steps.clinical.results import LinkHealth, link_health

@@ -16,7 +16,8 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_GAUGE
-from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM
+from procedures.guards.room_reading import CAREFUL_FRAMES
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.journal.results import Numbers6, StepResult
 from procedures.operator.question import NO, YES, Task, Topic
 from procedures.steps.branches import TOOL_BESIDE_GAUGE

@@ -21,7 +21,7 @@ MEASURED = (
 )
 
 
-OF_ALL_READINGS = ("pushed_mm", "frame_at_home_mm")
+OF_ALL_READINGS = ("pushed_mm",)
 """Payload keys whose figures depend on the number of readings, and so on the host's pace."""
 
 
@@ -33,8 +33,8 @@ def outcome_of(case: OperatedCase) -> dict[str, Any]:
 def measured(run: Path) -> dict[str, Any]:
     """The results of its measurements, by record.
 
-    Without what depends on how many readings came before: the largest push on a guide, and the frame
-    on the arm as it was seen beside the re-localization. Slow hands leave time for more readings.
+    Without what depends on how many readings came before: the largest push on a guide. Slow hands leave
+    time for more readings.
     """
     records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
     return {

@@ -263,7 +263,6 @@ def relocalization(points_mm: Array = SPHERES_MM) -> Relocalization:
         looks=(1,) * count,
         joints_rad=(HOME_RAD,) * count,
         coarse_offset_mm=(0.0, 0.0, 0.0),
-        frame_at_home_mm=(0.0, 0.0, 0.0),
     )
 
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from room_looks import room_reading_of, seen_frame
 
-from procedures.guards.clamp_frame import FrameOnClamp
 from procedures.guards.room_reading import RoomReading
-from procedures.guards.room_watch import RoomWatch
+from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.measurement.tracking_rules import fit_rigid_body
@@ -22,6 +26,9 @@ from sim.world.scene.named_scenes import MARKER_FROM_HEAD_MM, add_patient_frame,
 
 Array = NDArray[np.float64]
 
+KR6 = kr6_r900(ArmVariant.SIXX)
+HOME_RAD = KR6.home_rad
+IN_PLACE = np.eye(4)
 HOME = Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(500.0, 0.0, 600.0))
 STILL = (0.0, 0.0, 0.0)
 LOCALIZED_FRAMES = 60
@@ -58,12 +65,18 @@ class ClampedCase:
         self._on_arm_mm = np.array(scene.tracker.tools[0].markers_mm)
         above = apply(robot_from_ct, scene.head.centre_ct_mm) + MARKER_FROM_HEAD_MM
         self._arm = matrix_from(above, self._robot_from_tracker[:3, :3])
-        on_clamp, spheres, on_arm_mm = self._see(LOCALIZED_FRAMES, np.eye(4), STILL, STILL)
+        on_clamp, spheres, _ = self._see(LOCALIZED_FRAMES, np.eye(4), STILL, STILL)
         pose = Transform.from_matrix(Frame.ROBOT, Frame.TRACKER, self._robot_from_tracker)
-        self._by_arm_mm = pose.apply(on_arm_mm)
-        begun = RoomReading(HOME, np.zeros(3), spheres, frames=LOCALIZED_FRAMES, settled=True)
-        clamp = FrameOnClamp(on_clamp, self._on_clamp_mm)
-        self.watch = RoomWatch("trial", pose, spheres, [begun], on_clamp=clamp)
+        on_arm = Transform.from_matrix(Frame.ROBOT, Frame.MARKER, self._arm)
+        room = LocalizedRoom(
+            pose, spheres, HOME_RAD, self._on_arm_mm, LOCALIZED_FRAMES, on_clamp, self._on_clamp_mm
+        )
+        self.watch = room.watch(
+            "trial", KR6, ErrorSizes(), HOME.inverse() @ on_arm, lambda _joints, _sides: HOME
+        )
+        self.watch.points_mm = {"T1": apply(robot_from_ct, [scene.head.targets[0].target_ct_mm])[0]}
+        for _ in range(3):  # as a case looks, settled home, before anything happens
+            assert self.watch.compare(self.read(LOCALIZED_FRAMES)).in_place
 
     @property
     def tracker_mm(self) -> Array:
@@ -77,34 +90,51 @@ class ClampedCase:
         head_mm: ArrayLike = STILL,
         clamp_mm: ArrayLike = STILL,
         pushed: Matrix | None = None,
+        cart: Matrix = IN_PLACE,
+        sides: Sequence[int] | None = ONE_SIDE,
     ) -> RoomReading:
-        """A reading with spheres and frame on the clamp moved so far, in the robot frame."""
-        on_clamp, spheres, on_arm_mm = self._see(
-            frames, np.eye(4) if pushed is None else pushed, head_mm, clamp_mm
+        """A reading with spheres and frame on the clamp moved so far, and the cart (4, 4), robot frame."""
+        on_clamp, spheres, on_arm = self._see(
+            frames, np.eye(4) if pushed is None else pushed, head_mm, clamp_mm, cart
         )
-        return RoomReading(
+        expected = self.watch.robot_from_tracker.inverse() @ Transform.from_matrix(
+            Frame.ROBOT, Frame.MARKER, self._arm
+        )
+        return room_reading_of(
             HOME,
-            self.watch.robot_from_tracker.apply(on_arm_mm) - self._by_arm_mm,
+            HOME_RAD,
             spheres[:0] if hidden else spheres,
-            frames=frames,
-            settled=True,
-            arm_frame_mm=on_arm_mm,
-            on_clamp=on_clamp,
+            frames,
+            sides=sides,
+            arm=seen_frame(on_arm.as_matrix(), self._on_arm_mm, frames),
+            clamp=seen_frame(on_clamp.as_matrix(), self._on_clamp_mm, frames),
+            frame_mm=self.watch.robot_from_tracker.rotation_matrix
+            @ (on_arm.translation_mm - expected.translation_mm),
         )
 
     def _see(
-        self, frames: int, pushed: Matrix, head_mm: ArrayLike, clamp_mm: ArrayLike
-    ) -> tuple[Transform, Array, Array]:
+        self,
+        frames: int,
+        pushed: Matrix,
+        head_mm: ArrayLike,
+        clamp_mm: ArrayLike,
+        cart: Matrix = IN_PLACE,
+    ) -> tuple[Transform, Array, Transform]:
         on_clamp = np.add(apply(self._clamp, self._on_clamp_mm), clamp_mm)
-        places = [on_clamp, np.add(self._spheres_mm, head_mm), apply(self._arm, self._on_arm_mm)]
+        places = [on_clamp, np.add(self._spheres_mm, head_mm), apply(cart @ self._arm, self._on_arm_mm)]
         points = apply(inverse(pushed @ self._robot_from_tracker), np.vstack(places))
         sight = self._optics.sight(points)
         seen = sight.measured(self.generator.standard_normal(points.shape) / math.sqrt(frames))
         if hasattr(self, "watch"):  # as the watch reads it
             seen = self.watch.tracker.move.inverse().apply(seen)
         clamp, spheres, arm = np.split(seen, [len(on_clamp), len(on_clamp) + len(self._spheres_mm)])
-        fitted = fit_rigid_body(self._on_clamp_mm, clamp)
-        pose = Transform.from_matrix(
-            Frame.TRACKER, Frame.PATIENT, matrix_from(fitted.translation_mm, fitted.rotation)
+        return (
+            _pose_of(Frame.PATIENT, self._on_clamp_mm, clamp),
+            spheres,
+            _pose_of(Frame.MARKER, self._on_arm_mm, arm),
         )
-        return pose, spheres, fit_rigid_body(self._on_arm_mm, arm).translation_mm
+
+
+def _pose_of(source: Frame, body_mm: Array, seen_mm: Array) -> Transform:
+    fitted = fit_rigid_body(body_mm, seen_mm)
+    return Transform.from_matrix(Frame.TRACKER, source, matrix_from(fitted.translation_mm, fitted.rotation))

@@ -13,15 +13,17 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from room_looks import room_reading_of, seen_frame
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
-from procedures.guards.room_watch import RoomWatch
+from procedures.guards.room_watch import LocalizedRoom, RoomWatch
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
@@ -40,7 +42,18 @@ Array = NDArray[np.float64]
 APPROACH_MM = 60.0
 FLANKS = (1.0,) * 6
 STILL = np.zeros(3)
+IN_PLACE = np.eye(4)
 GLOBAL_FRAMES = 60
+
+
+@dataclass(frozen=True)
+class Visit:
+    """Joints over every sphere in the orientation of one target, over that target, and at it."""
+
+    target: str
+    over_spheres: tuple[JointVector, ...]
+    standoff: JointVector
+    at: JointVector
 
 
 @dataclass
@@ -75,8 +88,8 @@ class TrackedCase:
         return (a, b, c, d, e, f)
 
     @cached_property
-    def rests(self) -> list[JointVector]:
-        """Home, over the last sphere of each trajectory, home, then over and at each target."""
+    def visits(self) -> list[Visit]:
+        """The poses for each target within reach: over every sphere, over the target and at it."""
         strategy = find_strategy("ocs")
         tool = self.scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
         branch = self.kinematics.branch_of(self.home_rad)
@@ -84,41 +97,80 @@ class TrackedCase:
         head = self.scene.head
         robot_from_ct = head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
         centres = np.array([each.centre_ct_mm for each in head.fiducials])
-        localizing, targeting = [], []
+        found = []
         for target in head.targets:
             one = Trajectory(
                 target.identifier, np.array(target.entry_ct_mm), np.array(target.target_ct_mm),
                 math.radians(target.free_angle_deg),
             )  # fmt: skip
-            sphere = strategy.localization_poses(one, centres, robot_from_ct, arm)[-1]
             goal = target_pose(one, robot_from_ct)
             try:
-                over = self._joints(back_along_axis(sphere, APPROACH_MM))
+                over = tuple(
+                    self._joints(back_along_axis(sphere, APPROACH_MM))
+                    for sphere in strategy.localization_poses(one, centres, robot_from_ct, arm)
+                )
                 standoff = self._joints(back_along_axis(goal, one.depth_mm + APPROACH_MM))
                 at = self._joints(goal)
             except RonnaError:
                 continue
-            localizing.append(over)
-            targeting += [standoff, at, standoff]
-        return [self.home_rad, *localizing, self.home_rad, *targeting]
+            found.append(Visit(target.identifier, over, standoff, at))
+        return found
+
+    @cached_property
+    def rests(self) -> list[JointVector]:
+        """Home, over the last sphere of each trajectory, home, then over and at each target."""
+        targeting = [place for one in self.visits for place in (one.standoff, one.at, one.standoff)]
+        return [self.home_rad, *(one.over_spheres[-1] for one in self.visits), self.home_rad, *targeting]
 
     def begin(self) -> RoomWatch:
         """The watch after a global localization at home."""
-        spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
+        spheres, frame = self._seen(self._at(self.home_rad)[1], IN_PLACE, IN_PLACE, GLOBAL_FRAMES)
         flange = self.kinematics.flange_pose(self.home_rad)
         robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
-        reading = RoomReading(flange, np.zeros(3), spheres, frames=GLOBAL_FRAMES)
-        return RoomWatch("trial", robot_from_tracker, spheres, [reading])
+        room = LocalizedRoom(robot_from_tracker, spheres, self.home_rad, self.body_mm, GLOBAL_FRAMES)
+        mount = flange.inverse() @ self.frame_by_arm(flange)
+        watch = room.watch("trial", self.kinematics, ErrorSizes(), mount, self._flange_pose)
+        robot_from_ct = matrix_of(self.scene.head.robot_from_ct)
+        watch.points_mm = {
+            one.identifier: apply(robot_from_ct, [one.target_ct_mm])[0] for one in self.scene.head.targets
+        }
+        return watch
+
+    def _flange_pose(self, joints: JointVector, _sides: Sequence[int] | None) -> Transform:
+        return self.kinematics.flange_pose(joints)
 
     def reading(
         self, watch: RoomWatch, joints: JointVector, head_mm: Array = STILL, cart_mm: Array = STILL
     ) -> RoomReading:
         """What the tracker reads with head and cart moved so far, in the robot's first axes."""
-        spheres, frame = self._seen(joints, head_mm, cart_mm, FRAMES)
-        flange, _ = self._at(joints)
+        head, cart = (matrix_from(way_mm, np.eye(3)) for way_mm in (head_mm, cart_mm))
+        return self.read(watch, joints, self._at(joints)[1], FRAMES, head=head, cart=cart, sides=FLANKS)
+
+    def read(
+        self,
+        watch: RoomWatch,
+        joints: JointVector,
+        true_flange: Array,
+        frames: int,
+        *,
+        head: Array = IN_PLACE,
+        cart: Array = IN_PLACE,
+        sides: Sequence[float] | None = None,
+        hidden: bool = False,
+    ) -> RoomReading:
+        """A reading with the arm truly there (4, 4), and head and cart moved (4, 4) in the robot frame."""
+        spheres, frame = self._seen(true_flange, head, cart, frames)
+        flange = self.kinematics.flange_pose(joints)
         seen = watch.robot_from_tracker @ frame
-        way_mm = seen.translation_mm - self.frame_by_arm(flange).translation_mm
-        return RoomReading(flange, way_mm, spheres, frame.apply(self.body_mm), FRAMES)
+        return room_reading_of(
+            flange,
+            joints,
+            spheres[:0] if hidden else spheres,
+            frames,
+            sides=None if sides is None else [int(side) for side in sides],
+            arm=seen_frame(frame.as_matrix(), self.body_mm, frames),
+            frame_mm=seen.translation_mm - self.frame_by_arm(flange).translation_mm,
+        )
 
     def measured(self, spheres_mm: Array) -> Array:
         """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""
@@ -165,12 +217,10 @@ class TrackedCase:
         way = self.generator.standard_normal(3)
         return np.asarray(way / np.linalg.norm(way))
 
-    def _seen(
-        self, joints: JointVector, head_mm: Array, cart_mm: Array, frames: int
-    ) -> tuple[Array, Transform]:
-        flange = matrix_from(cart_mm, np.eye(3)) @ self._at(joints)[1]
+    def _seen(self, true_flange: Array, head: Array, cart: Array, frames: int) -> tuple[Array, Transform]:
+        flange = cart @ true_flange
         markers = apply(self.tracker_from_robot @ flange @ self.flange_from_marker, self.body_mm)
-        spheres = apply(self.tracker_from_robot, self.spheres_mm + head_mm)
+        spheres = apply(self.tracker_from_robot @ head, self.spheres_mm)
         points = self._measured(np.vstack([markers, spheres]), frames)
         fit = fit_rigid_body(self.body_mm, points[: len(markers)])
         pose = matrix_from(fit.translation_mm, fit.rotation)

@@ -6,7 +6,7 @@ What hides what is the simulator's; guard, watch and checks are the real ones, f
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -15,10 +15,10 @@ from frame_trials import shuffled_frame
 from numpy.typing import NDArray
 from room_trials import STILL, TrackedCase
 
-from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.head_frames import HeadFrames
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen, RoomUndecided
+from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames
 from procedures.guards.motion_watch import SKIPPED_FRAMES
-from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM, RoomReading
+from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import Approach
 from procedures.planning.tracker_sight import TrackerSight
 from procedures.registration.movement import LEAST_POINTS, measure_shift
@@ -139,7 +139,7 @@ class CoveredApproach:
         """Until the guide is out again."""
         try:
             how = self._run()
-        except (PatientMoved, BaseShifted):
+        except (PatientMoved, BaseShifted, RoomUndecided):
             how = How.NOTICED
         except PatientUnseen:
             how = How.HELD
@@ -194,9 +194,8 @@ class CoveredApproach:
         seen = self._visible(joints)
         whole = self.case.reading(self._watch, joints, head_mm, cart_mm)
         self._frame += FRAMES
-        reading = RoomReading(
-            whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen], whole.markers_mm
-        )
+        groups = tuple(group for group, is_seen in zip(whole.groups, seen, strict=True) if is_seen)
+        reading = replace(whole, groups=groups)
         self._head_seen = measure_shift(self._watch.spheres_mm, reading.spheres_mm) is not None
         self._watch.compare(reading, self._now_s).require()
         return self._watch.is_overdue(self._now_s)

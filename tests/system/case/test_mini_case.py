@@ -384,8 +384,6 @@ def test_the_same_seed_gives_the_same_results_bit_for_bit(
 ) -> None:
     runs = (interrupted[0], finished.folder)
     again, results = ({r.kind: r.payload for r in records_of(run)} for run in runs)
-    for one in (again, results):  # a look on the way: how many frames were read before it depends on the host
-        assert one["relocalization"].pop("frame_at_home_mm") is not None
     assert {kind for kind, result in again.items() if result == results[kind]} - DATED == MEASURED
 
 

@@ -6,16 +6,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, cast
 
-import numpy as np
 import pytest
+from room_trials import TrackedCase
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.room_watch import Approach, RoomWatch
+from procedures.guards.room_watch import Approach
 from procedures.guards.tracker_guards import BETWEEN_LOOKS_S, JUDGED, TrackerLink
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.frames import Frame, Transform
 
 pytestmark = pytest.mark.hazard(12)
 
@@ -58,7 +57,7 @@ class Bench:
         self.guard = TrackerLink(tracker, self.memory, lambda: self.time_s)
 
     def approach(self) -> Approach:
-        room = RoomWatch("G-1", Transform.of(Frame.ROBOT, Frame.TRACKER), np.zeros((3, 3)))
+        room = TrackedCase(0).begin()
         room.approach = Approach(lambda: False, under_way=True)
         self.memory.keep(room)
         return room.approach

@@ -28,7 +28,7 @@ from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLo
 from procedures.engine.case import StepKey
 from procedures.engine.order import Steps, StepSpec
 from procedures.engine.run_folder import parse_record
-from procedures.guards.stability import SeenUnchanged
+from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
@@ -192,7 +192,11 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         ),
         Retreated(joints_rad=HOME_RAD, link=LINK),
         ConfirmedTarget(
-            seen=(SeenUnchanged.head(0.1 + 0.2), SeenUnchanged.base(None), SeenUnchanged.guide(0.01)),
+            seen=(
+                SeenUnchanged(subject=Subject.HEAD, moved_mm=0.1 + 0.2, noticeable_mm=1 / 3, differs=True),
+                SeenUnchanged(subject=Subject.BASE, moved_mm=None, noticeable_mm=0.5),
+                SeenUnchanged.guide(0.01),
+            ),
             in_doubt=("T1",),
             link=None,
         ),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.assistant_frame import AssistantFrame
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
@@ -328,9 +328,7 @@ def _require_seen_coaxial(
         workcell.follow_assistant(apart.way_mm)
         raise
     watched = AssistantFrame(assistant)
-    watched.begin_at(
-        on_assistant.translation_mm, context.result(GlobalLocalization).robot_from_tracker.transform
-    )
+    watched.begin_at(on_assistant, context.result(GlobalLocalization).robot_from_tracker.transform)
     context.setting.memory.keep(watched)
     context.find(
         f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from procedures.calibration.base_to_base import LEAST_FRAME_LOOKS
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.hand_eye import PosePairs
-from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.global_localization import GlobalLocalization

@@ -236,14 +236,16 @@ def test_a_cart_pushed_since_the_look_over_the_guide_keeps_the_instrument_where_
         arm=SimpleNamespace(observe=lambda: SimpleNamespace(reading=reading)),
         base=Transform.of(Frame.ROBOT, Frame.ASSISTANT),
         calibrated=SimpleNamespace(forward=lambda _joints: Pose((0.0, 0.0, 0.0))),
+        flange_from_clamp=Transform.of(Frame.FLANGE, Frame.TOOL),
         holder=SimpleNamespace(frame="assistant_frame"),
         place=SimpleNamespace(axis=SimpleNamespace(held=Transform.of(Frame.ASSISTANT, Frame.TOOL))),
     )
     watched = AssistantFrame(cast("Any", assistant))
-    watched.begin_at((0.0, 0.0, 0.0), localized)
+    watched.begin_at(Transform.of(Frame.TRACKER, Frame.MARKER), localized)
     memory = CaseMemory()
     memory.keep(watched)
-    seen = SimpleNamespace(validity=Validity.OK, position_mm=seen_mm)
+    pose = Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=seen_mm)
+    seen = SimpleNamespace(validity=Validity.OK, transform=lambda _target, _source: pose)
     frames = [SimpleNamespace(tool=lambda _name: seen)] * READINGS
     monkeypatch.setattr(assisted_insertion, "read_localized", lambda _context: frames)
     fields = {

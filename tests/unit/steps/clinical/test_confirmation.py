@@ -181,6 +181,11 @@ def test_a_small_head_move_puts_the_target_in_doubt_and_the_next_registration_ma
     looked = look_after(engine, FIRST)
     assert looked.in_doubt == (FIRST,)
     assert seen_mm(looked)[Subject.HEAD] == pytest.approx(3.0, abs=0.01)
+    assert {one.subject: one.differs for one in looked.seen} == {
+        Subject.HEAD: True,
+        Subject.BASE: True,
+        Subject.GUIDE: False,
+    }
     ((text, targets),) = findings(cell)
     assert targets == [FIRST]
     assert text.startswith(f"{FIRST} in doubt: the head has moved since it was localized, by 3.00 mm")
@@ -283,14 +288,16 @@ def test_what_the_tracker_does_not_see_puts_the_target_in_doubt_and_the_step_com
 
 
 @pytest.mark.hazard(13)
-def test_a_tracker_moved_by_little_puts_nothing_in_doubt(cell: ClinicalCell, engine: Engine) -> None:
+@pytest.mark.parametrize("way_mm", [(0.0, 0.5, 0.0), (0.0, 30.0, 0.0)], ids=["little", "far"])
+def test_a_moved_tracker_puts_nothing_in_doubt(
+    cell: ClinicalCell, engine: Engine, way_mm: tuple[float, float, float]
+) -> None:
     work_at(engine, FIRST)
-    way_mm = (0.0, 0.5, 0.0)
     cell.tracker.frame_shift_mm, cell.tracker.spheres_mm = way_mm, np.add(SPHERES_MM, way_mm)
     assert look_after(engine, FIRST).in_doubt == ()
     ((text, targets),) = findings(cell)
     assert targets == []
-    assert "arm and head agree" in text
+    assert "head and arm agree" in text
     assert str(engine.upcoming) == f"positioning:{LAST}"
 
 

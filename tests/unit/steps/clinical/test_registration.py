@@ -22,23 +22,23 @@ from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
-from procedures.guards.stability import IN_PUSHES, Subject
+from procedures.guards.stability import GUIDE_UNNOTICED_MM, Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import STEP
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.results import Prediction, RegisteredRobot
+from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_move import STILL, UNPUSHED
 from ronna_hw.config import ProcedureSettings
 from sim.world.process import load_scene
 
 Array = NDArray[np.float64]
 
 
+FAR_MM = (0.0, 0.0, -300.0)
 SIDEWAYS_MM = 0.7  # the largest that the gate takes without the backlash of 0.25 mm is 0.6
 
 
@@ -104,37 +104,48 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
 @pytest.mark.hazard(3)
 def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -> None:
     shares_mm = {one.source: one.rms_mm for one in registered(cell).result.prediction(FIRST).budget}
-    for subject, noticeable_mm in (("head", 0.15), ("cart and tracker", 0.15), ("guide", 0.05)):
-        # every displacement up to that is as likely as any other
-        assert shares_mm[f"unnoticed change: {subject}"] == pytest.approx(noticeable_mm / np.sqrt(3.0))
+    assert shares_mm[HEAD] > 0.0
+    assert shares_mm[BASE] > 0.0
+    assert shares_mm[GUIDE] == pytest.approx(GUIDE_UNNOTICED_MM)
 
 
 @pytest.mark.hazard(12)
-def test_the_prediction_contains_a_move_of_the_head_that_a_followed_push_may_have_hidden(
-    cell: ClinicalCell,
+@pytest.mark.hazard(13)
+def test_what_goes_unnoticed_grows_with_the_way_from_what_is_seen_and_with_worse_looks(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell.carrying(MountedTool.STEREO_HEAD)
     given = (relocalization(), correspondence(), localized_fiducials())
     engine = cell.begin(*given, global_localization(), checked_plan(), checked_paths(cell), STEP)
     register = engine.order.find(f"registration:{FIRST}")
     engine.run_to(register)
-    before = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
-    localization = cell.case.get(GlobalLocalization).record.identifier
-    cell.workcell.record_tracker_move(localization, UNPUSHED.then(STILL, 0.4).then(STILL, 0.3))
-    engine.run_step(register)
-    after = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
-    shares_mm = {one.source: one.rms_mm for one in after.budget}
-    assert shares_mm[IN_PUSHES] == pytest.approx(0.5)
-    assert after.rms_mm == pytest.approx(np.hypot(before.rms_mm, 0.5))
+    context, held = engine.context(register), checked_paths(cell).targets[FIRST]
+
+    def unnoticed(tip_mm: Array) -> tuple[float, float]:
+        found = expect_unnoticed(context, tip_mm, held.joints_rad, held.approach_signs)
+        return found.rms_mm(HEAD), found.rms_mm(BASE)
+
+    hidden = ["", "the frame is turned away"]
+    monkeypatch.setattr("procedures.steps.clinical.unnoticed.explain_hidden_frame", lambda *_: hidden[0])
+    middle_mm = SPHERES_MM.mean(axis=0)
+    near = unnoticed(middle_mm)
+    assert np.all(np.array(unnoticed(middle_mm + FAR_MM)) > near)
+    with monkeypatch.context() as fewer:
+        fewer.setattr("procedures.steps.clinical.unnoticed.CAREFUL_FRAMES", 2)
+        assert np.all(np.array(unnoticed(middle_mm)) > near)
+    hidden.reverse()
+    assert unnoticed(middle_mm)[1] > near[1]  # by the looks at home alone
 
 
 def test_spheres_that_disagree_by_more_than_stated_widen_the_limit_and_the_operator_is_told(
-    cell: ClinicalCell,
+    cell: ClinicalCell, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
+    agreeing = registered(ClinicalCell(tmp_path_factory.mktemp("agreeing"))).result.prediction(FIRST)
     apart_mm = np.random.default_rng(0).normal(0.0, 0.15, SPHERES_MM.shape)  # the gate lets this pass
     predicted = registered(cell, SPHERES_MM + apart_mm).result.prediction(FIRST)
     assert predicted.widening > 2.0
-    assert predicted.limit_mm > 1.96 * predicted.rms_mm  # no covariance of that rms alone has this limit
+    assert predicted.limit_mm > 1.05 * agreeing.limit_mm
+    assert predicted.rms_mm == pytest.approx(agreeing.rms_mm, rel=1e-3)
     assert np.linalg.norm([share.rms_mm for share in predicted.budget]) == pytest.approx(predicted.rms_mm)
     (question,) = cell.operator.asked
     assert f"widened: the spheres disagree {predicted.widening:.2f} times" in question.value
@@ -176,6 +187,12 @@ def test_the_operator_reads_the_mark_of_a_thesis_method_before_accepting(cell: C
     assert question.value.endswith("not for clinical use")
 
 
+def known_mm(predicted: Prediction) -> float:
+    """Rms of all errors but those of changes that nobody notices."""
+    shares_mm = {one.source: one.rms_mm for one in predicted.budget if one.source not in (HEAD, BASE, GUIDE)}
+    return float(np.linalg.norm(list(shares_mm.values())))
+
+
 def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(
     cell: ClinicalCell, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -189,7 +206,7 @@ def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_pred
     frame_mm = ProcedureSettings().tool_error_mm * float(np.linalg.norm(apart))
     shares_mm = {share.source: share.rms_mm for share in by_nos.budget}
     assert shares_mm["tool frame"] == pytest.approx(frame_mm, rel=1e-3)
-    assert by_nos.rms_mm > 3.0 * by_ocs.rms_mm
+    assert known_mm(by_nos) > 3.0 * known_mm(by_ocs)
 
 
 @pytest.mark.hazard(36)

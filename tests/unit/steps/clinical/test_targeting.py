@@ -25,7 +25,7 @@ from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
 from procedures.engine.order import Scope
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved, RoomUndecided
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
@@ -144,9 +144,10 @@ def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(
         return move(target_rad, **more)
 
     monkeypatch.setattr(cell.arm, "move_joints", move_and_turn)
-    refused = r"turned against where the arm has it.*limit 0\.5 deg, got 0\.80 deg"
-    with pytest.raises(GateFailed, match=refused):
+    refused = rf"PRO-052: the frame on the arm is not where the arm has it.*at {FIRST}: the guide is pushed"
+    with pytest.raises(RoomUndecided, match=refused):
         run(engine, f"positioning:{FIRST}")
+    assert cell.entries("voided") == []
     monkeypatch.undo()
     cell.tracker.frame_turn_rad = (0.0, 0.0, 0.0)
     engine.retreat_home()

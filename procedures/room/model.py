@@ -1,0 +1,248 @@
+"""How motions of the room, errors of the arm and errors of the tracker show in a look.
+
+Residuals are seen minus expected, mm and rad in the robot frame, and linear in all unknowns:
+
+    frame on the arm    motion of the base + errors of the arm + place of the frame - pose of the tracker
+    sphere              motion of the head + place of the sphere
+    frame on the clamp  motion of the clamp + place of that frame
+
+and in all of them the tracker's own error: noise, and a smooth field that changes slowly with the place. Two
+looks in one pose share all that is constant; in poses close to each other they share most of it. So the local
+error of an uncalibrated arm near a target is known from the looks at the spheres beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from procedures.registration.rigid_fit import pose_jacobian
+from procedures.room.sighting import SeenFrame, SeenSpheres, Sighting, Tracked, marker_pull
+from ronna_hw.arm.kinematics import Chain
+from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
+from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, ErrorSizes, displacements, unit_errors
+
+Array = NDArray[np.float64]
+
+# Smooth error of the tracker, per axis of its frame, and the way over which it changes: a unit of 0.25 mm
+# volumetric accuracy whose error varies over metres. (U)
+FIELD_MM = np.array([0.1, 0.1, 0.2])
+FIELD_LENGTH_MM = 300.0
+REPEATABILITY_MM = 0.015  # per axis, of an arm at rest without a record; as in a registration's budget
+REPEATABILITY_RAD = 2e-5  # per axis, of its orientation (U)
+# Places that nothing before the first look tells: of the frame on its mount, a sphere, the tracker, and each
+# of them after a push or a move that was followed.
+UNKNOWN_MM, UNKNOWN_RAD = 20.0, 0.05
+LEVER_MM = 100.0  # between the points whose displacements give a rotation
+
+POSE = 6  # rows of a frame, columns of a motion
+
+
+class Body(IntEnum):
+    """What the tracker sees move as one piece, in the order of the columns of a motion."""
+
+    SPHERES = 0
+    CLAMP = 1
+    BASE = 2
+
+
+MOTIONS = POSE * len(Body)
+HEAD = (Body.SPHERES, Body.CLAMP)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linear model of a look: residual (r,) and its covariance (r, r) by noise.
+
+    `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 18) those of each
+    body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`
+    (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes. `blocks` are
+    the rows of each body that is seen.
+    """
+
+    residual: Array
+    noise: Array
+    shared: Array
+    moved: Array
+    pull: Array
+    markers_mm: Array
+    blocks: Mapping[Body, slice]
+    tracker: int
+    head: int
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where spheres (n, 3) mm and the frame on the clamp (4, 4) are expected, tracker frame."""
+
+    spheres_mm: Array
+    clamp: Array | None = None
+
+
+@dataclass(frozen=True)
+class RoomModel:
+    """Linear model about where the localization found everything.
+
+    `flange_from_marker` and `robot_from_tracker` (4, 4) are as recorded; `centre_mm` (3,) is the point about
+    which motions are expressed, robot frame; `spheres` is their number.
+    """
+
+    chain: Chain
+    sizes: ErrorSizes
+    flange_from_marker: Array
+    robot_from_tracker: Array
+    centre_mm: Array
+    spheres: int
+
+    def rows(self, look: Sighting, flange: Array, places: Places) -> Rows:
+        """Return the linear model of one look, with the arm's computed pose ROBOT <- FLANGE (4, 4)."""
+        seen = {Body.SPHERES: self._spheres(look.spheres, places.spheres_mm)}
+        if (arm := look.frames.get(Tracked.ARM)) is not None:
+            seen[Body.BASE] = self._arm(look, arm, flange)
+        if (clamp := look.frames.get(Tracked.CLAMP)) is not None and places.clamp is not None:
+            seen[Body.CLAMP] = self._frame(clamp, self.robot_from_tracker @ places.clamp, Body.CLAMP)
+        parts, ends = list(seen.values()), np.cumsum([len(one.residual) for one in seen.values()])
+        blocks = {
+            body: slice(end - len(part.residual), end)
+            for (body, part), end in zip(seen.items(), ends.tolist(), strict=True)
+            if len(part.residual)
+        }
+        return Rows(
+            np.concatenate([one.residual for one in parts]),
+            block_diag(*(one.noise for one in parts)),
+            np.vstack([one.shared for one in parts]),
+            np.vstack([one.moved for one in parts]),
+            block_diag(*(one.pull for one in parts)),
+            np.vstack([one.markers_mm for one in parts]),
+            blocks,
+            look.tracker,
+            look.head,
+        )
+
+    def _arm(self, look: Sighting, seen: SeenFrame, flange: Array) -> _Part:
+        part = self._frame(seen, flange @ self.flange_from_marker, Body.BASE)
+        errors, unknown_sides = self._arm_errors(look, (flange @ self.flange_from_marker)[:3, 3])
+        on_mount = block_diag(flange[:3, :3] * UNKNOWN_MM, flange[:3, :3] * UNKNOWN_RAD)
+        tracker = part.moved[:, _columns(Body.BASE)] * _unknown()
+        identified = self.sizes.identified
+        scatter_mm = REPEATABILITY_MM if identified is None else identified.scatter_mm
+        noise = part.noise + unknown_sides + np.diag([scatter_mm**2] * 3 + [REPEATABILITY_RAD**2] * 3)
+        shared = np.hstack([errors, on_mount, tracker, np.zeros((POSE, 3 * self.spheres + POSE))])
+        return _Part(part.residual, noise, shared, part.moved, part.pull, part.markers_mm)
+
+    def _frame(self, seen: SeenFrame, expected: Array, body: Body) -> _Part:
+        """Return the rows of a frame expected at a pose (4, 4), robot frame, with its own place unknown."""
+        turn, shift = self.robot_from_tracker[:3, :3], self.robot_from_tracker[:3, 3]
+        rotated = Rotation.from_matrix(turn @ seen.rotation @ expected[:3, :3].T).as_rotvec()
+        residual = np.concatenate([turn @ seen.place_mm + shift - expected[:3, 3], rotated])
+        both = block_diag(turn, turn)
+        turning = np.hstack([np.eye(3), np.zeros((3, 3))])
+        moved = np.zeros((POSE, MOTIONS))
+        moved[:, _columns(body)] = np.vstack([pose_jacobian(expected[:3, 3], self.centre_mm), turning])
+        pull = both @ np.hstack([*marker_pull(seen.markers_mm - seen.place_mm)])
+        own = np.diag([UNKNOWN_MM] * 3 + [UNKNOWN_RAD] * 3)
+        shared = np.hstack([np.zeros((POSE, self._constants - POSE)), own])
+        return _Part(residual, both @ seen.covariance @ both.T, shared, moved, pull, seen.markers_mm)
+
+    def _spheres(self, seen: SeenSpheres, expected_mm: Array) -> _Part:
+        turn, shift = self.robot_from_tracker[:3, :3], self.robot_from_tracker[:3, 3]
+        numbers, count = list(seen.numbers), len(seen.numbers)
+        expected = expected_mm[numbers].reshape(-1, 3)
+        shared = np.zeros((count, 3, self._constants))
+        begin = self._constants - POSE - 3 * self.spheres
+        for row, number in enumerate(numbers):
+            shared[row, :, begin + 3 * number : begin + 3 * number + 3] = UNKNOWN_MM * np.eye(3)
+        moved = np.zeros((count, 3, MOTIONS))
+        moved[..., _columns(Body.SPHERES)] = pose_jacobian(expected @ turn.T + shift, self.centre_mm)
+        noise = turn @ seen.covariances_mm2 @ turn.T
+        return _Part(
+            ((seen.places_mm - expected) @ turn.T).reshape(-1),
+            block_diag(*noise) if count else np.empty((0, 0)),
+            shared.reshape(3 * count, self._constants),
+            moved.reshape(3 * count, MOTIONS),
+            np.asarray(np.kron(np.eye(count), turn), dtype=float),
+            seen.places_mm,
+        )
+
+    @cached_property
+    def _constants(self) -> int:
+        """Number of constants: arm's errors, frame on the mount, tracker, spheres, frame on the clamp."""
+        nothing = np.zeros((1, len(self.chain.joints)))
+        arm = unit_errors(self.chain, nothing, np.zeros((1, 3)), self.sizes, nothing).shape[2]
+        return int(arm + 2 * POSE + 3 * self.spheres + POSE)
+
+    def _arm_errors(self, look: Sighting, place_mm: Array) -> tuple[Array, Array]:
+        """Return the unit errors (6, k) of the frame's pose, and its covariance by sides that are unknown."""
+        points = place_mm + np.vstack([np.zeros(3), LEVER_MM * np.eye(3)[:2]])
+        joints = np.tile(np.array(look.joints_rad), (len(points), 1))
+        rests = np.zeros(len(look.joints_rad)) if look.sides is None else np.array(look.sides, dtype=float)
+        errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(rests, (len(points), 1)))
+        if look.sides is not None:
+            return _as_pose(errors), np.zeros((POSE, POSE))
+        identified = self.sizes.identified
+        backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
+        swings = displacements(self.chain, joints, points, self.sizes).swings_mm
+        half = _as_pose(FLANK_SHARE * backlash_rad * swings)
+        return _as_pose(errors), half @ half.T
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Rows of one body; fields as in `Rows`."""
+
+    residual: Array
+    noise: Array
+    shared: Array
+    moved: Array
+    pull: Array
+    markers_mm: Array
+
+
+def covariance_between(one: Rows, others: Sequence[Rows]) -> Array:
+    """Return the covariance (r, n) of a look's residual with those of others, or itself, by all constants."""
+    by_place = field_covariance(one.markers_mm, np.vstack([other.markers_mm for other in others]))
+    pulled = one.pull @ by_place
+    parts, begin = [], 0
+    for other in others:
+        end = begin + other.pull.shape[1]
+        part = one.shared @ other.shared.T + pulled[:, begin:end] @ other.pull.T
+        if one.tracker and one.tracker == other.tracker:
+            part = part + _followed(one, tuple(Body)) @ _followed(other, tuple(Body)).T
+        if one.head and one.head == other.head:
+            part = part + _followed(one, HEAD) @ _followed(other, HEAD).T
+        parts.append(part)
+        begin = end
+    return np.hstack(parts)
+
+
+def field_covariance(markers_mm: Array, others_mm: Array) -> Array:
+    """Return the covariance (3 m, 3 k) mm2 of the tracker's smooth error between places, tracker frame."""
+    apart = ((markers_mm[:, None] - others_mm[None]) ** 2).sum(axis=2)
+    return np.kron(np.exp(-apart / (2.0 * FIELD_LENGTH_MM**2)), np.diag(FIELD_MM**2))
+
+
+def _followed(rows: Rows, bodies: Sequence[Body]) -> Array:
+    """Return the effect (r, 6) of a motion of bodies as one, of which nothing is known."""
+    return np.asarray(sum(rows.moved[:, _columns(body)] for body in bodies) * _unknown())
+
+
+def _columns(body: Body) -> slice:
+    return slice(POSE * body, POSE * (body + 1))
+
+
+def _unknown() -> Array:
+    return np.array([UNKNOWN_RAD] * 3 + [UNKNOWN_MM] * 3)
+
+
+def _as_pose(displacements_mm: Array) -> Array:
+    """Return pose columns (6, k) from those of a point and of two others `LEVER_MM` from it, (3, 3, k)."""
+    origin, x, y = displacements_mm
+    by_x, by_y = (x - origin) / LEVER_MM, (y - origin) / LEVER_MM
+    return np.vstack([origin, by_y[2], -by_x[2], by_x[1]])

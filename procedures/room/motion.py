@@ -1,0 +1,179 @@
+"""What has moved, if a further look does not fit the looks before it.
+
+First each body that the look shows is held against where it is expected. Where each seems in place, the looks
+together may still show a motion, by less than one of them tells: small, slow, or in a direction that one pose
+of the arm hardly shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from procedures.room.estimate import FALSE_ALARM, MOVING, RoomEstimate
+from procedures.room.model import Body, Rows
+
+Array = NDArray[np.float64]
+
+# A hypothesis stands unless it is wrong with more than this confidence. The better one is named if it is this
+# much more likely, in chi-square; else both are.
+DOUBTED = 1e-3
+BETTER = 14.0
+TURNED_SHARE = 1.5  # of its own displacement, beyond which a body's motion is told at the point that counts
+
+
+class Moved(StrEnum):
+    """What has moved."""
+
+    BASE = "base"
+    HEAD = "head"
+    HEAD_IN_CLAMP = "head in its clamp"
+    CLAMP_FRAME = "frame on the clamp"
+    TRACKER = "tracker"
+    HEAD_OR_TRACKER = "head or tracker"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion that the looks show; `chi_square` exceeds `limit`.
+
+    `since` is the look before which it happened, `way_mm` (3,) its estimate in the robot frame: at the point
+    named `at`, where it counts, or if that is None of the body itself.
+    """
+
+    moved: Moved
+    since: int
+    chi_square: float
+    limit: float
+    way_mm: Array
+    at: str | None = None
+
+    @property
+    def moved_mm(self) -> float:
+        """Length of the way."""
+        return float(np.linalg.norm(self.way_mm))
+
+    @property
+    def limit_mm(self) -> float:
+        """Length in the same direction that would just be noticed."""
+        return self.moved_mm * float(np.sqrt(self.limit / self.chi_square))
+
+
+def find_motion(
+    known: RoomEstimate,
+    rows: Rows,
+    points_mm: Mapping[str, Array],
+    unpushed: Callable[[], Rows | None] = lambda: None,
+) -> Motion | None:
+    """Return the motion that one look more shows, or None.
+
+    `points_mm` are the points (3,) that count, robot frame, by name. `unpushed` gives the look as the tracker
+    would have it had it moved as the head seems to; None if the head does not show how.
+    """
+    found = _find_by_body(known, rows, unpushed)
+    if found is None:
+        return find_hidden_motion(known.add(rows), points_mm)
+    return _seen_at_points(found, known.add(rows), points_mm)
+
+
+def _seen_at_points(found: Motion, estimate: RoomEstimate, points_mm: Mapping[str, Array]) -> Motion:
+    """Return the motion as it counts: a body that has turned displaces what is far from it by more."""
+    if found.moved not in (Moved.BASE, Moved.HEAD, Moved.HEAD_OR_TRACKER):
+        return found
+    body = "base" if found.moved is Moved.BASE else "head"
+    for name, point_mm in points_mm.items():
+        way_mm = estimate.displacement(point_mm, found.since, (body,)).way_mm
+        if np.linalg.norm(way_mm) > TURNED_SHARE * found.moved_mm:
+            found = replace(found, way_mm=way_mm, at=name)
+    return found
+
+
+def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows | None]) -> Motion | None:
+    values, covariance = known.innovation(rows)
+    chi_squares, limits = {}, {}
+    for body, block in rows.blocks.items():
+        chi_squares[body] = _chi_square(values[block], covariance[block, block])
+        limits[body] = _limit(len(values[block]), FALSE_ALARM)
+    out = {body for body, chi_square in chi_squares.items() if chi_square > limits[body]}
+    if not out:
+        return None
+    worst = max(out, key=lambda body: chi_squares[body] / limits[body])
+
+    def motion(moved: Moved) -> Motion:
+        shown = Body.BASE if moved is Moved.BASE and Body.BASE in out else worst
+        way_mm = _way_mm(values[rows.blocks[shown]], shown)
+        return Motion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
+
+    if out == {Body.BASE}:
+        return motion(Moved.BASE)
+    pushed = unpushed()
+    if pushed is not None and _fits_pushed(known, pushed):
+        return motion(Moved.TRACKER if Body.BASE in out else Moved.HEAD_OR_TRACKER)
+    if Body.BASE in out:
+        return motion(Moved.BASE)
+    if {Body.SPHERES, Body.CLAMP} <= rows.blocks.keys() and len(out) == 1:
+        return motion(Moved.CLAMP_FRAME if Body.CLAMP in out else Moved.HEAD_IN_CLAMP)
+    return motion(Moved.HEAD)
+
+
+def _way_mm(values: Array, body: Body) -> Array:
+    """Return the mean displacement (3,) of a body from the rows of its residual."""
+    return values[:3] if body is not Body.SPHERES else values.reshape(-1, 3).mean(axis=0)
+
+
+def _fits_pushed(known: RoomEstimate, rows: Rows) -> bool:
+    """Whether a small motion of the tracker explains a look, or the look shows too little to exclude it."""
+    values, covariance = known.innovation(rows)
+    moving = rows.moved @ MOVING["tracker"]
+    weighted = np.linalg.solve(covariance, moving)
+    motion = np.linalg.lstsq(moving.T @ weighted, weighted.T @ values)[0]
+    freedom = len(values) - moving.shape[1]
+    return freedom <= 0 or _chi_square(values - moving @ motion, covariance) < _limit(freedom, DOUBTED)
+
+
+def find_hidden_motion(
+    estimate: RoomEstimate, points_mm: Mapping[str, Array], first: int = 1
+) -> Motion | None:
+    """Return a motion before look `first` or later that all looks show together, or None."""
+    found: list[Motion] = []
+    chi_squares, freedoms = estimate.explained(first=first)
+    limits = np.where(freedoms > 0, chdtri(np.maximum(freedoms, 1), FALSE_ALARM), np.inf)
+    if len(limits) and (chi_squares > limits).any():
+        at = int((chi_squares / limits).argmax())
+        since = first + at
+        way_mm = estimate.displacement(estimate.model.centre_mm, since).way_mm
+        moved = _name(estimate, since)
+        found.append(Motion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm))
+    for name, point_mm in points_mm.items():
+        largest = estimate.largest(point_mm, first)
+        if largest is not None and largest.is_significant:
+            moved, limit = _name(estimate, largest.since), _limit(len(point_mm), FALSE_ALARM)
+            found.append(Motion(moved, largest.since, largest.chi_square, limit, largest.way_mm, name))
+    return max(found, key=lambda one: one.chi_square / one.limit, default=None)
+
+
+def _name(estimate: RoomEstimate, since: int) -> Moved:
+    """Name the one body whose motion explains most."""
+    by_body = {
+        Moved(name): float(estimate.explained(name, since)[0][0])
+        for name in (Moved.HEAD, Moved.BASE, Moved.TRACKER)
+    }
+    best = max(by_body, key=by_body.__getitem__)
+    if best is Moved.BASE or by_body[best] - by_body[Moved.BASE] > BETTER:
+        return best
+    if best is Moved.TRACKER and by_body[best] - by_body[Moved.HEAD] > BETTER:
+        return best
+    return Moved.HEAD_OR_TRACKER if best is Moved.TRACKER else best
+
+
+def _chi_square(values: Array, covariance: Array) -> float:
+    return float(values @ np.linalg.solve(covariance, values))
+
+
+def _limit(freedom: int, confidence: float) -> float:
+    return float(chdtri(freedom, confidence))
