@@ -21,9 +21,10 @@ from ronna_hw.wire.room_tasks import INSERT
 
 WARNINGS = (Entry.FINDING, Entry.FAILED, Entry.REFUSED, Entry.VOIDED, Entry.DOUBTED)
 SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # entries that name every target concerned
-# Of sight in one pose, not of a result; these are findings of honest cases too.
-SIGHT = re.compile(
+# Of sight in one pose, not of a result, and how two arms meet; these are findings of honest cases too.
+USUAL = re.compile(
     r"fewer than three known spheres in this pose|not see the frame on the arm|has not seen the head for"
+    r"|is watched in their place|by the joints of both arms|tracker and joints agree about the assistant"
 )
 GROSS = 2.0  # times the limit: no larger error may go unnoticed
 LAST_LOCALIZATION = "relocalization"
@@ -125,7 +126,7 @@ def judge(
     `errors_mm` are the true errors of the targets reached, `error` is the reason of a case that is
     not `done`.
     """
-    since_s = _find_localization_time_s(lines) if change is None else _find_change_time_s(lines, *change)
+    since_s = _find_localization_time_s(lines) if change is None else find_change_time_s(lines, *change)
     ended_s = theatre_time_s(lines[-1]) if lines else 0.0
     happened = change is not None and since_s <= ended_s
     touched, said = _collect_warnings(
@@ -155,7 +156,7 @@ def _collect_warnings(
         if theatre_time_s(line) < since_s:
             continue
         is_finding = line["entry"] == Entry.FINDING and "targets" not in line
-        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_format_warning(line))):
+        if line["entry"] in WARNINGS and not (is_finding and USUAL.search(_format_warning(line))):
             named = _find_named_trajectories(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
@@ -191,6 +192,12 @@ def _find_localization_time_s(lines: Iterable[Line]) -> float:
     return max(done, default=math.inf)
 
 
-def _find_change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
-    begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
+def find_change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
+    """Return when a change begins: `step` is that of one trajectory, or that of each."""
+    begun = (
+        theatre_time_s(one)
+        for one in lines
+        if one["entry"] == Entry.INTENT
+        and step in (str(one.get("step")), str(one.get("step")).partition(":")[0])
+    )
     return next(begun, math.inf) + after_s

@@ -18,15 +18,13 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
-from ronna_hw.evidence.manifest import RECORDS_FOLDER
-from ronna_hw.records import read_record
 from sim.world.saved_world import WORLD_FILE
+from studies.worlds.finished_case import FINISHED, IN_DOUBT, read_predictions
 from studies.worlds.verdict import limits_used_mm
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 LIMIT_S = 900.0
-IN_DOUBT = "in doubt"
 MINI_3 = ("--scene", "mini", "--seed", "3")
 CALIBRATED = ("--scene", "mini", "--seed", "21", "--calibrated", "--strategy", "best", "--markers", "8")
 OTHER_ARMS = ((), ("--arm", "ur5e"), ("--dual", "--calibrated"))
@@ -66,25 +64,17 @@ def run_case(
 def assert_no_target_is_silently_off(ended: subprocess.CompletedProcess[str], runs: Path) -> None:
     """Refused by the procedure, in doubt, or each error within the 95 % limit as stated at the insertion."""
     outcome: dict[str, Any] = json.loads(ended.stdout)
-    if ended.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP) or outcome["outcome"] == IN_DOUBT:
+    if outcome["outcome"] == IN_DOUBT:
         return
-    assert outcome["outcome"] == "done", ended.stderr
+    if outcome["outcome"] not in FINISHED:
+        assert ended.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP), ended.stderr
+        return
     run = runs / outcome["run"]
-    limits_mm = limits_used_mm(read_journal(run / JOURNAL_FILE), stated_limits_mm(run))
+    limits_mm = limits_used_mm(read_journal(run / JOURNAL_FILE), read_predictions(run))
     errors_mm = {one["id"]: one["application_error_mm"] for one in outcome["targets"]}
     assert errors_mm
     beyond = {name: (error, limits_mm[name]) for name, error in errors_mm.items() if error > limits_mm[name]}
     assert beyond == {}, f"(error, limit) in mm of {outcome['run']}"
-
-
-def stated_limits_mm(run: Path) -> dict[str, dict[str, float]]:
-    """The 95 % limit of each target, by record."""
-    records = [read_record(path) for path in sorted((run / RECORDS_FOLDER).glob("*.json"))]
-    stated: dict[str, Any] = {one.identifier: one.payload.get("predictions") or () for one in records}
-    return {
-        name: {one["target"]: float(one["limit_mm"]) for one in predictions}
-        for name, predictions in stated.items()
-    }
 
 
 @pytest.mark.hazard(13)
