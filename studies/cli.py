@@ -438,6 +438,8 @@ def worlds(
 
 
 def _run_adversarial(cases: int, only: int | None, study_options: StudyOptions, *, quiet: bool) -> None:
+    import json
+
     from studies.worlds.adversarial import AdversarialStudy
     from studies.worlds.study import CASE_FILE
 
@@ -446,7 +448,7 @@ def _run_adversarial(cases: int, only: int | None, study_options: StudyOptions, 
     if only is not None:
         place = study.folder / f"only-{only}"
         found = study.run_world(only, place)
-        terminal.tell((place / CASE_FILE).read_text(encoding="utf-8"))
+        terminal.print_json(json.loads((place / CASE_FILE).read_text(encoding="utf-8")))
         terminal.tell(f"{found.verdict}, {found.ending}: {place}")
         return
     sums = _run(study, study.tables, None, _few_workers(study_options))

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break, theatre_time_s
 from ronna_hw.host.child_process import await_end, command, run_command
 from ronna_hw.host.process import shield_children
@@ -68,7 +69,7 @@ class AdversarialStudy:
         }
 
     def run_world(self, number: int, folder: Path) -> JudgedCase:
-        """Run and judge one world in a new folder; raises STU-015 if no run was written."""
+        """Run and judge one world in a new folder."""
         return run_adversarial_world(draw_adversarial_world(self.seed, number), folder, quiet=self.quiet)
 
     def place(self, number: int) -> Path:
@@ -161,8 +162,18 @@ class AdversarialStudy:
         return missed
 
 
+@dataclass(frozen=True)
+class _EndedCase:
+    """What a command left: its end, its run, the last journal line before a kill, and all commands."""
+
+    ended: subprocess.CompletedProcess[str]
+    run: Path
+    killed_at: int | None
+    commands: tuple[str, ...]
+
+
 def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool = False) -> JudgedCase:
-    """Run a world's case in a new folder and judge it; raises STU-015 if no run was written.
+    """Run a world's case in a new folder and judge it; one that cannot be judged is broken.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
     """
@@ -172,32 +183,14 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
     write_atomically(folder / SCRIPT_FILE, script.encode())
     arguments = [*world.arguments, *(() if quiet else ("--faults", str(folder / SCRIPT_FILE)))]
     arguments += ["--out", str(folder / RUN_FOLDER), "--json"]
-    ended, killed_at = _run_until_killed(world, arguments, folder)
-    commands = [f"ronna-procedure run {' '.join(arguments)}"]
-    run = _find_run(folder)
-    if run is not None and killed_at is not None:
-        resume = ("resume", str(run), "--accept", "--json")
-        commands.append(f"(killed after line {killed_at} of its journal) ronna-procedure {' '.join(resume)}")
-        ended = run_command(
-            f"ronna-procedure resume of world {world.number}",
-            command("procedures.cli.procedure", *resume),
-            LIMIT_S,
-        )
-    if run is None:
-        raise WorldNotRun(
-            f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
-        )
-    lines = read_chain_until_break(run / JOURNAL_FILE)[0].lines
-    change = (RELOCALIZATION, 0.0) if quiet else (world.change.step, world.change.after_s)
-    found = judge_case(
-        lines,
-        parse_output(ended.stdout),
-        ended.returncode,
-        read_true_errors_mm(run),
-        (read_predictions(run, RMS), read_predictions(run, LIMIT)),
-        trajectories=[f"T{number + 1}" for number in range(world.targets)],
-        change=change,
-    )
+    killed_at: int | None = None
+    commands: tuple[str, ...] = (f"ronna-procedure run {' '.join(arguments)}",)
+    try:
+        case = _run_case(world, arguments, folder)
+        killed_at, commands = case.killed_at, case.commands
+        found = _judge(world, case, quiet=quiet)
+    except RonnaError as error:
+        found = JudgedCase(Silence.BROKEN, Ending.BROKEN, (), True, (), str(error))
     mode = "--adversarial --quiet" if quiet else "--adversarial"
     content = {
         "world": asdict(world),
@@ -211,13 +204,47 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
         "said": list(found.said),
         "error": found.error,
         "script": script,
-        "commands": commands,
+        "commands": list(commands),
         "repeat": f"ronna-campaign worlds {mode} --seed {{seed}} --only {world.number}",
     }
     write_atomically(folder / CASE_FILE, json.dumps(content, indent=1).encode())
     if RANKS[found.verdict] < KEPT:
-        shutil.rmtree(folder / RUN_FOLDER)
+        shutil.rmtree(folder / RUN_FOLDER, ignore_errors=True)
     return found
+
+
+def _run_case(world: AdversarialWorld, arguments: Sequence[str], folder: Path) -> _EndedCase:
+    """Run a case, and resume it if it was killed. Raises STU-015 if no run was written, PRC-001."""
+    ended, killed_at = _run_until_killed(world, arguments, folder)
+    commands = [f"ronna-procedure run {' '.join(arguments)}"]
+    run = _find_run(folder)
+    if run is None:
+        raise WorldNotRun(
+            f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
+        )
+    if killed_at is not None:
+        resume = ("resume", str(run), "--accept", "--json")
+        commands.append(f"(killed after line {killed_at} of its journal) ronna-procedure {' '.join(resume)}")
+        ended = run_command(
+            f"ronna-procedure resume of world {world.number}",
+            command("procedures.cli.procedure", *resume),
+            LIMIT_S,
+        )
+    return _EndedCase(ended, run, killed_at, tuple(commands))
+
+
+def _judge(world: AdversarialWorld, case: _EndedCase, *, quiet: bool) -> JudgedCase:
+    """Judge a case by its journal and the truth; raises STU-015."""
+    run = case.run
+    return judge_case(
+        read_chain_until_break(run / JOURNAL_FILE)[0].lines,
+        parse_output(case.ended.stdout),
+        case.ended.returncode,
+        read_true_errors_mm(run),
+        (read_predictions(run, RMS), read_predictions(run, LIMIT)),
+        trajectories=[f"T{number + 1}" for number in range(world.targets)],
+        change=(RELOCALIZATION, 0.0) if quiet else (world.change.step, world.change.after_s),
+    )
 
 
 def _run_until_killed(

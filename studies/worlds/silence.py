@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from procedures.operator.question import Topic
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import Line
 from studies.worlds.finished_case import FINISHED, IN_DOUBT, read_error_text
-from studies.worlds.verdict import Judgement, judge, limits_used_mm
+from studies.worlds.verdict import UNUSUAL_TOPICS, Judgement, judge, limits_used_mm
 
 SILENT_RMS = 2.0  # times the stated rms: no larger error may go without a word
 BINDS = "SIM-015"  # the theatre's staff could not bring the instrument to its stop
+OF_THE_PLAN = re.compile(r"PLAN-|STR-|ARM-007")  # codes: out of reach, too near, without a clear path
 ASKED = "asked: "
+UNUSUAL = UNUSUAL_TOPICS - {Topic.RESUME, Topic.WORK_BEGUN}  # which every killed case asks
 
 
 class Ending(StrEnum):
@@ -25,12 +29,14 @@ class Ending(StrEnum):
     IN_DOUBT = "in doubt"
     REFUSED = "refused"
     BOUND = "bound"  # an arm led the instrument into a guide that was elsewhere
+    NOT_POSSIBLE = "not possible"  # what was planned cannot be reached, whether or not anything has changed
     BROKEN = "broken"  # without an error of the procedure
 
 
 class Silence(StrEnum):
     """Verdict on a case, from best to worst."""
 
+    NOT_POSSIBLE = "not possible"
     OK = "ok"
     TOLD = "told"
     REFUSED = "refused"
@@ -39,6 +45,13 @@ class Silence(StrEnum):
     SILENT = "SILENT"  # an error beyond twice its stated rms without a word, or a bound instrument
 
 
+OF_ENDING = {
+    Ending.QUESTION: Silence.TOLD,
+    Ending.IN_DOUBT: Silence.TOLD,
+    Ending.REFUSED: Silence.REFUSED,
+    Ending.NOT_POSSIBLE: Silence.NOT_POSSIBLE,
+    Ending.BROKEN: Silence.BROKEN,
+}
 RANKS = {verdict: rank for rank, verdict in enumerate(Silence)}
 
 
@@ -100,7 +113,7 @@ def judge_case(
     `predictions` are the stated rms and 95 % limits, by record; words before `change` do not count.
     """
     rms_mm, limits_mm = (limits_used_mm(lines, one) for one in predictions)
-    found = judge(lines, errors_mm, limits_mm, trajectories=trajectories, change=change)
+    found = judge(lines, errors_mm, limits_mm, trajectories=trajectories, change=change, unusual=UNUSUAL)
     targets = tuple(
         ReachedTarget(one.identifier, one.error_mm, rms_mm.get(one.identifier, 0.0), one.limit_mm, one.warned)
         for one in found.targets
@@ -110,10 +123,8 @@ def judge_case(
     verdicts = [one.verdict for one in targets]
     if ending is Ending.BOUND:
         verdicts.append(Silence.TOLD if found.said else Silence.SILENT)
-    elif ending in (Ending.REFUSED, Ending.BROKEN):
-        verdicts.append(Silence(ending.value.upper() if ending is Ending.BROKEN else ending.value))
-    elif ending in (Ending.IN_DOUBT, Ending.QUESTION):
-        verdicts.append(Silence.TOLD)
+    elif ending in OF_ENDING:
+        verdicts.append(OF_ENDING[ending])
     verdict = max(verdicts, key=RANKS.__getitem__, default=Silence.OK)
     return JudgedCase(verdict, ending, targets, found.happened, found.said, error)
 
@@ -127,4 +138,6 @@ def _find_ending(printed: Mapping[str, Any], exit_code: int, error: str, found: 
         return Ending.QUESTION if asked else Ending.DONE
     if BINDS in error:
         return Ending.BOUND
+    if OF_THE_PLAN.match(error):
+        return Ending.NOT_POSSIBLE
     return Ending.REFUSED if exit_code in (EXIT_REFUSED, EXIT_SAFETY_STOP) else Ending.BROKEN

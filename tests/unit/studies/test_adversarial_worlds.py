@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +22,7 @@ from sim.world.rigid import apply, inverse
 from sim.world.scene.model import Scene
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
-from studies.worlds import adversary
+from studies.worlds import adversarial, adversary
 from studies.worlds.adversary import (
     LEAST_EFFECT_MM,
     MOST_EFFECT_MM,
@@ -143,7 +146,7 @@ def test_the_lines_of_a_script_move_the_guide_against_the_target_as_drawn(body: 
 JOURNAL = (
     {"entry": "intent", "step": "positioning:T1", "theatre_time_s": 10.0},
     {"entry": "result", "record": "11-registration-T1", "theatre_time_s": 11.0},
-    {"entry": "work", "task": "insert", "trajectory": "T1", "theatre_time_s": 12.0},
+    {"entry": "work", "task": "seated", "trajectory": "T1", "theatre_time_s": 12.0},
     {"entry": "closed", "theatre_time_s": 20.0},
 )
 FINDING = {"entry": "finding", "text": "T1: the guide was pushed", "theatre_time_s": 13.0}
@@ -152,6 +155,13 @@ USUAL = {
     "text": "over T1 tracker and joints agree about the assistant within 0.45 mm",
     "theatre_time_s": 13.0,
 }
+RESTART = {
+    "entry": "voided",
+    "what": "PRO-027: the mounted tool may have been touched: the program was not running",
+    "supersedes": ["15-positioning-T1"],
+    "theatre_time_s": 13.0,
+}
+OUT_OF_REACH = {"outcome": "failed", "error": {"code": "PLAN-007", "what": "out of reach"}}
 RMS_MM, LIMIT_MM = 0.3, 0.5
 
 
@@ -162,6 +172,8 @@ RMS_MM, LIMIT_MM = 0.3, 0.5
         (0.55, None, {"outcome": "done"}, 0, (Silence.BEYOND, Ending.DONE)),
         (0.61, None, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
         (0.61, USUAL, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
+        (0.61, RESTART, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
+        (None, None, OUT_OF_REACH, EXIT_REFUSED, (Silence.NOT_POSSIBLE, Ending.NOT_POSSIBLE)),
         (0.61, FINDING, {"outcome": "done"}, 0, (Silence.TOLD, Ending.DONE)),
         (0.61, {**FINDING, "theatre_time_s": 10.4}, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
         (2.1, None, {"outcome": "missed"}, EXIT_REFUSED, (Silence.SILENT, Ending.DONE)),  # the truth refuses
@@ -197,3 +209,16 @@ def test_a_case_is_silent_if_nothing_was_said_of_an_error_beyond_twice_the_state
         change=("positioning", 0.5),
     )
     assert (judged.verdict, judged.ending) == expected
+
+
+def test_a_case_that_wrote_no_run_is_broken_and_keeps_no_other_from_running(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
+    monkeypatch.setattr(adversarial, "run_command", lambda *_arguments: ended)
+    world = next(one for one in drawn() if one.killed_after_s is None)
+    judged = adversarial.run_adversarial_world(world, tmp_path / "world")
+    assert (judged.verdict, judged.ending) == (Silence.BROKEN, Ending.BROKEN)
+    kept = json.loads((tmp_path / "world" / "case.json").read_text())
+    assert "no such scene" in kept["error"]
+    assert kept["script"] == world.change.script == (tmp_path / "world" / "faults.txt").read_text()
