@@ -142,7 +142,7 @@ class AdversarialStudy:
             case["changed"] + ("" if case["happened"] else " (not reached)"),
             *(change["sigmas"], change["effect_mm"], *figures),
             said if len(said) <= LONGEST_SAID else f"{said[:LONGEST_SAID]}...",
-            case["repeat"].format(seed=self.seed),
+            case["repeat"],
             "<br>".join(case["script"].splitlines()),
             "<br>".join(case["commands"]),
         ]
@@ -205,7 +205,7 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
         "error": found.error,
         "script": script,
         "commands": list(commands),
-        "repeat": f"ronna-campaign worlds {mode} --seed {{seed}} --only {world.number}",
+        "repeat": f"ronna-campaign worlds {mode} --seed {world.seed} --only {world.number}",
     }
     write_atomically(folder / CASE_FILE, json.dumps(content, indent=1).encode())
     if RANKS[found.verdict] < KEPT:

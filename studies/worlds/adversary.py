@@ -91,6 +91,7 @@ class AdversarialWorld:
     `killed_after_s` is the theatre time from the change to the kill of the program.
     """
 
+    seed: int  # of the campaign
     number: int
     scene: str
     scene_seed: int
@@ -122,7 +123,7 @@ class Adversary:
     """Draws one world."""
 
     def __init__(self, seed: int, number: int) -> None:
-        self._number = number
+        self._seed, self._number = seed, number
         self._draws = np.random.default_rng(np.random.SeedSequence([seed, number]))
 
     def draw(self) -> AdversarialWorld:
@@ -150,6 +151,7 @@ class Adversary:
         change = self._draw_change(truth, once=strategy == "nos")
         killed_after_s = self._between(KILLED_AFTER_S) if self._happens(KILLED_SHARE) else None
         return AdversarialWorld(
+            self._seed,
             self._number,
             scene,
             scene_seed,
