@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 from procedures.operator.question import Topic
-from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import Line
 from studies.worlds.finished_case import FINISHED, IN_DOUBT, read_error_text
 from studies.worlds.verdict import UNUSUAL_TOPICS, Judgement, judge, limits_used_mm
@@ -140,4 +140,9 @@ def _find_ending(printed: Mapping[str, Any], exit_code: int, error: str, found: 
         return Ending.BOUND
     if OF_THE_PLAN.match(error):
         return Ending.NOT_POSSIBLE
-    return Ending.REFUSED if exit_code in (EXIT_REFUSED, EXIT_SAFETY_STOP) else Ending.BROKEN
+    by_the_procedure = (
+        EXIT_REFUSED,
+        EXIT_SAFETY_STOP,
+        EXIT_RECOVERY_NEEDED,
+    )  # the last: a room that is not as recorded
+    return Ending.REFUSED if exit_code in by_the_procedure else Ending.BROKEN
