@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -385,8 +385,15 @@ def application_error(
 def worlds(
     cases: Annotated[int, typer.Option("--cases", min=1, help="Worlds to draw.")] = 100,
     scene: Annotated[
-        str, typer.Option("--scene", help="mini or default; the seed of each is drawn.")
-    ] = "mini",
+        str | None, typer.Option("--scene", help="mini or default; the seed of each is drawn. [mini]")
+    ] = None,
+    adversarial: Annotated[
+        bool,
+        typer.Option(
+            "--adversarial",
+            help="Changes that the looks show least and the target feels most, in both scenes, with any arm.",
+        ),
+    ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", help="Nothing changes: any finding is a false one.")
     ] = False,
@@ -399,8 +406,15 @@ def worlds(
     """Whole cases in worlds drawn at random, with one change in each, judged by the truth.
 
     Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
-    once, or a finding where nothing changed.
+    once, or a finding where nothing changed; with --adversarial an error beyond twice its stated rms without
+    a word, or with --quiet a case refused or in doubt.
     """
+    if adversarial:
+        if scene is not None:
+            raise UsageMistake("--scene: --adversarial draws two mini scenes for each default one")
+        _run_adversarial(cases, only, study_options, quiet=quiet)
+        return
+    scene = scene or "mini"
     from studies.worlds.study import WorldsStudy, document, run_world
     from studies.worlds.world import SCENES
 
@@ -419,13 +433,35 @@ def worlds(
         terminal.print_json(document(world, found))
         terminal.tell(f"{found.verdict}: {place}")
         return
-    sums = _run(
-        study,
-        study.tables,
-        None,
-        replace(study_options, workers=min(study_options.workers or 2, MOST_CASES_AT_ONCE)),
-    )
-    if missed := study.list_missed_goals(sums):
+    sums = _run(study, study.tables, None, _few_workers(study_options))
+    _require_goals(study.list_missed_goals(sums))
+
+
+def _run_adversarial(cases: int, only: int | None, study_options: StudyOptions, *, quiet: bool) -> None:
+    import json
+
+    from studies.worlds.adversarial import AdversarialStudy
+    from studies.worlds.study import CASE_FILE
+
+    study = AdversarialStudy(cases, study_options.seed, Path(), quiet)
+    study = replace(study, folder=study_options.out or Path("campaigns") / study.name)
+    if only is not None:
+        place = study.folder / f"only-{only}"
+        found = study.run_world(only, place)
+        terminal.print_json(json.loads((place / CASE_FILE).read_text(encoding="utf-8")))
+        terminal.tell(f"{found.verdict}, {found.ending}: {place}")
+        return
+    sums = _run(study, study.tables, None, _few_workers(study_options))
+    _require_goals(study.list_missed_goals(sums))
+
+
+def _few_workers(study_options: StudyOptions) -> StudyOptions:
+    """Limit the cases that run at once."""
+    return replace(study_options, workers=min(study_options.workers or 2, MOST_CASES_AT_ONCE))
+
+
+def _require_goals(missed: Sequence[str]) -> None:
+    if missed:
         terminal.tell(f"missed: {'; '.join(missed)}")
         raise typer.Exit(EXIT_FAILED)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim.world.carts import cart_pose
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.room import (
+    ASSISTANT_CART,
     CART,
     DEVICE,
     GUIDE,
@@ -23,6 +24,7 @@ from sim.world.faults.room import (
     LOOSEN,
     MOVE,
     PUSH,
+    SEAT,
     SHIFT,
     TRACKER,
     TURN,
@@ -42,6 +44,7 @@ from sim.world.rigid import (
     vector_from_rotation,
 )
 from sim.world.scene.model import Fiducial, Scene
+from sim.world.slow_faults import come_to
 from sim.world.world import World
 
 Array = NDArray[np.float64]
@@ -66,6 +69,8 @@ class RoomShift:
     guide_rad: Point = STILL  # about the tracked frame
     assistant_mm: Point = STILL  # of the assistant's base, as of the head
     assistant_rad: Point = STILL
+    seat_mm: Point = STILL  # of the guide in its seat, along the axes of its calibrated tip
+    seat_rad: Point = STILL  # about that tip
     spheres_mm: tuple[tuple[int, Point], ...] = ()
 
     def displace_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
@@ -88,6 +93,7 @@ class ShiftedRoom:
         self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
         head = world.scene.head
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
+        self._tracker_mm = np.array(world.scene.tracker.robot_from_tracker.translation_mm)
         assistant = world.scene.assistant
         self._assistant_base = IDENTITY if assistant is None else matrix_of(assistant.robot_from_base)
 
@@ -103,9 +109,11 @@ class ShiftedRoom:
         """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
         if self._board.empty:
             return NOTHING_MOVED
-        shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
-        pushes, loose = self._board.active(PUSH.name), self._board.active(LOOSEN.name)
         now_s = self._world.clock.now_s()
+        acting = [come_to(fault, onset_s, now_s) for fault, onset_s in self._board.acting_since()]
+        shifts, turns, pushes, loose = (
+            tuple(one for one in acting if one.kind is kind) for kind in (SHIFT, TURN, PUSH, LOOSEN)
+        )
         cart_mm = _add_up([_sum_arguments(shifts, CART), *list_cart_rolls_mm(self._board, now_s)])
         push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
         knocked = matrix_from(cart_mm, rotation_from_vector(np.radians(_sum_arguments(turns, CART))))
@@ -113,20 +121,29 @@ class ShiftedRoom:
         wheeled = cart_pose(moves, now_s, ArmRole.MASTER)
         # Relative to a moved cart, all else moves back.
         from_cart = inverse(knocked @ wheeled)
-        assistant = from_cart @ self._assistant_move(cart_pose(moves, now_s, ArmRole.ASSISTANT))
         back = from_cart[:3, :3]
-        head_turn = rotation_from_vector(np.radians(_sum_arguments(turns, HEAD)))
-        swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
-        head_mm = swing_mm + _sum_arguments(shifts, HEAD)
+
+        def displaced(body: str, centre_mm: Matrix) -> Matrix:
+            turn = rotation_from_vector(np.radians(_sum_arguments(turns, body)))
+            return from_cart @ matrix_from(centre_mm - turn @ centre_mm + _sum_arguments(shifts, body), turn)
+
+        head = displaced(HEAD, self._head_centre_mm)
+        tracker = displaced(TRACKER, self._tracker_mm)
+        assistant = displaced(ASSISTANT_CART, self._assistant_base[:3, 3]) @ self._assistant_move(
+            cart_pose(moves, now_s, ArmRole.ASSISTANT)
+        )
+        guide_mm = np.divide(push_N, self._stiffness_N_mm) + _sum_arguments(shifts, GUIDE)
         return RoomShift(
-            head_mm=as_point(apply(from_cart, head_mm)),
-            tracker_mm=as_point(apply(from_cart, _sum_arguments(shifts, TRACKER))),
-            head_rad=as_point(vector_from_rotation(back @ head_turn)),
-            tracker_rad=as_point(vector_from_rotation(back)),
-            guide_mm=as_point(back @ np.divide(push_N, self._stiffness_N_mm)),
+            head_mm=as_point(head[:3, 3]),
+            tracker_mm=as_point(tracker[:3, 3]),
+            head_rad=as_point(vector_from_rotation(head[:3, :3])),
+            tracker_rad=as_point(vector_from_rotation(tracker[:3, :3])),
+            guide_mm=as_point(back @ guide_mm),
             guide_rad=as_point(back @ np.radians(_sum_arguments(turns, GUIDE))),
             assistant_mm=as_point(assistant[:3, 3]),
             assistant_rad=as_point(vector_from_rotation(assistant[:3, :3])),
+            seat_mm=_sum_arguments(shifts, SEAT),
+            seat_rad=as_point(np.radians(_sum_arguments(turns, SEAT))),
             spheres_mm=tuple(
                 (int(number), as_point(back @ np.array(_sum_arguments(loose, number))))
                 for number in sorted({one.argument for one in loose})

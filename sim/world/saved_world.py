@@ -30,11 +30,12 @@ from sim.world.displacements import list_cart_rolls_mm
 from sim.world.faults import parse_faults
 from sim.world.faults.board import FaultBoard, format_beginning
 from sim.world.faults.camera import TWIST
-from sim.world.faults.room import CART, MOVE, PUSH, ROOM_FAULTS
+from sim.world.faults.room import CART, MOVE, PUSH, PUSH_OVER, ROOM_FAULTS
 from sim.world.faults.room import DEVICE as ROOM
 from sim.world.faults.tracker import DISPLACED_TOOLS
 from sim.world.options import ArmRole
 from sim.world.scene.model import Numbers6, Scene
+from sim.world.slow_faults import come_to, still_to_come
 from sim.world.world import ArmState, World
 
 WORLD_FILE = "world.json"
@@ -131,7 +132,7 @@ def read_saved_world(folder: Path) -> SavedWorld:
     return saved
 
 
-STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLACED_TOOLS)
+STANDING = (*(kind for kind in ROOM_FAULTS if kind not in (PUSH, PUSH_OVER)), TWIST, *DISPLACED_TOOLS)
 
 
 def standing_faults(world: World) -> str:
@@ -149,8 +150,9 @@ def standing_faults(world: World) -> str:
             if fault.kind in STANDING:
                 remaining_s = onset_s + fault.duration_s - now_s
                 end = "" if math.isinf(remaining_s) else f" for {remaining_s:.6f} s"
-                stands = finished(fault) if fault.kind is MOVE else fault
-                lines.append(f"{format_beginning(now_s)}: {stands.phrase}{end}")
+                stands = finished(fault) if fault.kind is MOVE else come_to(fault, onset_s, now_s)
+                for one in filter(None, (stands, still_to_come(fault, onset_s, now_s))):
+                    lines.append(f"{format_beginning(now_s)}: {one.phrase}{end}")
     return "\n".join(lines)
 
 

@@ -19,7 +19,16 @@ from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BadTruth, StandNotReady
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import Fault, FaultBoard, FaultKind
-from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
+from sim.world.faults.room import (
+    BAD_SEAT,
+    BENT_INSTRUMENT,
+    BENT_TIP,
+    DEVICE,
+    LOOSE_INSTRUMENT,
+    WRONG_INSTRUMENT,
+    WRONG_LOAD,
+    WRONG_MANDREL,
+)
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
@@ -93,7 +102,7 @@ def sample_seated_instrument(
     room = ShiftedRoom(world)
     flange = world.arm(ArmRole.ASSISTANT).robot_from_flange
     clamp = room.robot_from_assistant(room.now()) @ flange @ matrix_of(assistant.flange_from_clamp)
-    in_guide = inverse(guide.tip_frame()) @ clamp
+    in_guide = inverse(guide.tip_frame()) @ clamp @ _loosened(world)
     upper_z, lower_z = -bore.bore_mm - bore.reach_mm, -bore.reach_mm
     gap_mm = float(upper_z - in_guide[2, 3])
     if gap_mm < -SLIDES_MM:
@@ -127,6 +136,15 @@ def sample_seated_instrument(
         held_off_rad=math.acos(min(1.0, float(in_guide[2, 2]))),
     )
     return sample, gap_mm
+
+
+def _loosened(world: World) -> Matrix:
+    """Return clamp <- instrument's own clamp frame (4, 4) as a loose clamp leaves it."""
+    pose = np.eye(4)
+    for fault in FaultBoard(world, DEVICE).active(LOOSE_INSTRUMENT.name):
+        *shift_mm, tilt_deg = map(float, fault.arguments)
+        pose = pose @ matrix_from(shift_mm, rotation_from_vector((radians(tilt_deg), 0.0, 0.0)))
+    return pose
 
 
 def _beside_mm(pose: Matrix, z_mm: float) -> Vector:
@@ -200,11 +218,13 @@ class TrueGuide:
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
         """Return the pose without the guide's bend, for the parts above the bore."""
         flange = self._world.arm().robot_from_flange if flange is None else flange
-        pose = yielding_flange(flange, self._flange_from_marker, self._room.now()).copy()
+        room = self._room.now()
+        pose = yielding_flange(flange, self._flange_from_marker, room).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
             float(one.argument) for one in self._active_faults(WRONG_LOAD)
         )
-        return pose @ self._tip_at_calibration @ self._seat_pose()
+        moved = rigid_move(room.seat_rad, room.seat_mm)
+        return pose @ self._tip_at_calibration @ moved @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Return the pose of the end of the mandrel in use."""
@@ -220,8 +240,11 @@ class TrueGuide:
     def tip_between_mm(self, stop_mm: float, upper: Vector, lower: Vector) -> Vector:
         """Return the tip (3,) of an instrument at these places (2,) in both ends of the bore."""
         guide = self._scene.mount.guide
-        beyond_mm = stop_mm - guide.bore_mm
+        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_INSTRUMENT))
+        beyond_mm = stop_mm + longer_mm - guide.bore_mm
         offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
+        for fault in self._active_faults(BENT_INSTRUMENT):
+            offset_mm += [float(number) for number in fault.arguments]
         point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])
 

@@ -11,20 +11,23 @@ from typing import Any
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break
-from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.host.child_process import command, run_command
-from ronna_hw.records import read_record, write_atomically
+from ronna_hw.records import write_atomically
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.errors import WorldNotRun
+from studies.worlds.finished_case import (
+    FINISHED,
+    parse_output,
+    read_error_text,
+    read_predictions,
+    read_true_errors_mm,
+)
 from studies.worlds.verdict import RANKS, Judgement, Target, Verdict, judge, limits_used_mm, worst_of
 from studies.worlds.world import MINI, World, draw_world
 
 LIMIT_S = 900.0  # host time of a case, on a busy machine
-VERIFY_LIMIT_S = 120.0
-NO_TARGET = "SIM-006"
 BY_THE_PROCEDURE = (EXIT_REFUSED, EXIT_SAFETY_STOP)  # neither a lost link nor a failed device
-FINISHED = ("done", "in doubt", "missed")  # outcomes of a case whose steps were all done
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
 KEPT = RANKS[Verdict.FALSE_FINDING]  # runs with this verdict or a worse one are kept
 WORST = 15  # rows of the table
@@ -152,14 +155,15 @@ def run_world(world: World, folder: Path) -> Judgement:
             f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
         )
     chain, _ = read_chain_until_break(run)
+    printed = parse_output(ended.stdout)
     found = judge(
         chain.lines,
-        _read_true_errors_mm(run.parent),
-        limits_used_mm(chain.lines, _read_predictions(run.parent)),
+        read_true_errors_mm(run.parent),
+        limits_used_mm(chain.lines, read_predictions(run.parent)),
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
-        done=_parse_output(ended.stdout).get("outcome") in FINISHED,
-        error=_read_error_text(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
+        done=printed.get("outcome") in FINISHED,
+        error=read_error_text(printed) if ended.returncode in BY_THE_PROCEDURE else "",
     )
     write_atomically(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
     if RANKS[found.verdict] < KEPT:
@@ -177,37 +181,6 @@ def document(world: World, found: Judgement) -> dict[str, Any]:
         "said": list(found.said),
         "error": found.error,
     }
-
-
-def _read_true_errors_mm(run: Path) -> dict[str, float]:
-    ended = run_command("ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S)
-    if not ended.stdout and NO_TARGET not in ended.stderr:  # else no instrument reached a target
-        raise WorldNotRun(f"{run.name} cannot be judged: {ended.stderr[-300:]}")
-    targets = json.loads(ended.stdout)["targets"] if ended.stdout else []
-    return {str(one["id"]): float(one["application_error_mm"]) for one in targets}
-
-
-def _read_predictions(run: Path) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
-    for path in sorted((run / RECORDS_FOLDER).glob("*.json")):
-        record = read_record(path)
-        predicted: Any = record.payload.get("predictions") or ()
-        found[record.identifier] = {str(one["target"]): float(one["limit_mm"]) for one in predicted}
-    return found
-
-
-def _parse_output(output: str) -> dict[str, Any]:
-    try:
-        printed: dict[str, Any] = json.loads(output)
-    except ValueError:
-        return {}
-    return printed
-
-
-def _read_error_text(output: str) -> str:
-    """Return the code and message of the error that ended a run, or an empty string."""
-    error = _parse_output(output).get("error") or {}
-    return f"{error.get('code')}: {error.get('what')}" if error else ""
 
 
 def _count_verdicts(judged: Any) -> dict[Verdict, int]:

@@ -17,14 +17,16 @@ from enum import StrEnum
 
 from procedures.operator.question import Topic
 from ronna_hw.evidence.journal_reading import Entry, Line, theatre_time_s
-from ronna_hw.wire.room_tasks import INSERT
+from ronna_hw.wire.room_tasks import INSERT, SEATED
 
 WARNINGS = (Entry.FINDING, Entry.FAILED, Entry.REFUSED, Entry.VOIDED, Entry.DOUBTED)
 SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # entries that name every target concerned
-# Of sight in one pose, not of a result; these are findings of honest cases too.
-SIGHT = re.compile(
+# Of sight in one pose, not of a result, and how two arms meet; these are findings of honest cases too.
+USUAL = re.compile(
     r"fewer than three known spheres in this pose|not see the frame on the arm|has not seen the head for"
+    r"|is watched in their place|by the joints of both arms|tracker and joints agree about the assistant"
 )
+RESTART = re.compile(r"the program was not running")  # what a restart voids whatever has happened
 GROSS = 2.0  # times the limit: no larger error may go unnoticed
 LAST_LOCALIZATION = "relocalization"
 UNUSUAL_TOPICS = frozenset(
@@ -104,7 +106,7 @@ def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str,
     for line in lines:
         if line["entry"] == Entry.RESULT:
             current_limits_mm.update(predictions.get(str(line.get("record")), {}))
-        elif line["entry"] == Entry.WORK and line.get("task") == INSERT:
+        elif line["entry"] == Entry.WORK and line.get("task") in (INSERT, SEATED):
             target = str(line.get("trajectory"))
             used[target] = current_limits_mm.get(target, 0.0)
     return used
@@ -119,17 +121,18 @@ def judge(
     change: tuple[str, float] | None = None,
     done: bool = True,
     error: str = "",
+    unusual: frozenset[Topic] = UNUSUAL_TOPICS,
 ) -> Judgement:
     """Judge a case by its journal. `change` is the step and delay of the change, or None for quiet cases.
 
     `errors_mm` are the true errors of the targets reached, `error` is the reason of a case that is
-    not `done`.
+    not `done`, `unusual` are the topics of questions that count as warnings.
     """
-    since_s = _find_localization_time_s(lines) if change is None else _find_change_time_s(lines, *change)
+    since_s = _find_localization_time_s(lines) if change is None else find_change_time_s(lines, *change)
     ended_s = theatre_time_s(lines[-1]) if lines else 0.0
     happened = change is not None and since_s <= ended_s
     touched, said = _collect_warnings(
-        lines, _find_localization_time_s(lines) if not happened else since_s, trajectories
+        lines, _find_localization_time_s(lines) if not happened else since_s, trajectories, unusual
     )
     targets = tuple(
         Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
@@ -143,7 +146,7 @@ def judge(
 
 
 def _collect_warnings(
-    lines: Iterable[Line], since_s: float, trajectories: Sequence[str]
+    lines: Iterable[Line], since_s: float, trajectories: Sequence[str], unusual: frozenset[Topic]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
     """Return the trajectories warned about since a given time, and all warnings."""
     touched: set[str] = set()
@@ -154,8 +157,7 @@ def _collect_warnings(
             step = str(line.get("step", ""))
         if theatre_time_s(line) < since_s:
             continue
-        is_finding = line["entry"] == Entry.FINDING and "targets" not in line
-        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_format_warning(line))):
+        if line["entry"] in WARNINGS and not _is_usual(line):
             named = _find_named_trajectories(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
@@ -164,9 +166,16 @@ def _collect_warnings(
             said.append(_format_warning(line))
         elif line["entry"] == Entry.CONFIRMATION:
             topic = str(line.get("topic")).partition(":")[0]
-            if topic in UNUSUAL_TOPICS:
+            if topic in unusual:
                 said.append(f"asked: {line.get('subject')}")
     return frozenset(touched), tuple(said)
+
+
+def _is_usual(line: Line) -> bool:
+    """Return whether a warning is one of honest cases."""
+    words = _format_warning(line)
+    is_finding = line["entry"] == Entry.FINDING and "targets" not in line
+    return bool((is_finding and USUAL.search(words)) or RESTART.search(words))
 
 
 def _find_named_trajectories(line: Line, trajectories: Sequence[str]) -> set[str]:
@@ -191,6 +200,12 @@ def _find_localization_time_s(lines: Iterable[Line]) -> float:
     return max(done, default=math.inf)
 
 
-def _find_change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
-    begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
+def find_change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
+    """Return when a change begins: `step` is that of one trajectory, or that of each."""
+    begun = (
+        theatre_time_s(one)
+        for one in lines
+        if one["entry"] == Entry.INTENT
+        and step in (str(one.get("step")), str(one.get("step")).partition(":")[0])
+    )
     return next(begun, math.inf) + after_s

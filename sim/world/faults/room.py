@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, DeviceFaults, OneOf, fiducial_number, unless_known
+from sim.world.faults.fault import Arguments, Both, DeviceFaults, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
-HEAD, CART, TRACKER, GUIDE = "head", "cart", "tracker", "guide"
+HEAD, CART, TRACKER, GUIDE, SEAT = "head", "cart", "tracker", "guide", "seat"
+ASSISTANT_CART = "assistant_cart"
+BODIES = (HEAD, CART, ASSISTANT_CART, TRACKER, GUIDE, SEAT)
 ROOM = DeviceFaults(DEVICE)
 declare_lasting = ROOM.declare_lasting
 # Twice the reach of the arm: from there, no head that was within reach is still within it.
@@ -42,11 +44,29 @@ def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:
         yield f"expected at most {LARGEST_MOVE_MM:g} mm and {LARGEST_TURN_DEG:g} deg, got {got}"
 
 
+def _check_present(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    if arguments[0] == ASSISTANT_CART and scene.assistant is None:
+        yield f"expected a scene with two arms, got {scene.name}: there is no {ASSISTANT_CART}"
+
+
+def _check_clamp(_arguments: Arguments, scene: Scene) -> Iterator[str]:
+    if scene.assistant is None:
+        yield f"expected a scene with two arms, got {scene.name}: there is no clamp"
+
+
 SHIFT = declare_lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
-    "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
-    OneOf("to move the", (HEAD, CART, TRACKER)),
+    "A body is moved along the robot's x, y and z: the head, the robot's cart, the assistant's cart "
+    f"({ASSISTANT_CART}), the tracker, or by a hand the mounted guide; or the guide in its seat, along the "
+    "axes of its calibrated tip.",
+    Both(OneOf("to move the", BODIES), _check_present),
+)
+SHIFT_OVER = declare_lasting(
+    "shift_over",
+    f"{SHIFT.phrase} over NUMBER s",
+    "The same body creeps there evenly in that time, and stays.",
+    SHIFT.check,
 )
 MOVE = declare_lasting(
     "move",
@@ -74,14 +94,28 @@ PUSH = declare_lasting(
     "A hand pushes or pulls the mounted tool with that force, along the robot's x, y and z; "
     "the arm yields according to its stiffness.",
 )
+PUSH_OVER = declare_lasting(
+    "push_over",
+    f"{PUSH.phrase} over NUMBER s",
+    "A hand leans on the mounted tool: the force grows evenly in that time, and stays.",
+)
 TURN = declare_lasting(
     "turn",
     "turn NAME SIGNED SIGNED SIGNED deg",
-    "The head turns about its centre, the robot's cart about the robot's base, or a hand turns the mounted "
-    "guide about the tracked frame on the mount: the frame stays in its place, the guide's end does not, the "
-    "encoders see nothing. The numbers are a rotation vector along the robot's x, y and z.",
-    OneOf("to turn the", (HEAD, CART, GUIDE)),
+    "The head turns about its centre, a cart about the base of its arm, the tracker about its origin, the "
+    "guide in its seat about its calibrated tip; or a hand turns the mounted guide about the tracked frame "
+    "on the mount: the frame stays in its place, the guide's end does not, the encoders see nothing. The "
+    "numbers are a rotation vector along the axes of a shift.",
+    Both(OneOf("to turn the", BODIES), _check_present),
 )
+TURN_OVER = declare_lasting(
+    "turn_over",
+    f"{TURN.phrase} over NUMBER s",
+    "The same body turns there evenly in that time, and stays.",
+    TURN.check,
+)
+SLOWLY = {SHIFT_OVER: SHIFT, TURN_OVER: TURN, PUSH_OVER: PUSH}
+"""Kinds that grow evenly over the time of their last argument, and what they come to."""
 WRONG_STOP = declare_lasting(
     "wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep, at each setting."
 )
@@ -106,6 +140,24 @@ BAD_SEAT = declare_lasting(
     "bad seat SIGNED mm SIGNED deg",
     "The changer is not closed: the mounted tool is offset by that distance and tilted by that angle.",
 )
+BENT_INSTRUMENT = declare_lasting(
+    "bent_instrument",
+    "bent instrument SIGNED SIGNED mm",
+    "The instrument is bent beyond the guide: its tip is that far from its axis, along x and y of the "
+    "guide's tip.",
+)
+WRONG_INSTRUMENT = declare_lasting(
+    "wrong_instrument",
+    "wrong instrument SIGNED mm",
+    "Another instrument is inserted, longer by that much from its depth stop to its tip.",
+)
+LOOSE_INSTRUMENT = declare_lasting(
+    "loose_instrument",
+    "loose instrument SIGNED SIGNED SIGNED mm SIGNED deg",
+    "The assistant's clamp is loose: once in the guide, the instrument is shifted by that much along the "
+    "clamp's x, y and z, and tilted about its x axis. The bore holds it within its play.",
+    _check_clamp,
+)
 WRONG_LOAD = declare_lasting(
     "wrong_load",
     "wrong load SIGNED kg",
@@ -115,15 +167,21 @@ MISSED_TASK = {WRONG_TOOL.name: "no tool was mounted", WRONG_STOP.name: "no dept
 """Faults that act only while the staff do a task, and why one had no effect."""
 ROOM_FAULTS = (
     SHIFT,
+    SHIFT_OVER,
     MOVE,
     UNLOCKED,
     LOOSEN,
     PUSH,
+    PUSH_OVER,
     TURN,
+    TURN_OVER,
     WRONG_STOP,
     BENT_TIP,
     WRONG_TOOL,
     WRONG_MANDREL,
     BAD_SEAT,
+    BENT_INSTRUMENT,
+    WRONG_INSTRUMENT,
+    LOOSE_INSTRUMENT,
     WRONG_LOAD,
 )

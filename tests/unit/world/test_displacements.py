@@ -88,6 +88,65 @@ def test_a_guide_that_turns_moves_no_head() -> None:
     assert room("")[1] == NOTHING_MOVED
 
 
+@pytest.mark.parametrize(
+    ("fault", "moved"),
+    [
+        ("turn head 0 0.4 0 deg", "head_rad"),
+        ("shift tracker 0 0.4 0 mm", "tracker_mm"),
+        ("turn seat 0 0.4 0 deg", "seat_rad"),
+        ("push guide 0 32 0 N", "guide_mm"),
+    ],
+)
+def test_what_changes_slowly_comes_evenly_to_what_changes_at_once(fault: str, moved: str) -> None:
+    _, at_once = room(f"at 0 s: room {fault}")
+    world, _ = room(f"at 10 s: room {fault} over 20 s")
+    for now_s, share in ((9.9, 0.0), (15.0, 0.25), (30.0, 1.0), (99.0, 1.0)):
+        world.clock.sleep(now_s - world.clock.now_s())
+        grown = share * np.array(getattr(at_once, moved))
+        assert getattr(ShiftedRoom(world).now(), moved) == pytest.approx(grown, abs=1e-9)
+
+
+def test_a_hand_leans_on_the_guide_for_a_while() -> None:
+    world, _ = room("at 0 s: room push guide 80 0 0 N over 5 s for 20 s")
+    pushed_mm = []
+    for now_s in (2.5, 5.0, 19.9, 20.1):
+        world.clock.sleep(now_s - world.clock.now_s())
+        pushed_mm.append(ShiftedRoom(world).now().guide_mm[0])
+    assert pushed_mm == pytest.approx([0.5, 1.0, 1.0, 0.0])  # over 80 N/mm
+
+
+def test_a_tracker_turns_about_its_origin_and_an_assistant_s_cart_about_its_base() -> None:
+    world = World.create(add_assistant(draw_scene("mini")), paced=False)
+    assert world.scene.assistant is not None
+    tracker = matrix_of(world.scene.tracker.robot_from_tracker)
+    base = matrix_of(world.scene.assistant.robot_from_base)
+    room = ShiftedRoom(world)
+    world.set_fault_script(
+        "at 0 s: room turn tracker 0 0 1 deg\nat 0 s: room turn assistant_cart 0 1 0 deg\n"
+        "at 0 s: room shift assistant_cart 0 0 2 mm"
+    )
+    now = room.now()
+    turned = rigid_move(now.tracker_rad, now.tracker_mm) @ tracker
+    assert turned[:3, 3] == pytest.approx(tracker[:3, 3])
+    assert vector_from_rotation(turned[:3, :3] @ tracker[:3, :3].T) == pytest.approx((0, 0, math.radians(1)))
+    moved = room.robot_from_assistant(now)
+    assert moved[:3, 3] - base[:3, 3] == pytest.approx((0.0, 0.0, 2.0))
+    assert vector_from_rotation(moved[:3, :3] @ base[:3, :3].T) == pytest.approx((0, math.radians(1), 0))
+    assert (now.head_mm, now.head_rad) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_a_guide_turns_in_its_seat_about_its_tip_and_the_frame_on_the_mount_stays() -> None:
+    world, _ = room("")
+    guide = TrueGuide(world)
+    flange = np.eye(4)
+    before = guide.tip_frame(flange)
+    world.set_fault_script("at 0 s: room turn seat 0 1 0 deg\nat 0 s: room shift seat 0.5 0 0 mm")
+    moved = inverse(before) @ guide.tip_frame(flange)
+    assert moved[:3, 3] == pytest.approx((0.5, 0.0, 0.0), abs=0.001)  # besides the seat's own play
+    assert vector_from_rotation(moved[:3, :3]) == pytest.approx((0.0, math.radians(1.0), 0.0), abs=1e-9)
+    assert ShiftedRoom(world).now().guide_rad == (0.0, 0.0, 0.0)
+
+
 SEEDS = 40
 
 

@@ -95,6 +95,19 @@ def test_a_cart_wheeled_twice_continues_where_it_stands_whichever_line_came_firs
     assert again.head_mm == pytest.approx((-100.0, 0.0, 0.0))
 
 
+def test_a_body_that_creeps_continues_from_where_it_is_and_arrives(scene: Scene, tmp_path: Path) -> None:
+    world = World.create(scene, paced=False)
+    world.set_fault_script(
+        "at 10 s: room shift head 2 0 0 mm over 20 s\nat 0 s: room push guide 8 0 0 N over 5 s"
+    )
+    world.clock.sleep(15.0)
+    again = continued(world, tmp_path)
+    for now_s, moved_mm in ((15.0, 0.5), (25.0, 1.5), (99.0, 2.0)):
+        again.clock.sleep(now_s - again.clock.now_s())
+        now = ShiftedRoom(again).now()
+        assert (now.head_mm, now.guide_mm) == (pytest.approx((moved_mm, 0.0, 0.0)), (0.0, 0.0, 0.0))
+
+
 @pytest.mark.parametrize("inserted", ["T1", None])
 def test_an_instrument_stays_in_the_guide_of_a_continued_world(
     scene: Scene, tmp_path: Path, inserted: str | None
