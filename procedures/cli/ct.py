@@ -121,6 +121,7 @@ def localize(
     import procedures.imaging as imaging
     from procedures.exchange.sphere_files import check_names, write_spheres
     from procedures.imaging.errors import MarkerCountWrong
+    from procedures.imaging.scan_deformation import require_undeformed
 
     check_names(write or ())
     require_folder_of(*(write or ()))
@@ -167,8 +168,7 @@ def localize(
 
             _write_pictures(pictures, "candidate", draw_candidates(volume, ranked[:PICTURED_CANDIDATES]))
         raise refused
-    for sentence in result.warnings:
-        terminal.tell(f"warning: {sentence}")
+    require_undeformed(result.deformation)
     for one in result.doubtful:
         if not as_json:
             terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")
@@ -193,6 +193,8 @@ def localize(
             "series_instance_uid": result.series_instance_uid,
             "elapsed_s": elapsed_s,
         }
+        if result.deformation is not None:
+            document["deformation"] = result.deformation.model_dump(mode="json")
         if patient is not None:
             document["patient"] = patient.as_dict()
         if candidates is not None:
