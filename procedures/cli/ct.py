@@ -277,11 +277,13 @@ def view(
     """Write one HTML page of a CT: three planes to scroll, markers and candidates with reasons and odds.
 
     A click shows a position in LPS mm; picked positions can be given to localize --pick. The page is
-    self-contained, needs no network and does not name the patient. A series without markers also gets a page.
+    self-contained, needs no network and does not name the patient. A series without markers gets a page, too,
+    and one with deformed markers (CT-024) before it is refused.
     """
     import procedures.imaging as imaging
     from procedures.imaging.ct_page import ct_page
     from procedures.imaging.errors import MarkerCountWrong
+    from procedures.imaging.scan_deformation import require_undeformed
     from ronna_hw.records import write_atomically
 
     if out.suffix.lower() != PAGE_ENDING:
@@ -292,9 +294,10 @@ def view(
     with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         markers: Sequence[Marker] = ()
+        deformation = None
         try:
             result = imaging.localize(volume, diameter_mm=diameter_mm)
-            markers, candidates = result.markers, result.candidates
+            markers, candidates, deformation = result.markers, result.candidates, result.deformation
         except MarkerCountWrong as error:
             candidates = error.candidates
         ranked = imaging.likeliest_first(candidates)
@@ -304,6 +307,7 @@ def view(
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, ranked, outcome)
     write_atomically(out, page.encode())
     terminal.tell(f"{outcome} Page {out}")
+    require_undeformed(deformation)
 
 
 def _read_layout_mm(layout: str) -> Any:

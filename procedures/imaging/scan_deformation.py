@@ -56,20 +56,15 @@ def require_undeformed(found: ScanDeformation | None) -> None:
     """Raise CT-024 if the spheres of a scan show a significant strain."""
     if found is None or found.chi_square <= found.limit:
         return
-    strain = np.array(found.strain)
-    percent = 100.0 * float(np.ptp(np.linalg.eigvalsh(strain)))
+    stretches, axes = np.linalg.eigh(np.array(found.strain))
+    percent = 100.0 * float(np.ptp(stretches))
     size, limit = format_distinct(percent, percent * sqrt(found.limit / found.chi_square), 2)
+    longest, shortest = (_word_direction(axes[:, axis]) for axis in (-1, 0))
     raise ScanDeformed(
-        f"by the shape of {found.spheres} spheres the scan is stretched or sheared: {_describe(strain)}",
-        limit=f"{limit} %, by chance in one scan of a thousand",
-        got=f"{size} %",
+        f"by the shape of {found.spheres} spheres the scan is longer along {longest} than along {shortest}, "
+        f"by {size} %",
+        limit=f"{limit} %",
     )
-
-
-def _describe(strain: Array) -> str:
-    """Say in which direction a strain is longest and in which shortest."""
-    _, axes = np.linalg.eigh(strain)
-    return f"it is longer along {_word_direction(axes[:, -1])} than along {_word_direction(axes[:, 0])}"
 
 
 def _word_direction(direction: Array) -> str:
