@@ -21,13 +21,13 @@ from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.phantom.scanner.metal_artefacts import MetalArtefacts, metal_parts
+from sim.phantom.scanner.stretched_image import cut_stretched, slices_beyond
 from sim.world.noise import noise
 from sim.world.scene.model import Scene
 
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
 SKIN_MARGIN_MM = 3.0
 
-KERNEL_REACH = 2  # samples to either side, of cubic interpolation
 WIDE_STORED = 65535  # largest value of 16 bits
 
 
@@ -85,13 +85,7 @@ class Planes:
         self._tilt_rad = radians(faults.tilt_deg)
         self._span = ceil(grid.rows * grid.pixel_mm * abs(sin(self._tilt_rad)) / (2.0 * grid.slice_mm)) + 1
         if not self._tilt_rad:
-            size_mm = np.array([grid.columns, grid.rows, grid.slices]) * (
-                grid.pixel_mm,
-                grid.pixel_mm,
-                grid.slice_mm,
-            )
-            most_mm = 0.5 * abs(faults.stretch) * float(np.linalg.norm(size_mm))
-            self._span = ceil(most_mm / grid.slice_mm) + KERNEL_REACH if faults.stretch else 0
+            self._span = slices_beyond(grid, faults.stretch)
         fed = replace(
             grid,
             slice_mm=grid.slice_mm * (1.0 + faults.table_scale),
@@ -144,8 +138,14 @@ class Planes:
         """Paint one slice in HU (rows, columns), including noise."""
         if self._tilt_rad:
             image = self._paint_tilted(number)
-        elif self._scan.faults.stretch:
-            image = self._paint_stretched(number)
+        elif (faults := self._scan.faults).stretch:
+            image = cut_stretched(
+                self._grid,
+                faults.stretch,
+                faults.stretch_along,
+                number,
+                lambda plane: self._paint_straight_plane(plane + self._span),
+            )
         else:
             image = self._paint_clean(number)
         image += self._before.noise(number)
@@ -176,27 +176,6 @@ class Planes:
             image[row] = self._interpolate_row(height, line)
         return image
 
-    def _paint_stretched(self, number: int) -> Values:
-        """Cut a slice of the stretched image through straight slices, by cubic interpolation."""
-        import cv2
-
-        grid, faults = self._grid, self._scan.faults
-        spacing = np.array([grid.pixel_mm, grid.pixel_mm, grid.slice_mm])
-        middle = 0.5 * (np.array([grid.columns, grid.rows, grid.slices]) - 1.0)
-        along = np.array(faults.stretch_along) / np.linalg.norm(faults.stretch_along)
-        true_from_shown = np.eye(3) - faults.stretch / (1.0 + faults.stretch) * np.outer(along, along)
-        row, column = np.indices((grid.rows, grid.columns))
-        shown = np.stack([column, row, np.full_like(row, number)], axis=-1) - middle
-        x, y, z = np.moveaxis(shown * spacing @ true_from_shown / spacing + middle, -1, 0).astype(np.float32)
-        z += np.float32(self._span)
-        image = np.zeros((grid.rows, grid.columns), dtype=np.float32)
-        for plane in range(int(z.min()) - KERNEL_REACH + 1, int(z.max()) + KERNEL_REACH + 1):
-            straight = self._paint_straight_plane(plane)
-            image += _cubic(z - plane) * cv2.remap(
-                straight, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-            )
-        return image
-
     def _interpolate_row(self, height: float, line: float) -> Values:
         below, first = int(height), int(line)
         up, on = np.float32(height - below), np.float32(line - first)
@@ -216,14 +195,6 @@ class Planes:
             while len(self._straight) > 2 * self._span + 4:
                 self._straight.popitem(last=False)
         return plane
-
-
-def _cubic(distance: Values) -> Values:
-    """Return the weight of a sample at this distance, in samples (Keys 1981)."""
-    far = np.abs(distance)
-    near = (1.5 * far - 2.5) * far * far + 1.0
-    tail = ((2.5 - 0.5 * far) * far - 4.0) * far + 2.0
-    return np.asarray(np.where(far < 1.0, near, np.where(far < KERNEL_REACH, tail, 0.0)), dtype=np.float32)
 
 
 def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
