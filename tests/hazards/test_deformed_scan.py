@@ -30,7 +30,7 @@ def cell(tmp_path: Path) -> ClinicalCell:
 
 
 @pytest.mark.hazard(8)
-@pytest.mark.hazard(11)
+@pytest.mark.hazard(28)
 def test_a_stretch_that_only_the_target_would_suffer_from_ends_the_case_at_the_ct(cell: ClinicalCell) -> None:
     scene = draw_scene("mini", seed=0)
     spheres_mm = np.array([one.centre_ct_mm for one in scene.head.fiducials])
