@@ -14,17 +14,16 @@ import argparse
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
 from benchmarks.scans.look_alikes import SAME_SPHERE_MM, WHOLE_SLICES_MM, Painted, paint
-from procedures.imaging import Localization, localization, localize, read_series
-from procedures.imaging.errors import MarkerCountWrong
-from procedures.imaging.localization import DIAMETER_MM
-from procedures.imaging.scan_faults import check_distortion, check_motion, estimate_jumps, measure_distortion
+from procedures.imaging import Localization, localize, read_series
+from procedures.imaging.errors import MarkerCountWrong, ScanDeformed
+from procedures.imaging.scan_deformation import require_undeformed
+from procedures.imaging.scan_faults import check_motion, estimate_jumps
 from procedures.registration.point_registration import register
 from ronna_hw.errors import RonnaError
 from sim.phantom.case import write_case
@@ -57,6 +56,13 @@ CASES = (
     Case("table feeds 1 % more", ScannerFaults(table_scale=0.01)),
     Case("table feeds 2 % more", ScannerFaults(table_scale=0.02)),
     Case("table feeds 2 % less", ScannerFaults(table_scale=-0.02)),
+    *(
+        Case(
+            f"the image is longer by {percent:g} % along (1, -2, 2)",
+            ScannerFaults(stretch=percent / 100.0, stretch_along=(1.0, -2.0, 2.0)),
+        )
+        for percent in (0.2, 0.5, 1.5)
+    ),
     Case("overlap: slices of 2 mm every 1 mm", ScannerFaults(thickness_mm=2.0)),
     Case("overlap: slices of 3 mm every 1 mm", ScannerFaults(thickness_mm=3.0)),
     Case("thick: slices of 2 mm every 2 mm", slice_mm=2.0),
@@ -112,7 +118,12 @@ class Cost:
                 self.refused += 1
             return
         self.markers += len(painted.centres_mm)
-        self.said += [*said, *found.warnings]
+        self.said += said
+        try:
+            require_undeformed(found.deformation)
+        except ScanDeformed as error:
+            self.refused += 1
+            self.said.append(_format_refusal(error))
         self._compare(found, painted.centres_mm)
 
     def _compare(self, found: Localization, centres_mm: Array) -> None:
@@ -158,11 +169,18 @@ class Cost:
 
 def _format_options(case: Case) -> str:
     words = [
-        f"--{name.replace('_', '-')}"
-        + ("" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}")
+        " ".join([f"--{name.replace('_', '-')}", *_format_values(value)])
         for name, value in case.faults.active().items()
     ]
     return " ".join(words)
+
+
+def _format_values(value: object) -> list[str]:
+    if isinstance(value, tuple):
+        return [f"{one:g}" for one in value]
+    if value is True:
+        return []
+    return [f"{value:g}" if isinstance(value, float) else str(value)]
 
 
 def _format_refusal(error: RonnaError) -> str:
@@ -195,12 +213,12 @@ class Quiet:
     """Largest values measured in scans without motion or displaced slices."""
 
     volumes: int = 0
-    measured: int = 0  # volumes with enough markers for their shape to tell
+    measured: int = 0  # volumes with markers whose shape tells
     across_mm: float = 0.0
     share: float = 0.0
     backwards: float = 0.0
-    scale_percent: float = 0.0
-    shear_percent: float = 0.0
+    strain_percent: float = 0.0
+    chi_square: float = 0.0
     told: list[str] = field(default_factory=list)
 
     def add(self, painted: Painted) -> None:
@@ -213,19 +231,18 @@ class Quiet:
         self.backwards = max(self.backwards, -float(found_jumps.runs.min()))
         try:
             self.told += check_motion(volume.voxels, volume.geometry)
-            with patch.object(localization, "check_distortion", wraps=check_distortion) as asked:
-                found = localize(volume)
+            found = localize(volume)
+            require_undeformed(found.deformation)
         except RonnaError as error:
             if not isinstance(error, MarkerCountWrong):
                 self.told.append(_format_refusal(error))
             return
-        self.told += found.warnings
-        distortion = measure_distortion(asked.call_args.args[0], 0.5 * DIAMETER_MM)
-        if distortion is None:
+        if found.deformation is None:
             return
         self.measured += 1
-        self.scale_percent = max(self.scale_percent, 1e2 * abs(distortion.scale))
-        self.shear_percent = max(self.shear_percent, 1e2 * distortion.shear)
+        strain, chi_square = np.array(found.deformation.strain), found.deformation.chi_square
+        self.strain_percent = max(self.strain_percent, 1e2 * float(np.ptp(np.linalg.eigvalsh(strain))))
+        self.chi_square = max(self.chi_square, chi_square)
 
     def figures(self) -> dict[str, object]:
         return {
@@ -234,8 +251,8 @@ class Quiet:
             "across_mm": round(self.across_mm, 2),
             "share": round(self.share, 2),
             "backwards": round(self.backwards, 2),
-            "scale_percent": round(self.scale_percent, 2),
-            "shear_percent": round(self.shear_percent, 2),
+            "strain_percent": round(self.strain_percent, 2),
+            "chi_square": round(self.chi_square, 1),
             "told": " / ".join(sorted(set(self.told))),
         }
 

@@ -121,6 +121,7 @@ def localize(
     import procedures.imaging as imaging
     from procedures.exchange.sphere_files import check_names, write_spheres
     from procedures.imaging.errors import MarkerCountWrong
+    from procedures.imaging.scan_deformation import require_undeformed
 
     check_names(write or ())
     require_folder_of(*(write or ()))
@@ -167,8 +168,7 @@ def localize(
 
             _write_pictures(pictures, "candidate", draw_candidates(volume, ranked[:PICTURED_CANDIDATES]))
         raise refused
-    for sentence in result.warnings:
-        terminal.tell(f"warning: {sentence}")
+    require_undeformed(result.deformation)
     for one in result.doubtful:
         if not as_json:
             terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")
@@ -193,6 +193,8 @@ def localize(
             "series_instance_uid": result.series_instance_uid,
             "elapsed_s": elapsed_s,
         }
+        if result.deformation is not None:
+            document["deformation"] = result.deformation.model_dump(mode="json")
         if patient is not None:
             document["patient"] = patient.as_dict()
         if candidates is not None:
@@ -275,11 +277,13 @@ def view(
     """Write one HTML page of a CT: three planes to scroll, markers and candidates with reasons and odds.
 
     A click shows a position in LPS mm; picked positions can be given to localize --pick. The page is
-    self-contained, needs no network and does not name the patient. A series without markers also gets a page.
+    self-contained, needs no network and does not name the patient. A series without markers gets a page, too,
+    and one with deformed markers (CT-024) before it is refused.
     """
     import procedures.imaging as imaging
     from procedures.imaging.ct_page import ct_page
     from procedures.imaging.errors import MarkerCountWrong
+    from procedures.imaging.scan_deformation import require_undeformed
     from ronna_hw.records import write_atomically
 
     if out.suffix.lower() != PAGE_ENDING:
@@ -290,9 +294,10 @@ def view(
     with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         markers: Sequence[Marker] = ()
+        deformation = None
         try:
             result = imaging.localize(volume, diameter_mm=diameter_mm)
-            markers, candidates = result.markers, result.candidates
+            markers, candidates, deformation = result.markers, result.candidates, result.deformation
         except MarkerCountWrong as error:
             candidates = error.candidates
         ranked = imaging.likeliest_first(candidates)
@@ -302,6 +307,7 @@ def view(
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, ranked, outcome)
     write_atomically(out, page.encode())
     terminal.tell(f"{outcome} Page {out}")
+    require_undeformed(deformation)
 
 
 def _read_layout_mm(layout: str) -> Any:

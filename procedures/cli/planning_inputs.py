@@ -179,6 +179,7 @@ def read_ct(
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
     """Read a series; return the volume, any marker centres, and remarks, such as why centres are missing."""
     from procedures.imaging import localize, read_series
+    from procedures.imaging.scan_deformation import require_undeformed
 
     with terminal.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
@@ -186,12 +187,13 @@ def read_ct(
             found = localize(
                 volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
             )
+            require_undeformed(found.deformation)
         except RonnaError as refused:
             if needs_markers:
                 raise
             why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
             return volume, None, (why,)
-    return volume, [marker.centre_mm for marker in found.markers], found.warnings
+    return volume, [marker.centre_mm for marker in found.markers], ()
 
 
 def propose_marker_places(

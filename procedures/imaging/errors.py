@@ -184,11 +184,11 @@ class PatientMoved(DataError):
     action = "Fix the head and scan again; what lies on both sides of the move does not belong together."
 
 
-class SlicesMisplaced(DataError):
-    """The marker shapes show that the slices are not positioned as the headers state."""
+class ScanDeformed(DataError):
+    """The shapes of the spheres show that the scan is stretched or sheared against what the headers state."""
 
     code = "CT-024"
-    action = "Have the scanner's table feed and gantry tilt checked, and scan again."
+    action = "Have the scanner's table feed, pixel size and gantry tilt checked, and scan again."
     exit_code = EXIT_REFUSED
 
 

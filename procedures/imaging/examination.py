@@ -79,11 +79,12 @@ IS_MARKER = "is a marker"
 class Sphere:
     """Measured sphere in grid mm (slice, row, column), with any doubts about its being a marker.
 
-    `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the surface
-    too close to metal to be used. `stretch` is None if too little of the surface shows to determine it from
-    the voxels. `cleaned` is the region without its streaks, if they had to be removed; `edge` is then the
-    edge in it. `is_evident` says that streaks also show away from the edge; they may excuse its shape.
-    `contrast_hu` is the detector's. A `picked` sphere counts as a marker despite its doubts.
+    `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the
+    surface too close to metal to be used. `stretch` judges the body, `deformation`, with less noise, the
+    scan; both are None if too little of the surface shows to determine them from the voxels. `cleaned` is
+    the region without its streaks, if they had to be removed; `edge` is then the edge in it. `is_evident`
+    says that streaks also show away from the edge; they may excuse its shape. `contrast_hu` is the
+    detector's. A `picked` sphere counts as a marker despite its doubts.
     """
 
     edge: RadialEdge
@@ -93,6 +94,7 @@ class Sphere:
     agreement_mm: float
     metal_share: float
     stretch: Stretch | None
+    deformation: Stretch | None
     cleaned: Region | None = None
     is_evident: bool = False
     contrast_hu: float = 0.0
@@ -296,7 +298,9 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
     if hidden:
         ball = rough.refined(unseen)
         return (
-            None if ball is None else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None)
+            None
+            if ball is None
+            else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None, deformation=None)
         )
     under_streaks = None
     if rough.background_unevenness > STREAKED_AT_SIGHT or mark_metal_slices(region).any():
@@ -340,6 +344,7 @@ def _measure_with_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
         agreement_mm=float(np.linalg.norm(cleaned.centre_mm - ball.centre_mm)),
         metal_share=ball.metal_share,
         stretch=ball.stretch,
+        deformation=ball.stretch,
         cleaned=ball.cleaned,
         is_evident=ball.is_evident,
     )
@@ -361,6 +366,7 @@ def combine_estimates(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) ->
         agreement_mm=float(np.linalg.norm(edge.centre_mm - ball.centre_mm)),
         metal_share=ball.metal_share,
         stretch=ball.stretch,
+        deformation=ball.deformation,
     )
 
 

@@ -31,7 +31,7 @@ from procedures.imaging.examination import (
     judge_shape,
 )
 from procedures.imaging.markers import Candidate, Doubt, Localization
-from procedures.imaging.scan_faults import check_distortion
+from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
 
@@ -67,7 +67,7 @@ def localize(
     Returns markers in LPS mm from superior to inferior, and every candidate with the reason for accepting or
     rejecting it. With `expected`, the clear ones are taken if exactly that many stand out; any other count
     raises CT-016, which carries the candidates; without it, only a count of zero does. `progress` is called
-    with the fraction done. Raises CT-017 for invalid arguments, CT-024 for markers that are all distorted.
+    with the fraction done. Raises CT-017 for invalid arguments. A deformed scan is not refused here.
     """
     check_request(volume, diameter_mm, expected)
     progress(0.0)
@@ -100,7 +100,7 @@ def localize(
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=check_distortion([one.stretch for one in spheres], radius_mm),
+        deformation=combine_spheres([one.deformation for one in spheres], radius_mm, volume.geometry),
     )
 
 

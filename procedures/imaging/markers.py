@@ -17,6 +17,7 @@ EVEN = 0.5
 WORTH_TELLING = 0.5  # of a limit
 
 Array = NDArray[np.float64]
+Numbers5 = tuple[float, float, float, float, float]
 
 ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are more than 0.06 mm apart
 CUT_BY_FIELD = "cut_by_field"  # part of the surface is outside the scanned volume
@@ -58,11 +59,27 @@ class Marker(BaseModel):
         return self.model_dump(mode="json", exclude={"agreement_mm"})
 
 
+class ScanDeformation(BaseModel):
+    """Stretch and shear of a scan as its spheres show it, without a common scale."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    spheres: int = Field(description="How many show it.")
+    strain: tuple[Numbers3, Numbers3, Numbers3] = Field(
+        description="Relative stretch along L, P, S, and off the diagonal half the angle of shear; no trace."
+    )
+    covariance: tuple[Numbers5, Numbers5, Numbers5, Numbers5, Numbers5] = Field(
+        description="Covariance of its LL, PP, LP, LS and PS."
+    )
+    chi_square: float = Field(description="Of the strain against zero, 5 degrees of freedom.")
+    limit: float = Field(description="Chi-square that one undistorted scan in a thousand exceeds.")
+
+
 @dataclass(frozen=True, eq=False)
 class Localization:
     """Markers found in one volume, from superior to inferior, and all candidates.
 
-    `warnings` are sentences on what the markers together reveal about the scan.
+    `deformation` is what the markers together show of the scan, None if no shape could be measured.
     """
 
     markers: tuple[Marker, ...]
@@ -70,7 +87,7 @@ class Localization:
     series_instance_uid: str
     frame_of_reference_uid: str
     diameter_mm: float
-    warnings: tuple[str, ...] = ()
+    deformation: ScanDeformation | None = None
 
     @property
     def doubtful(self) -> tuple[Candidate, ...]:

@@ -28,7 +28,7 @@ from procedures.imaging.localization import (
     superior_first_key,
 )
 from procedures.imaging.markers import Candidate, Localization
-from procedures.imaging.scan_faults import check_distortion
+from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
 from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
@@ -64,8 +64,8 @@ def localize_picks(
 ) -> Localization:
     """Localize a sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
 
-    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016, CT-017
-    and CT-024 like `localize`.
+    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016 and
+    CT-017 like `localize`.
     """
     picks = np.asarray(picks_mm, dtype=float)
     check_request(volume, diameter_mm, expected)
@@ -88,7 +88,7 @@ def localize_picks(
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=check_distortion([sphere.stretch for sphere in found], radius_mm),
+        deformation=combine_spheres([one.deformation for one in found], radius_mm, volume.geometry),
     )
 
 

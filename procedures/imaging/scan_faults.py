@@ -1,26 +1,21 @@
-"""Detection of faults that the headers do not show: patient motion, wrong table feed, hidden tilt.
+"""Detection of patient motion, which the headers do not show.
 
 Outlines in a head change steadily from slice to slice. Any change in excess of those around it is compared
 with a shift of the outlines across the slice. If a change runs against those around it, slices repeat: the
 patient moved back along the table. Neither shows near the vertex, where there is little outline; a move along
-the table by less than a slice, or one that hides in missing slices, shows nowhere.
-
-Markers are balls. A table that feeds more than stated flattens all of them alike, and an unstated gantry tilt
-shears them. One marker may be odd for reasons of its own; all of them are not.
+the table by less than a slice, or one that hides in missing slices, shows nowhere. For a stretched or sheared
+scan see `scan_deformation`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan, degrees, sqrt
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.errors import PatientMoved, SlicesMisplaced
-from procedures.imaging.sphere_centre.ball_model import Stretch
+from procedures.imaging.errors import PatientMoved
 from procedures.imaging.volume import VoxelGeometry
 from ronna_hw.text import format_against_limit
 
@@ -41,13 +36,6 @@ AROUND = 6  # slices: three changes in a row, with one between them and those co
 # Values without motion are on the reference page of scanner faults. A move of 1 mm costs 0.8 mm rms at the
 # markers, and 0.3 mm after a rigid fit.
 WARNED_MM, REFUSED_MM = 0.4, 1.0
-
-FEWEST = 4  # markers
-SURE = 3.0  # standard errors
-# Per unit of length: 1 % of scale leaves 0.24 mm rms at the markers after a rigid fit, 0.5 degrees of tilt
-# 0.12 mm. Phantom volumes with neither reach 0.9 %, those of 3 mm slices and a sharp kernel; others 0.5 %.
-WARNED = 0.009
-REFUSED = 0.015
 
 
 def check_motion(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
@@ -149,61 +137,3 @@ def _estimate_return(changes: Array, slice_mm: float) -> tuple[float, float]:
 
 def _correlation(one: Array, other: Array) -> float:
     return float(one @ other) / float(np.linalg.norm(one) * np.linalg.norm(other))
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """Distortion common to all markers: `scale`, true over stated feed minus 1, and `shear`, mm per mm.
-
-    Each comes with its standard error.
-    """
-
-    markers: int
-    scale: float
-    scale_error: float
-    shear: float
-    shear_error: float
-
-
-def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> Distortion | None:
-    """Estimate the distortion from the median stretch of the markers; return None for fewer than four."""
-    shapes = [stretch.terms_mm / radius_mm for stretch in stretches if stretch is not None]
-    if len(shapes) < FEWEST:
-        return None
-    along, down, across = np.array(shapes)[:, 0].T
-    # the terms have no trace: a body that is longer than wide by a share has 2/3 of that along its axis
-    scale, shears = -1.5 * along, 2.0 * np.stack((down, across))
-    return Distortion(
-        markers=len(shapes),
-        scale=float(np.median(scale)),
-        scale_error=float(scale.std(ddof=1)) / sqrt(len(shapes)),
-        shear=float(np.linalg.norm(np.median(shears, axis=1))),
-        shear_error=float(np.linalg.norm(shears.std(axis=1, ddof=1))) / sqrt(len(shapes)),
-    )
-
-
-def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
-    """Warn of a significant distortion; raise CT-024 above 1.5 % in scale or 0.9 degrees of tilt."""
-    found = measure_distortion(stretches, radius_mm)
-    if found is None:
-        return ()
-    sentences = []
-    if abs(found.scale) > max(WARNED, SURE * found.scale_error):
-        more = "more" if found.scale > 0.0 else "less"
-        wording = f"the table seems to feed {{}} % {more} than the scanner states"
-        sentences.append(_word_distortion(wording, 1e2 * abs(found.scale), 1e2 * REFUSED, "%", found.markers))
-    if found.shear > max(WARNED, SURE * found.shear_error):
-        wording = "the slices seem to be tilted by {} degrees, which the scanner does not state"
-        tilt_deg, limit_deg = degrees(atan(found.shear)), degrees(atan(REFUSED))
-        sentences.append(_word_distortion(wording, tilt_deg, limit_deg, "degrees", found.markers))
-    return tuple(sentences)
-
-
-def _word_distortion(wording: str, value: float, limit: float, unit: str, markers: int) -> str:
-    """Describe a distortion in one sentence; raise CT-024 if it exceeds the limit."""
-    if value > limit:
-        raise SlicesMisplaced(
-            f"by the shape of {markers} markers {wording.format(format_against_limit(value, limit, 1))}",
-            limit=f"{limit:.1f} {unit}",
-        )
-    return f"by the shape of {markers} markers {wording.format(f'{value:.1f}')}"

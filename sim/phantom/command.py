@@ -88,6 +88,14 @@ def phantom(
         bool,
         _scanner_option("Streaks and shadows of metal, from the physics of the scan.", "--metal-artefacts"),
     ] = False,
+    stretch: Annotated[
+        float,
+        _scanner_option("Stretch of the whole image, relative to its size.", min=-0.1, max=0.1),
+    ] = 0.0,
+    stretch_along: Annotated[
+        tuple[float, float, float],
+        _scanner_option("Direction of that stretch, L P S."),
+    ] = (0.0, 0.0, 1.0),
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -147,6 +155,8 @@ def phantom(
         extended_range,
         tilt_hidden,
         metal_artefacts,
+        stretch,
+        stretch_along,
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if fiducials is Fiducials.ADHESIVE:

@@ -21,6 +21,7 @@ from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.phantom.scanner.metal_artefacts import MetalArtefacts, metal_parts
+from sim.phantom.scanner.stretched_image import cut_stretched, slices_beyond
 from sim.world.noise import noise
 from sim.world.scene.model import Scene
 
@@ -84,7 +85,7 @@ class Planes:
         self._tilt_rad = radians(faults.tilt_deg)
         self._span = ceil(grid.rows * grid.pixel_mm * abs(sin(self._tilt_rad)) / (2.0 * grid.slice_mm)) + 1
         if not self._tilt_rad:
-            self._span = 0
+            self._span = slices_beyond(grid, faults.stretch)
         fed = replace(
             grid,
             slice_mm=grid.slice_mm * (1.0 + faults.table_scale),
@@ -135,7 +136,18 @@ class Planes:
 
     def paint(self, number: int) -> Values:
         """Paint one slice in HU (rows, columns), including noise."""
-        image = self._paint_tilted(number) if self._tilt_rad else self._paint_clean(number)
+        if self._tilt_rad:
+            image = self._paint_tilted(number)
+        elif (faults := self._scan.faults).stretch:
+            image = cut_stretched(
+                self._grid,
+                faults.stretch,
+                faults.stretch_along,
+                number,
+                lambda plane: self._paint_straight_plane(plane + self._span),
+            )
+        else:
+            image = self._paint_clean(number)
         image += self._before.noise(number)
         return image
 

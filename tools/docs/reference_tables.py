@@ -147,7 +147,8 @@ def scanner_faults() -> str:
         f"{quiet['across_mm']:g} mm sideways, "
         f"{quiet['share']:.0%} explained by a shift, and a change that correlates by "
         f"-{quiet['backwards']:g} with those around it (a warning needs 0.4 mm and 10 %, or -0.7), "
-        f"{quiet['scale_percent']:g} % of scale, {quiet['shear_percent']:g} % of shear. "
+        f"{quiet['strain_percent']:g} % of stretch or shear, and {quiet['chi_square']:g} for its chi-square "
+        f"(refused beyond 20.5). "
         f"Told: {quiet['told'] or 'nothing'}."
     )
     return f"{without}\n\n" + table(

@@ -111,17 +111,29 @@ def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[A
 class Stretch:
     """Deviation of a surface from a ball along unit direction n: n' terms n, in mm.
 
-    `terms_mm` (3, 3) along slice, row and column; `deviation_mm` is the standard deviation of a term.
+    `terms_mm` (3, 3) along slice, row and column; `covariance_mm2` (5, 5) that of the `coefficients_mm`.
+    `slice_blur_mm` is the fitted blur along the slices.
     """
 
     terms_mm: Array
-    deviation_mm: float
+    covariance_mm2: Array
+    slice_blur_mm: float
 
     @classmethod
-    def from_last_terms(cls, found: Array, covariance: Array) -> Self:
-        """Extract the stretch from a stretched ball's parameters and their covariance."""
-        variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
-        return cls(stretch_matrix(found[-TERMS:]), float(np.sqrt(variance)))
+    def from_terms(cls, found: Array, covariance: Array, slice_blur_mm: float) -> Self:
+        """Build a stretch from its five terms and their covariance."""
+        return cls(stretch_matrix(found), np.asarray(covariance), slice_blur_mm)
+
+    @property
+    def coefficients_mm(self) -> Array:
+        """The five terms (5,) of `stretch_terms`."""
+        (a, c, d), (_, b, e), _ = self.terms_mm.tolist()
+        return np.array([a, b, 2.0 * c, 2.0 * d, 2.0 * e])
+
+    @property
+    def deviation_mm(self) -> float:
+        """Standard deviation of a term, averaged over the five."""
+        return float(np.sqrt(float(np.trace(self.covariance_mm2)) / TERMS))
 
     @property
     def difference_mm(self) -> float:
@@ -316,7 +328,8 @@ class BallVoxels:
             step = answer @ (derivatives.T @ (weights * residuals))
             remaining = residuals - derivatives @ step
             weights = flat_weights(remaining, scale(remaining))
-        return Stretch.from_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
+        covariance = CORRELATED * scale(remaining) ** 2 * np.asarray(answer)
+        return Stretch.from_terms(step[-TERMS:], covariance[-TERMS:, -TERMS:], float(unknowns[SZ]))
 
     def evaluate(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Return derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""

@@ -5,16 +5,13 @@ are excluded. A robust fit, insensitive to post and skin, finds voxels foreign t
 model of noise and streaks then makes full use of the rest.
 
 The noise spectrum is measured on the residuals of a fit with an unconstrained background bend. The size of
-the bend shows how strong metal streaks are. Bend terms up to the third degree, and slopes likewise, are then
-shrunk towards 0 as strongly as the image permits (empirical Bayes, a ridge): without streaks they cost no
-accuracy, with them they remove most of the error. Terms beyond the third degree are assumed to be as large,
-and their error is included. Remains of streaks of unknown shape count as additional white noise.
+the bend shows how strong metal streaks are (`streak_prior`); it and the slopes are then shrunk. Remains of
+streaks of unknown shape count as additional white noise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +30,6 @@ from procedures.imaging.sphere_centre.ball_model import (
     Stretch,
     guess_ball,
     mark_directions,
-    polynomial,
-    products,
     select_ball_voxels,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (
@@ -43,15 +38,13 @@ from procedures.imaging.sphere_centre.correlated_noise import (
     VoxelGrid,
     WhitenedStep,
 )
+from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
+from procedures.imaging.sphere_centre.whitened_stretch import measure_stretch
 from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 
 HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
-HIDDEN_SHARE = 1.2  # of the bend terms' size; from tuning families and synthetic bands and lobes on `plain`
-LEAST_SLOPE = 2.0  # of the bend terms' size: streaks fade with distance, and slope more than they bend
-LEAST_VARIANCE_HU2 = 1e-3  # stands for no streaks
-BENT = slice(SLOPE.stop, None)  # the parameters of the second and third degree
 
 EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
 # Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
@@ -74,7 +67,8 @@ class BlurredBall:
     metal_share: float  # part of the sphere's surface too close to metal to be used
     streak_hu: float  # typical size, at the surface, of the terms by which streaks bend the background
     contrast_hu: float
-    stretch: Stretch  # where the surface borders on the outside
+    stretch: Stretch  # where the surface borders on the outside, against a body of another shape
+    deformation: Stretch  # with its covariance, against a scan that is out of shape
 
 
 def fit_rough_ball(
@@ -144,16 +138,18 @@ class RoughBall:
             streak_hu=fitted.streak_hu,
             contrast_hu=float(unknowns[IN] - unknowns[OUT]),
             stretch=self.voxels.stretch(unknowns, clear),
+            deformation=fitted.stretch,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class WhitenedBall:
-    """Refined parameters, covariance of the centre in grid mm², and typical background bend in HU."""
+    """Refined parameters, covariance of the centre in grid mm², typical background bend in HU, stretch."""
 
     unknowns: Array
     covariance_mm2: Array
     streak_hu: float
+    stretch: Stretch
 
 
 def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
@@ -190,69 +186,10 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
     settled = step.settle(settled, compute_pull)
     if settled is None:
         return None
-    streak_covariance_mm2 = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
+    streak_covariance_mm2 = prior.covariance_mm2(
+        step.answer[:3], step.influence, weights, voxels.places, HIDDEN_DEGREES
+    )
     covariance_mm2 = step.covariance[:3, :3] + streak_covariance_mm2 + MIN_VARIANCE_MM2 * np.eye(3)
-    return WhitenedBall(settled, covariance_mm2, prior.streak_hu)
-
-
-@dataclass(frozen=True)
-class StreakPrior:
-    """Typical variance of the background terms at one radius from the centre, HU².
-
-    The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
-    larger by `uncertainty_hu2`, the standard error of the estimate.
-    """
-
-    bent_hu2: float
-    uncertainty_hu2: float
-    slope_hu2: float | None = None
-
-    @classmethod
-    def from_bends(cls, found: Array, covariance: Array) -> Self:
-        """Estimate the variance from bend terms (k,) that have this noise `covariance`.
-
-        The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
-        scatters by √(2 k).
-        """
-        square, trace = _mahalanobis_square(found, covariance)
-        return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
-
-    def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
-        """Add the variance of the slopes (3,), including noise, since three terms can be 0 by chance."""
-        square, trace = _mahalanobis_square(found, covariance)
-        return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
-
-    @property
-    def streak_hu(self) -> float:
-        """Typical bend term at one radius from the centre."""
-        return float(np.sqrt(self.bent_hu2))
-
-    def stiffness(self, unknowns: int) -> Array:
-        """Return the shrinkage of each parameter towards 0, as inverse variance in HU⁻²."""
-        shrinkage = np.zeros(unknowns)
-        shrinkage[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
-        if self.slope_hu2 is not None:
-            shrinkage[SLOPE] = 1.0 / max(self.slope_hu2, LEAST_VARIANCE_HU2)
-        return shrinkage
-
-    def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
-        """Return the centre's covariance (3, 3) due to streaks, through shrunk and unmodelled terms.
-
-        `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
-        the centre to each voxel; `places` (n, 3) are in radii from the centre.
-        """
-        bent_hu2 = self.bent_hu2 + self.uncertainty_hu2
-        sizes_hu2 = np.zeros(len(answer))
-        sizes_hu2[BENT] = bent_hu2
-        sizes_hu2[SLOPE] = self.slope_hu2 or 0.0
-        shrinkage = answer[:3] * (self.stiffness(len(answer)) * np.sqrt(sizes_hu2))
-        higher_terms = products(influence, weights[:, None] * polynomial(places, HIDDEN_DEGREES))
-        return np.asarray(
-            shrinkage @ shrinkage.T + HIDDEN_SHARE**2 * bent_hu2 * (higher_terms @ higher_terms.T)
-        )
-
-
-def _mahalanobis_square(found: Array, covariance: Array) -> tuple[float, float]:
-    """Return the squared Mahalanobis norm of `found`, and the trace of the inverse covariance."""
-    precision = np.linalg.pinv(covariance, hermitian=True)
-    return float(found @ precision @ found), float(np.trace(precision))
+    return WhitenedBall(
+        settled, covariance_mm2, prior.streak_hu, measure_stretch(voxels, settled, noise, step, prior)
+    )

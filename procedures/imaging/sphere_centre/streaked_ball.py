@@ -26,6 +26,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     RADIUS,
     SXY,
     SZ,
+    TERMS,
     Stretch,
     add_stretch_derivatives,
     flat_weights,
@@ -185,7 +186,11 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
             region, field.fill_region(region, solved.coefficients), floor_hu, float(unknowns[OUT])
         ),
         is_evident=is_evident,
-        stretch=Stretch.from_last_terms(stretch_result.step, stretch_result.covariance),
+        stretch=Stretch.from_terms(
+            stretch_result.step[-TERMS:],
+            stretch_result.covariance[-TERMS:, -TERMS:],
+            float(unknowns[SZ]),
+        ),
     )
 
 

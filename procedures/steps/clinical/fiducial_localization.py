@@ -10,8 +10,9 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL, Localizer
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
-from procedures.imaging.markers import Localization, Marker
+from procedures.imaging.markers import Localization, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
+from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.thesis_localizer import REPORTED_FLE_MM, ThesisFit, localize_as_thesis
 from procedures.imaging.volume import Volume
 from procedures.journal.results import StepResult, Values
@@ -37,7 +38,10 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     diameter_mm: float = Field(description="Nominal diameter searched for.")
     markers: tuple[Marker, ...] = Field(description="The spheres.")
     doubtful: tuple[DoubtfulSphere, ...] = Field(description="What may be a sphere, likeliest first.")
-    warnings: tuple[str, ...] = Field((), description="What the spheres together say of the scan.")
+    warnings: tuple[str, ...] = Field(default=(), description="What they said of the scan; none any more.")
+    deformation: ScanDeformation | None = Field(
+        default=None, description="Stretch and shear of the scan, as they show it; none if unknown."
+    )
     localizer: Localizer = Field(Localizer.OURS, description="Method that found them.")
 
     @property
@@ -63,10 +67,14 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
 
 
 def run(context: StepContext) -> Outcome[LocalizedFiducials]:
-    """Localize every sphere. The plan check compares their number with the plan."""
+    """Localize every sphere; refuse a scan that they show to be deformed (CT-024).
+
+    The plan check compares their number with the plan.
+    """
     volume = volume_of(context)
     localizer = context.clinical.methods.localizer
     found = _localize(context, volume, localizer)
+    require_undeformed(found.deformation)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
     doubtful = found.doubtful[:PICTURED_DOUBTFUL]
@@ -81,12 +89,11 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
                 DoubtfulSphere(centre_mm=one.centre_mm, reason=one.reason, odds=one.odds)
                 for one in found.doubtful
             ),
-            warnings=found.warnings,
+            deformation=found.deformation,
             localizer=localizer,
         ),
         summary=f"{len(found.markers)} spheres"
         + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else "")
-        + "".join(f"; {warning}" for warning in found.warnings)
         + ("" if localizer is Localizer.OURS else f"; by {localizer}: {NOT_CLINICAL}"),
     )
 

@@ -42,6 +42,7 @@ from procedures.steps.clinical.error_budget import (
     find_undetected_sphere,
     predict_held_guide,
     residual_gate,
+    scan_errors,
     sphere_displacements_mm,
     two_way_table,
     unknown_sides_mm2,
@@ -282,7 +283,8 @@ def predict_tip_error(
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
     moved = None if move is None else move.record.robot_from_robot.transform
-    held = predict_held_guide(context, planned, fit.between(Frame.ROBOT, Frame.CT), moved)
+    robot_from_ct = fit.between(Frame.ROBOT, Frame.CT)
+    held = predict_held_guide(context, planned, robot_from_ct, moved)
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
@@ -296,6 +298,13 @@ def predict_tip_error(
     turn = held.rotation
     sources = (
         IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+        scan_errors(
+            context.result(LocalizedFiducials).deformation,
+            pairs.image_mm,
+            np.asarray(planned.target_mm, dtype=float),
+            robot_from_ct.rotation_matrix,
+            held,
+        ),
         IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
         IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
         *arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),

@@ -24,12 +24,8 @@ from ronna_hw.calibration import Numbers3
 
 Array = NDArray[np.float64]
 
-# Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md. No scan
-# shows these by itself.
-NOT_PREDICTED = (
-    "what is common to a scan (scale, table feed, motion, hidden tilt): 0.02 mm at the spheres for 0.1 % of "
-    "table feed, 0.09 mm for a motion by 0.3 mm, 0.15 mm for a tilt of 0.5 deg"
-)
+# Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
+NOT_PREDICTED = "a patient who moved during the scan: 0.09 mm at the spheres for a motion by 0.3 mm"
 
 
 class LeftOutSphere(Values):

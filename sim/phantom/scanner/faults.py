@@ -14,6 +14,7 @@ import numpy as np
 from sim.errors import SEE_PHANTOM, BadScene
 from sim.phantom.head.painting import PLANE_SIGMA_MM
 from sim.phantom.head.shapes import Values
+from sim.world.rigid import Point
 
 MOST_TILT_DEG = 30.0  # of a gantry
 
@@ -61,6 +62,8 @@ class ScannerFaults:
     extended_range: bool = False  # metal is stored beyond 3071 HU
     tilt_hidden: bool = False  # the headers show upright slices whatever the tilt
     metal_artefacts: bool = False  # streaks and shadows of metal, from the physics of the scan
+    stretch: float = 0.0  # of the whole image about its middle, per unit of length
+    stretch_along: Point = (0.0, 0.0, 1.0)  # direction of the stretch, LPS
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
@@ -71,6 +74,10 @@ class ScannerFaults:
                 limit=f"{MOST_TILT_DEG:g}",
                 action=SEE_PHANTOM,
             )
+        if not 0.0 < float(np.linalg.norm(self.stretch_along)) < np.inf:
+            raise BadScene("a scan is stretched along a direction, three numbers", action=SEE_PHANTOM)
+        if self.stretch and self.tilt_deg:
+            raise BadScene("a scan is either tilted or stretched", action=SEE_PHANTOM)
         if self.tilt_hidden and not self.tilt_deg:
             raise BadScene("a tilt of 0 degrees cannot be hidden", action=SEE_PHANTOM)
 

@@ -24,6 +24,7 @@ from recording_cell import GUIDE, RecordingCell
 
 from procedures.engine.engine import Engine
 from procedures.engine.order import StepSpec
+from procedures.imaging.markers import ScanDeformation
 from procedures.journal.results import FramedPose, StepResult
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -58,6 +59,7 @@ ARRIVING = (1, -1, 1, -1, 1, -1)  # direction in which each joint arrives at a t
 NO_TABLE = TwoWayTable(
     ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
 )
+SIGMA_OF_SCAN = 3e-4  # of its strain, as five spheres show it
 LINK = LinkHealth(
     **{name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))},
     histogram_edges_us=(),
@@ -81,11 +83,29 @@ def imported_ct() -> ImportedCt:
     )
 
 
+def deformation(sigma: float) -> ScanDeformation:
+    """Spheres that show no deformation, with this sigma."""
+    none = (0.0, 0.0, 0.0)
+    return ScanDeformation(
+        spheres=4,
+        strain=(none, none, none),
+        covariance=(sigma**2 * np.eye(5)).tolist(),
+        chi_square=0.0,
+        limit=20.5,
+    )
+
+
 def localized_fiducials(centres_mm: Array = CENTRES_CT_MM) -> LocalizedFiducials:
     markers = tuple(
         localized_marker(centre, np.eye(3) * SIGMA_MM**2, agreement_mm=0.01) for centre in centres_mm
     )
-    return LocalizedFiducials(series_instance_uid=SERIES, diameter_mm=11.5, markers=markers, doubtful=())
+    return LocalizedFiducials(
+        series_instance_uid=SERIES,
+        diameter_mm=11.5,
+        markers=markers,
+        doubtful=(),
+        deformation=deformation(SIGMA_OF_SCAN),
+    )
 
 
 def plan(**changes: object) -> Plan:

@@ -48,7 +48,8 @@ def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
     done = ronna_ct("localize", series, "--json", "--expected", 2)
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
-    assert set(document) == {"markers", "series_instance_uid", "elapsed_s"}
+    assert set(document) == {"markers", "series_instance_uid", "elapsed_s", "deformation"}
+    assert set(document["deformation"]) == {"spheres", "strain", "covariance", "chi_square", "limit"}
     assert document["series_instance_uid"] == SERIES_UID
     assert 0.0 < document["elapsed_s"] < 60.0
     keys = {"centre_mm", "covariance_mm2", "radius_mm", "quality", "flags", "odds"}

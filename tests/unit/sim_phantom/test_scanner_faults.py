@@ -66,6 +66,28 @@ def test_a_table_that_overfeeds_shows_a_slice_from_further_along(
     assert np.abs(fed - plain[15]).mean() < 0.1 * np.abs(fed - plain[10]).mean()
 
 
+def test_a_stretched_image_shows_what_is_nearer_to_its_middle(
+    coarse_scene: Scene, plain: NDArray[np.float64]
+) -> None:
+    size, share, along = np.array(plain.shape), 0.05, np.array([0.6, -0.4, 0.7])  # L, P, S
+    shown = slices(coarse_scene, stretch=share, stretch_along=tuple(along))
+    grid = scan_of(coarse_scene).grid
+    spacing = np.array([grid.slice_mm, grid.pixel_mm, grid.pixel_mm])
+    across = along[::-1] / np.linalg.norm(along)
+    places = (np.indices(plain.shape).reshape(3, -1).T - 0.5 * (size - 1)) * spacing
+    nearer = places - share / (1.0 + share) * np.outer(places @ across, across)
+    expected = map_coordinates(plain, (nearer / spacing + 0.5 * (size - 1)).T, order=3, mode="nearest")
+    unlike = np.abs(shown.ravel() - expected).mean()
+    assert unlike < 0.2 * np.abs(shown - plain).mean()
+
+
+def test_a_scan_is_either_stretched_or_tilted_and_in_a_direction() -> None:
+    with pytest.raises(BadScene, match="either tilted or stretched"):
+        ScannerFaults(stretch=0.01, tilt_deg=1.0)
+    with pytest.raises(BadScene, match="along a direction"):
+        ScannerFaults(stretch=0.01, stretch_along=(0.0, 0.0, 0.0))
+
+
 def test_a_patient_motion_changes_the_slices_from_one_slice_on(
     coarse_scene: Scene, plain: NDArray[np.float64]
 ) -> None:

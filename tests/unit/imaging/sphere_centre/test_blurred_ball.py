@@ -24,12 +24,11 @@ from procedures.imaging.sphere_centre.ball_model import (
     intensities,
     polynomial,
     products,
+    stretch_matrix,
 )
 from procedures.imaging.sphere_centre.blurred_ball import (
-    BENT,
     EDGE,
     BlurredBall,
-    StreakPrior,
     fit_rough_ball,
     fit_whitened,
 )
@@ -40,6 +39,7 @@ from procedures.imaging.sphere_centre.correlated_noise import (
     WhitenedStep,
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge
+from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
 from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
@@ -167,6 +167,26 @@ def test_the_covariance_matches_the_actual_errors(voxels: BallVoxels) -> None:
     assert 0.5 < np.mean(squares) / 3.0 < 1.6  # 48 degrees of freedom
 
 
+def test_a_stretch_is_told_from_the_blur_and_its_covariance_matches_the_actual_errors(
+    voxels: BallVoxels,
+) -> None:
+    terms = RADIUS_MM * np.array([3.0, -1.0, 2.0, -1.5, 1.0]) * 1e-3
+    offsets = voxels.points_mm - CENTRE_MM
+    shrunk = np.eye(3) - stretch_matrix(terms) / RADIUS_MM
+    wider = truth(BENT.stop)
+    wider[[SZ, SXY]] = 0.6, 0.4  # of another blur than where the fit starts
+    stretched, _ = intensities(CENTRE_MM + offsets @ shrunk, wider, voxels.background)
+    found, squared = [], []
+    for seed in range(12):
+        fitted = fit_whitened(noisy(replace(voxels, values=stretched), seed), wider)
+        assert fitted is not None
+        error = fitted.stretch.coefficients_mm - terms
+        squared.append(float(error @ np.linalg.solve(fitted.stretch.covariance_mm2, error)) / 5.0)
+        found.append(fitted.stretch.coefficients_mm)
+    np.testing.assert_allclose(np.mean(found, axis=0), terms, atol=4e-4 * RADIUS_MM)
+    assert 0.4 < np.mean(squared) < 1.8
+
+
 def test_voxels_that_do_not_belong_to_the_ball_are_excluded_with_their_blur(voxels: BallVoxels) -> None:
     spoiled = noisy(voxels, 3)
     at_post = np.linalg.norm(spoiled.points_mm - CENTRE_MM - np.array([0.0, RADIUS_MM, 0.0]), axis=1)
@@ -208,8 +228,8 @@ def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> N
 
 
 def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
-    round_ = Stretch(np.zeros((3, 3)), 0.0)
-    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, 0.0, 0.0, 1100.0, round_)
+    round_ = Stretch(np.zeros((3, 3)), np.zeros((5, 5)), 0.45)
+    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, 0.0, 0.0, 1100.0, round_, round_)
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere

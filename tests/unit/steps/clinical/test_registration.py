@@ -10,9 +10,11 @@ import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
 from numpy.typing import NDArray
 from prepared_results import (
+    CENTRES_CT_MM,
     checked_paths,
     checked_plan,
     correspondence,
+    deformation,
     global_localization,
     localized_fiducials,
     plan,
@@ -88,7 +90,7 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     predicted = registered(cell).result.prediction(FIRST)
     shares_mm = {share.source: share.rms_mm for share in predicted.budget}
     assert list(shares_mm) == [
-        *("CT", "seating of the spheres", "stereo measurement"),
+        *("CT", "scan as a whole", "seating of the spheres", "stereo measurement"),
         *("links and joint offsets", "harmonics and sag", "backlash"),
         *("repeatability", "tool frame", "instrument", "guide direction"),
         *("stereo head calibration", "guide tip calibration"),
@@ -157,9 +159,27 @@ def test_spheres_that_agree_do_not_widen_the_limit(cell: ClinicalCell) -> None:
 
 def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
-    assert "common to a scan (scale, table feed, motion, hidden tilt)" in predicted.excluded
+    assert "a patient who moved during the scan" in predicted.excluded
     (question,) = cell.operator.asked
     assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
+
+
+def test_what_the_spheres_leave_open_of_the_scan_counts_by_its_lever_at_the_target(tmp_path: Path) -> None:
+    share_mm = {}
+    for name, sigma in (("unknown", None), ("vague", 3e-3), ("sure", 3e-4)):
+        measured = None if sigma is None else deformation(sigma)
+        cell = ClinicalCell(tmp_path / name).carrying(MountedTool.STEREO_HEAD)
+        done = cell.run(
+            *(relocalization(), correspondence()),
+            localized_fiducials().model_copy(update={"deformation": measured}),
+            *(global_localization(), checked_plan(), checked_paths(cell)),
+            STEP,
+        )
+        budget = done.result.prediction(FIRST).budget
+        share_mm[name] = {one.source: one.rms_mm for one in budget}["scan as a whole"]
+    lever_mm = np.linalg.norm(np.subtract(plan().trajectory(FIRST).target_mm, CENTRES_CT_MM.mean(axis=0)))
+    assert share_mm["unknown"] > share_mm["vague"] > share_mm["sure"]
+    assert 0.0 < share_mm["sure"] < 2e-3 * lever_mm  # a common scale is left, of a usual scanner
 
 
 def test_the_step_says_whose_error_stands_for_that_of_a_localizer_that_states_none(
