@@ -176,8 +176,11 @@ def _external(constant: str) -> str:
         _external("servoj(lookahead_time" * 20_000),
         "def a():\n" + "if True: end\n" * 20_000 + "end\n",
         "def a():\n" + "\n" * 400_000 + "end\n",
+        "[" * 20_000,
+        "a." * 10_000,
+        "def " + "a" * 300_000 + "():\nend\n",
     ],
-    ids=["numbers", "brackets", "look-aheads", "blocks", "blank lines"],
+    ids=["numbers", "brackets", "look-aheads", "blocks", "blank lines", "no program", "words", "name"],
 )
 def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> None:
     assert target.feed(ScriptClient(target), text.encode())
