@@ -14,6 +14,7 @@ from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.programs.recognition import name_of, recognise
 from sim.universal_robots.programs.statements import UnknownStatement, require_known, run_at_once
 
+MOST_SCRIPTS = 50  # received at once; a refused one costs a hundredth of a millisecond, which others wait
 LOCAL_MODE_CODE = 210  # a script while in local mode
 LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
 
@@ -152,9 +153,11 @@ class ScriptHandler:
         self._take = take
 
     def receive(self, data: bytes) -> bytes:
-        """Carry out what is complete."""
+        """Carry out what is complete; raises HangUp for a text without end, or a flood."""
         try:
-            for text in self._text.feed(data):
+            for number, text in enumerate(self._text.feed(data)):
+                if number == MOST_SCRIPTS:
+                    raise HangUp
                 self._take(text)
         except ValueError:
             raise HangUp from None

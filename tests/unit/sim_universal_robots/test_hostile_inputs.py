@@ -22,6 +22,7 @@ from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
 from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
+from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import REGISTER_LOOP_MARK, recognise
 from sim.universal_robots.rtde.server import RtdeServer
@@ -105,6 +106,10 @@ class Target:
         for _ in range(CYCLES):
             self.controller.step()
             self.clients.send_state()
+        self.controller.loads.publish_torques()
+        packages = StatePackages(self.controller)
+        assert packages.state()  # as any client may read them
+        assert packages.realtime()
         joints = self.controller.robot.drives.target
         assert all(map(math.isfinite, joints)), stream
         assert max(map(abs, joints)) < FARTHEST_RAD, stream
@@ -186,14 +191,39 @@ def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> No
     assert target.feed(ScriptClient(target), text.encode())
 
 
+def test_many_scripts_at_once_take_no_longer_than_a_cycle_bears(target: Target) -> None:
+    assert not target.feed(ScriptClient(target), b"x\n" * 30_000)
+
+
+def test_a_long_line_of_the_dashboard_takes_time_in_proportion(target: Target) -> None:
+    assert not target.feed(LineHandler(target.dashboard), b"a " * 30_000 + b"\n")
+
+
+@pytest.mark.parametrize("text", ["a" * 300_000, "def " + "a" * 300_000 + "():\n  a\nend\n"])
+def test_what_clients_are_told_of_a_long_script_stays_short(target: Target, text: str) -> None:
+    told: list[str] = []
+    target.controller.news.failure.append(lambda text, _line: told.append(text))
+    target.controller.news.program.append(lambda _what, name: told.append(name))
+    assert target.feed(ScriptClient(target), text.encode())
+    assert target.feed(ScriptClient(target), text.replace("  a\n", "").encode())
+    assert told
+    assert max(map(len, told)) < 500
+
+
+@pytest.mark.parametrize("call", ["set_payload(1e300, [1, 1, 1])", "set_tcp(p[1e200, 0, 0, 1e200, 0, 0])"])
+def test_a_load_that_no_arm_carries_ends_no_package(target: Target, call: str) -> None:
+    assert target.feed(ScriptClient(target), f"sec a():\n  {call}\nend\n".encode())
+
+
 @pytest.mark.parametrize(
     "text",
     [
         _external(f"REVERSE_INTERFACE_DATA_DIMENSION = {'9' * 400}"),
         f"def a():\n  # {REGISTER_LOOP_MARK}\n  global reg_offset_int = {'9' * 5000}\nend\n",
+        f"def a():\n  # {REGISTER_LOOP_MARK}\n  global reg_offset_int = 25\nend\n",
         f'def {SCRIPT_NAME}():\n  rtde_set_watchdog("input_int_register_24", 0.{"0" * 320}1, "stop")\nend\n',
     ],
-    ids=["numbers of a message", "register", "watchdog"],
+    ids=["numbers of a message", "register", "registers beyond the last", "watchdog"],
 )
 def test_a_number_out_of_range_is_a_runtime_exception(target: Target, text: str) -> None:
     failures: list[str] = []
