@@ -14,7 +14,7 @@ from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.programs.recognition import name_of, recognise
 from sim.universal_robots.programs.statements import UnknownStatement, require_known, run_at_once
 
-MOST_SCRIPTS = 50  # received at once; a refused one costs a hundredth of a millisecond, which others wait
+MOST_SCRIPTS = 50  # received at once: each that is refused keeps the cycles for 0.1 ms
 LOCAL_MODE_CODE = 210  # a script while in local mode
 LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
 

@@ -72,6 +72,7 @@ class HandmadeController:
             "restart safety": "Restarting safety",
         }
         self.asked: list[str] = []
+        self.dashboard_clients: list[socket.socket] = []
         self.banner = b"Connected: Universal Robots Dashboard Server\n"
         self.version = (5, 11, 5, 1010327)
         self.output_types = OUTPUT_TYPES
@@ -122,6 +123,7 @@ class HandmadeController:
         return server
 
     def _dashboard(self, client: socket.socket) -> None:
+        self.dashboard_clients.append(client)
         client.sendall(self.banner)
         for line in client.makefile("r", encoding="ascii"):
             self.asked.append(line.strip())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from drivers.universal_robots.primary.client import ControllerState, PrimaryClie
 from ronna_hw.arm_stream.control_channel import QUIET_S
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.universal_robots_services import Query
 
 LIMIT_S = 10.0
 STOOD_STILL_S = 30.0
@@ -95,10 +97,15 @@ def test_an_answer_of_the_dashboard_that_came_in_time_is_taken_after_the_limit()
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
         accepting = pool.submit(lambda: _greet(server.accept()[0]))
         host, port = server.getsockname()
-        dashboard = DashboardClient(host, port, LIMIT_S)
+
+        def stand_still_until_answered(direction: Direction, _data: bytes) -> None:
+            if direction is Direction.SENT:
+                controller.sendall(b"Robotmode: RUNNING\n")
+                assert select.select((dashboard._socket,), (), (), LIMIT_S)[0]
+
+        dashboard = DashboardClient(host, port, LIMIT_S, stand_still_until_answered)
         with accepting.result() as controller, closing(dashboard):
-            controller.sendall(b"Robotmode: RUNNING\n")
-            assert dashboard.ask("robotmode", 0.0) == "Robotmode: RUNNING"
+            assert dashboard.ask(Query.ROBOT_MODE, 0.0) == "Robotmode: RUNNING"
 
 
 def _greet(client: socket.socket) -> socket.socket:
